@@ -1,6 +1,6 @@
-//! States that are copied in every step: into lists that are there already.
+//! `clone_from` for states copied in every step, reusing their lists.
 
-/// Implements `Clone` for a struct of these fields. What can be derived makes every list anew on `clone_from`.
+/// Implements `Clone` for a struct with these fields. The derived one reallocates every list in `clone_from`.
 macro_rules! clones_in_place {
     ($state:ident { $($field:ident),+ $(,)? }) => {
         impl Clone for $state {

@@ -1,4 +1,4 @@
-//! The stiffness and mass of linear tetrahedra as sparse matrices.
+//! Sparse stiffness and mass matrices of linear tetrahedra.
 
 use nalgebra::{Matrix3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -6,8 +6,8 @@ use trocar_dynamics::tet_mesh::TetMesh;
 
 use crate::linear_algebra::{BlockMatrix, BlockPattern};
 
-/// The force on node a per displacement of node b of an element \[N/m\], from its volume and the gradients of their
-/// shape functions.
+/// Force on node a per displacement of node b of an element \[N/m\], from its volume and the gradients of their shape
+/// functions.
 #[must_use]
 pub fn stiffness_block(material: &Elastic, volume: f64, a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
     let (lambda, mu) = (material.lambda(), material.mu());
@@ -15,13 +15,13 @@ pub fn stiffness_block(material: &Elastic, volume: f64, a: &Vector3<f64>, b: &Ve
     (a * b.transpose() * lambda + b * a.transpose() * mu + shear) * volume
 }
 
-/// The pattern of matrices over the nodes of a mesh for which `number` has one, and where they stand.
+/// Sparsity pattern of matrices over the numbered nodes of a mesh, by these numbers.
 #[must_use]
 pub fn pattern(mesh: &TetMesh, numbers: &[Option<u32>], count: usize) -> BlockPattern {
     BlockPattern::new(count, elements_of(mesh, numbers))
 }
 
-/// Pairs of nodes that have a number and an element in common.
+/// Pairs of numbered nodes that share an element.
 fn elements_of(mesh: &TetMesh, numbers: &[Option<u32>]) -> impl Iterator<Item = (u32, u32)> {
     mesh.tets().iter().flat_map(|tet| {
         let own = tet.map(|node| numbers[node as usize]);
@@ -29,13 +29,13 @@ fn elements_of(mesh: &TetMesh, numbers: &[Option<u32>]) -> impl Iterator<Item = 
     })
 }
 
-/// The stiffness matrix over the nodes that have a number; the others are held.
+/// Stiffness matrix over the numbered nodes; the others are fixed.
 #[must_use]
 pub fn stiffness(mesh: &TetMesh, material: &Elastic, numbers: &[Option<u32>], count: usize) -> BlockMatrix {
     weighted_stiffness(mesh, material, &[], numbers, count)
 }
 
-/// The same where each element has so many times the stiffness of its material; an empty slice for once.
+/// The same with a stiffness factor for each element; an empty slice for 1.
 #[must_use]
 pub fn weighted_stiffness(
     mesh: &TetMesh,
@@ -47,7 +47,7 @@ pub fn weighted_stiffness(
     bound_stiffness(mesh, material, weights, &Bonds::default(), numbers, count)
 }
 
-/// Springs of length 0 between nodes.
+/// Springs of zero length between nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Bonds<'a> {
     /// The two nodes of each.
@@ -56,7 +56,7 @@ pub struct Bonds<'a> {
     pub stiffness: f64,
 }
 
-/// The same with bonds between nodes besides.
+/// The same with additional bonds between nodes.
 #[must_use]
 pub fn bound_stiffness(
     mesh: &TetMesh,
@@ -88,7 +88,7 @@ pub fn bound_stiffness(
     matrix
 }
 
-/// The consistent mass matrix \[kg\] over the nodes that have a number, for a density \[kg/m³\].
+/// Consistent mass matrix \[kg\] over the numbered nodes, for a density \[kg/m³\].
 #[must_use]
 pub fn consistent_mass(mesh: &TetMesh, density: f64, numbers: &[Option<u32>], count: usize) -> BlockMatrix {
     let mut matrix = BlockMatrix::zeros(pattern(mesh, numbers, count));
@@ -101,7 +101,7 @@ pub fn consistent_mass(mesh: &TetMesh, density: f64, numbers: &[Option<u32>], co
     matrix
 }
 
-/// The blocks of an element's matrix in the lower triangle: number and corner of the row, of the column.
+/// Blocks of an element's matrix in the lower triangle: number and corner of the row, of the column.
 fn each_block(tet: &[u32; 4], numbers: &[Option<u32>], mut visit: impl FnMut((u32, usize), (u32, usize))) {
     for (i, node) in tet.iter().enumerate() {
         let Some(row) = numbers[*node as usize] else { continue };

@@ -1,4 +1,4 @@
-//! A warmed step of a solver allocates nothing.
+//! After warming up, a solver's step allocates nothing.
 
 use crate::support::suture::{jaws, pad, pose, straight, threaded, tissue};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -16,10 +16,10 @@ use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
 use trocar_test_support::allocations::peak_of;
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
-/// Long enough for every list to have had its largest size.
+/// Enough steps for every list to reach its largest size.
 const WARM: usize = 100;
 
-/// Takes steps until it is warm, and as many again without a single byte.
+/// Runs steps until warm, and as many again without allocating a single byte.
 fn allocates_nothing(what: &str, mut step: impl FnMut()) {
     let ((), bytes) = peak_of(|| drop(vec![0_u8; 1000]));
     assert_eq!(bytes, 1000, "the allocator counts");

@@ -1,4 +1,4 @@
-//! Simulators as controllers on a scene: what they read, what they write, and that another life of theirs goes on.
+//! Simulators as controllers on a scene: their inputs, their outputs, and restarts.
 
 use std::collections::BTreeSet;
 
@@ -18,7 +18,7 @@ use trocar_simulator::controller::{
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
-/// A rod that points down; its tip is its origin.
+/// A rod that points down, with its origin at its tip.
 const ROD: &str = r#"
 [[entity]]
 name = "rod"
@@ -66,7 +66,8 @@ fn an_electrode_heats_burns_and_removes_while_it_is_switched_on_and_another_life
     assert!(!stage.has::<Frozen>("fold"));
 }
 
-/// Draws a hook of 30 W along x at 4 mm/s for a second; what each body took of it \[J\], and what went of it \[mm³\].
+/// Draws a hook of 30 W along x at 4 mm/s for a second; returns the heat absorbed by each body \[J\] and the volume
+/// removed from it \[mm³\].
 fn drawn_over(entities: &str, bodies: &[&str], z: f64) -> Vec<[f64; 2]> {
     let text = format!("{ROD}electrode = {{ power = 30.0, contact_area = 1e-6 }}\n{entities}");
     let mut stage = Stage::new(scene(&text), 100.0, ElectrosurgeryController::new);
@@ -101,7 +102,7 @@ fn bodies_that_one_tip_is_at_share_what_the_generator_gives_and_one_alone_gets_a
     let seam = format!("{}{}", block("a", -0.0049), block("b", 0.0051));
     let seam = drawn_over(&seam, &["a", "b"], -0.0005);
     assert!(seam.iter().all(|one| one[0] > 0.3 * sum(&seam)[0]), "{seam:?}");
-    // Through a membrane that lies on one: first it, then what is beneath.
+    // Through a membrane on another body: first the membrane, then the body beneath.
     let laid = format!("{fold}{}", block("a", 0.0));
     let laid = drawn_over(&laid, &["fold", "a"], -0.0002);
     assert!(laid.iter().all(|one| one[0] > 1.0), "{laid:?}");
@@ -110,7 +111,7 @@ fn bodies_that_one_tip_is_at_share_what_the_generator_gives_and_one_alone_gets_a
         assert!((5.0..=15.0).contains(&both[1]), "{both:?} J and mm³ in a second");
         assert!(both[1] < 1.3 * alone[1], "{both:?}, and {alone:?} alone");
     }
-    // Two such controllers would each give it: they write the same, which is refused.
+    // Two such controllers would each supply the heat; both write the same component, which is refused.
     let store = scene(&format!("{ROD}{fold}"));
     let rules = [7, 8].map(|me| {
         let me = trocar_scene::Entity::of_writer(0, me);
@@ -123,7 +124,7 @@ fn bodies_that_one_tip_is_at_share_what_the_generator_gives_and_one_alone_gets_a
     assert!(rules[0].overlap(&rules[1]).is_some());
 }
 
-/// A rod pressed on a soft body pushes it down, and is told what that takes.
+/// A rod pressed on a soft body deforms it, and gets the reaction force.
 fn pressed<C: trocar_scene::Controller>(
     mut stage: Stage<C>,
     body: &str,
@@ -178,7 +179,7 @@ fn a_gauze_gives_way_to_a_rod_and_goes_on_to_the_bit_in_another_life() {
         assert!((corner - nalgebra::Point3::new(-0.03, -0.03, 0.0)).norm() < 1e-15, "anchors hold: {corner}");
         a.positions
     });
-    // However the same system is solved: the rod has pressed by 6 mm.
+    // Whatever the linear solver, the rod has pressed by 6 mm.
     let far = ends[0].iter().zip(ends[1].iter()).map(|(one, other)| (one - other).norm()).fold(0.0, f64::max);
     assert!(far < 1e-4, "{far} m");
     assert_eq!(ends[0], ends[2], "in steps of 10 ms the nodes' own blocks suit");
@@ -213,7 +214,7 @@ fn jaws(angle: f64) -> JawState {
     JawState { angle, ..JawState::default() }
 }
 
-/// How far vertices that are held have risen, their neighbours, and the neighbours of those \[m\].
+/// Rise of the held vertices, of their neighbours, and of the neighbours of those \[m\].
 fn rises<C: trocar_scene::Controller>(stage: &Stage<C>, body: &str) -> [f64; 3] {
     let grips = stage.get::<Grips>(body).picks.picks;
     let mut inner: BTreeSet<u32> =
@@ -235,7 +236,7 @@ fn rises<C: trocar_scene::Controller>(stage: &Stage<C>, body: &str) -> [f64; 3] 
     })
 }
 
-/// Jaws that close on a body lift it, feel what it pulls, hold it in another life, and let go when they open.
+/// Jaws that close on a body lift it, feel its pull, hold it after a restart, and release it when they open.
 fn lifted<C: trocar_scene::Controller>(
     body: &str,
     text: &str,
@@ -302,7 +303,7 @@ fn an_instrument_is_told_what_pushes_it() {
     stage.tick();
     assert_eq!(stage.get::<Pose>("rod"), target.tip_in_world);
     assert_eq!(stage.get::<InstrumentForce>("rod").force, Vector3::zeros());
-    // A contact that somebody found: the gauze is pushed down by 0.5 N, at a depth of 1 mm.
+    // An external contact: the gauze is pushed down by 0.5 N, at a depth of 1 mm.
     let (rod, gauze) = (stage.entity("rod"), stage.entity("gauze"));
     let collision = trocar_scene::Collision {
         a: rod,
@@ -323,7 +324,7 @@ fn an_instrument_is_told_what_pushes_it() {
     assert!((force - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-12, "{force}");
     let plane = stage.get::<LocalContactModel>("rod").planes[0].expect("a plane");
     assert!((plane.stiffness - 500.0).abs() < 1e-9 && (plane.normal_in_world - Vector3::z()).norm() < 1e-12);
-    // At the present tip it pushes with what the contact does.
+    // At the present position of the tip it pushes with the contact's force.
     assert!(((plane.point_in_world.z - -0.002) * plane.stiffness - 0.5).abs() < 1e-12);
 }
 
@@ -357,7 +358,7 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     let burns = *kidney.view().get::<CauterisedBody>(organ).expect("one");
     assert_eq!((burns.conductivity, burns.heat_capacity, burns.density), (0.53, 3763.0, 1066.0));
     assert_eq!((burns.perfusion, burns.water, burns.charring), (0.067, 0.79, 250.0));
-    // What is not known of it is liver's, and the table's liver is the solver's.
+    // Parameters not given are those of liver, and liver is the solver's default.
     let table = snapshot.get::<CauterisedBody>(organ_of_liver).expect("one");
     assert_eq!((*table, burns.damage_energy), (CauterisedBody::default(), table.damage_energy));
     let (snapshot, organ) = has("linear_fem = { young_modulus = 1e5 }");
@@ -365,7 +366,7 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");
 }
 
-/// A membrane that hangs from one side for a second: pieces, length torn and where it is lowest, and its vertices at the end.
+/// A membrane hanging from one side for a second: pieces, torn length, lowest point, and final vertices.
 fn hung<C: Controller>(
     kind: &str,
     kill: Option<u32>,
@@ -396,7 +397,7 @@ fn a_membrane_tears<C: Controller>(
     assert!(pieces >= 2.0 && length >= 0.035, "{weak}: {pieces} pieces, {length} m torn");
     assert!(lowest < -0.3, "{weak}: what has come off falls: {lowest} m");
     assert_eq!(hung(&weak, Some(60), build).1, positions, "{weak}: another life");
-    // The same membrane without a limit, and with one that it does not reach, hangs.
+    // The same membrane hangs without a limit, and with one that it does not reach.
     for none in ["", ", tears_at = 1.6"] {
         let ([pieces, length, lowest], _) = hung(&kind(none), None, build);
         assert_eq!((pieces, length), (1.0, 0.0), "{none}");

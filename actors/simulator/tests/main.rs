@@ -1,6 +1,6 @@
-//! Solvers of our own, and their controllers.
+//! Solvers and their controllers.
 //!
-//! All of these tests run beside each other.
+//! All of these tests run in parallel.
 
 mod allocations;
 mod controllers;

@@ -1,5 +1,5 @@
-//! What others have written of a body and cannot be is refused with a reason that names it, by every controller of soft bodies,
-//! and never ends one: meshes whose elements name vertices that there are not, and memories of another body.
+//! Invalid data from other actors is rejected with a reason that names it, by every soft-body controller, and never
+//! stops one: meshes with missing vertices, and saved states of another body.
 
 use std::sync::Arc;
 
@@ -43,7 +43,7 @@ fn body(mesh: &str, kind: &str) -> String {
     format!("[[entity]]\nname = \"body\"\nmesh = {{ {mesh} }}\n{kind}\n")
 }
 
-/// Somebody writes it: a first life refuses it by the name of the body, a later one freezes that.
+/// With invalid data in the scene, a first start fails with the name of the body, and a restart freezes that body.
 fn refused<C: Controller, T: Component>(
     text: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError>,
@@ -143,7 +143,7 @@ fn memories_of_another_body_are_refused() {
     }
 }
 
-/// What of the news of others is of elements that there are not is of nobody; what remains is done.
+/// External changes of missing elements are ignored; the rest applies.
 #[test]
 fn news_of_elements_that_there_are_not_change_nothing() {
     fn goes_on<C: Controller>(

@@ -1,10 +1,10 @@
-//! A surface that can be cut: its triangles in the rest shape, who is about each vertex, and three operations that keep it
-//! a mesh: split an edge, move a vertex along an edge, part the triangles about a vertex.
+//! Cuttable surface: triangles in the rest shape, vertex adjacency, and three operations that keep it a valid mesh:
+//! split an edge, move a vertex along an edge, separate the triangles at a vertex.
 //!
-//! What springs can bear is known before an edge is split: by the mediant inequality no node's stiffness over mass is
-//! above the largest of its triangles' at that corner, which is 3E/ρ times the sum of one over the squares of the corner's
-//! two edges. A triangle for which that sum would exceed twice the bound of the whole mesh as it was at first is never made,
-//! and so the largest safe step of its springs is never halved, whatever is cut.
+//! The effect on the stable step is known before an edge is split: by the mediant inequality, a node's stiffness over
+//! mass is at most the largest of its triangles' at that corner, which is 3E/ρ times the sum of the inverse squares of
+//! the corner's two edges. Triangles for which that sum exceeds twice the bound of the initial mesh are never made, so
+//! that the stable step of the springs is never halved by cutting.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,24 +13,23 @@ use trocar_dynamics::faulty::Faulty;
 use super::topology_change::{TopologyChange, VertexChange};
 use crate::mass_spring::NetworkError;
 
-/// How flat a new triangle may be: its least height, of the least of the mesh at first.
+/// Least height of a new triangle, relative to the least of the initial mesh.
 const HEIGHT: f64 = 0.35;
 
-/// All that a sheet needs to continue.
+/// State of a sheet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SheetState {
     /// Rest shape \[m\].
     pub rest: Vec<Point3<f64>>,
     /// Corners of each triangle.
     pub triangles: Vec<[u32; 3]>,
-    /// Edges that have been cut and do not part yet, because at both ends the cut has not gone on; the smaller vertex
-    /// first, ascending.
+    /// Cut edges that are not open yet because the cut continues at neither end; the smaller vertex first, ascending.
     pub pending: Vec<[u32; 2]>,
-    /// Ends of cuts that go on from there.
+    /// Ends of cuts, from which cuts continue.
     pub tips: Vec<u32>,
-    /// Sum of one over the squares of a corner's edges that no new corner exceeds \[1/m²\].
+    /// Largest allowed sum of the inverse squares of a corner's edges \[1/m²\].
     pub corner_limit: f64,
-    /// Height that no new triangle falls below \[m\].
+    /// Least allowed height of a new triangle \[m\].
     pub height_limit: f64,
 }
 
@@ -51,7 +50,7 @@ pub(super) fn ordered(a: u32, b: u32) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
-/// At each corner the sum of one over the squared edges, and the least height.
+/// For each corner the sum of the inverse squared edges, and the least height.
 fn shape(corners: [Point3<f64>; 3]) -> ([f64; 3], f64) {
     let squared: [f64; 3] = std::array::from_fn(|at| (corners[(at + 1) % 3] - corners[at]).norm_squared());
     let doubled = (corners[1] - corners[0]).cross(&(corners[2] - corners[0])).norm();
@@ -60,10 +59,10 @@ fn shape(corners: [Point3<f64>; 3]) -> ([f64; 3], f64) {
 }
 
 impl Sheet {
-    /// A mesh in its rest shape, not cut yet.
+    /// An uncut mesh in its rest shape.
     ///
     /// # Errors
-    /// Vertices that are not finite, triangles that name what is not there or have no area; all of a kind by index.
+    /// Non-finite vertices, triangles with missing corners or without area; all of a kind by index.
     pub fn new(rest: Vec<Point3<f64>>, triangles: Vec<[u32; 3]>) -> Result<Self, NetworkError> {
         let state = SheetState { rest, triangles, ..SheetState::default() };
         let mut sheet = Self::restore(state)?;
@@ -85,10 +84,10 @@ impl Sheet {
         Ok(sheet)
     }
 
-    /// Continues from a state.
+    /// Restores from a state.
     ///
     /// # Errors
-    /// As [`new`](Self::new); also lists that name vertices that do not exist.
+    /// As [`new`](Self::new); also lists with missing vertices.
     pub fn restore(state: SheetState) -> Result<Self, NetworkError> {
         crate::mass_spring::check_elements("triangle", &state.rest, &state.triangles)?;
         Faulty::among(state.triangles.len(), |index| {
@@ -111,7 +110,7 @@ impl Sheet {
         Ok(Self { state, about, change: TopologyChange::default() })
     }
 
-    /// Rest shape, triangles and open ends: all that is needed to continue.
+    /// The state.
     #[must_use]
     pub fn state(&self) -> &SheetState {
         &self.state
@@ -126,14 +125,14 @@ impl Sheet {
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.state.triangles
     }
-    /// Triangles about a vertex, ascending; none for one that does not exist.
+    /// Triangles around a vertex, ascending; none for a missing one.
     #[must_use]
     pub fn about(&self, vertex: u32) -> &[u32] {
         self.about.get(vertex as usize).map_or(&[], Vec::as_slice)
     }
 
-    /// Takes triangles out: the new number of each that stays. What stays is not looked at again. A cut goes on where there is
-    /// something about its end, and an edge that was cut where it still is one.
+    /// Removes triangles; returns the new number of each remaining one. Tips with remaining triangles, and cut edges
+    /// that still are edges, are kept.
     pub fn take_out(&mut self, goes: impl Fn(u32) -> bool) -> Vec<Option<u32>> {
         let mut left = 0;
         let count = self.state.triangles.len() as u32;
@@ -162,7 +161,7 @@ impl Sheet {
         kept
     }
 
-    /// Pieces that hang together by edges: of each triangle the lowest triangle of its piece.
+    /// Connected components by edges: for each triangle the lowest triangle of its component.
     #[must_use]
     pub fn pieces(&self) -> Vec<u32> {
         const NONE: u32 = u32::MAX;
@@ -196,7 +195,7 @@ impl Sheet {
     pub(super) fn is_border(&self, edge: [u32; 2]) -> bool {
         self.about_edge(edge).take(2).count() == 1
     }
-    /// Whether a border of the mesh, or a cut, passes through a vertex.
+    /// Whether a vertex lies on a border of the mesh or on a cut.
     pub(super) fn on_border(&self, vertex: u32) -> bool {
         self.about(vertex).iter().any(|&triangle| {
             let around = edges(self.state.triangles[triangle as usize]);
@@ -220,7 +219,7 @@ impl Sheet {
         (b - a).cross(&(c - a))
     }
 
-    /// Whether an edge can be split there without a triangle that its springs could not bear.
+    /// Whether an edge can be split there without making a triangle too small for its springs.
     pub(super) fn can_split(&self, [a, b]: [u32; 2], share: f64) -> bool {
         let rest = &self.state.rest;
         let point = rest[a as usize] + (rest[b as usize] - rest[a as usize]) * share;
@@ -234,7 +233,7 @@ impl Sheet {
         })
     }
 
-    /// Splits an edge: the new vertex.
+    /// Splits an edge; returns the new vertex.
     pub(super) fn split(&mut self, [a, b]: [u32; 2], share: f64) -> u32 {
         let rest = &mut self.state.rest;
         let new = rest.len() as u32;
@@ -272,7 +271,7 @@ impl Sheet {
         new
     }
 
-    /// Whether a vertex can move along an edge without spoiling the triangles about it.
+    /// Whether a vertex can move along an edge without making a triangle around it too small.
     pub(super) fn can_move(&self, vertex: u32, towards: u32, share: f64) -> bool {
         let rest = &self.state.rest;
         let point = rest[vertex as usize] + (rest[towards as usize] - rest[vertex as usize]) * share;
@@ -295,7 +294,7 @@ impl Sheet {
         }
     }
 
-    /// Notes that an edge is cut; it parts where [`part`](Self::part) finds its triangles on two sides.
+    /// Marks an edge as cut; it opens where [`part`](Self::part) finds its triangles in different groups.
     pub(super) fn suspend(&mut self, a: u32, b: u32) {
         let edge = ordered(a, b);
         if let Err(at) = self.state.pending.binary_search(&edge) {
@@ -303,7 +302,7 @@ impl Sheet {
         }
     }
 
-    /// Gives each group of triangles about a vertex that hangs together by edges that are not cut a vertex of its own.
+    /// Gives each group of triangles around a vertex that is connected by uncut edges its own vertex.
     pub(super) fn part(&mut self, vertex: u32) {
         let fan = self.about[vertex as usize].clone();
         let mut group = vec![usize::MAX; fan.len()];
@@ -354,7 +353,7 @@ impl Sheet {
         for &triangle in &self.about[vertex as usize] {
             self.change.stale.extend(self.state.triangles[triangle as usize]);
         }
-        // What is still whole between two triangles of one group waits on; the rest has parted.
+        // Cut edges within one group stay pending; the others are open.
         let waiting: Vec<u32> = {
             let of = self.state.pending.iter().filter(|edge| edge.contains(&vertex));
             of.map(|[a, b]| if *a == vertex { *b } else { *a }).collect()

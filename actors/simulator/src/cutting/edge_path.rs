@@ -1,4 +1,5 @@
-//! Lays a path into the mesh as a chain of edges, from vertex to vertex in the rest shape, and parts the mesh along it.
+//! Embeds a cut path into the mesh as a chain of edges, walking from vertex to vertex in the rest shape, and splits the
+//! mesh along it.
 
 use nalgebra::Point3;
 
@@ -6,19 +7,19 @@ use super::Sheet;
 use super::cuttable_surface::ordered;
 use super::swept_path::{Path, in_edges};
 
-/// Steps of a walk at most, for each point of its path: it crosses one edge between two points, and few more where it
-/// has been led astray.
+/// Maximum steps of a walk per point of its path: it crosses one edge between two points, and few more where it goes
+/// astray.
 const STEPS: usize = 4;
-/// How far a direction may lie outside a triangle and still lead into it.
+/// Tolerance for a direction outside a triangle that still leads into it.
 const ASIDE: f64 = 1e-9;
-/// Share of an edge from its end within which a path goes through the vertex.
+/// Distance from an edge's end, as a fraction, within which a path goes through the vertex.
 const AT_END: f64 = 1e-3;
 
-/// Where a walk crosses the edge across from its vertex.
+/// Where a walk crosses the edge opposite to its vertex.
 struct Crossing {
     edge: [u32; 2],
     share: f64,
-    /// Of the way to the target.
+    /// Fraction of the way to the target.
     far: f64,
 }
 
@@ -48,7 +49,7 @@ impl Sheet {
         };
         let chain = self.walk(start, &path.points);
         if chain.len() < 2 {
-            // Not far enough for an edge: the next frame goes on from here.
+            // Not far enough for an edge: the next frame continues from here.
             if !self.state.tips.contains(&start) {
                 self.state.tips.push(start);
             }
@@ -60,7 +61,7 @@ impl Sheet {
         for pair in chain.windows(2) {
             let (from, to) = (self.state.rest[pair[0] as usize], self.state.rest[pair[1] as usize]);
             self.change.length += (to - from).norm();
-            // Led astray it may have run along a border, where there is nothing to part.
+            // It may have gone astray along a border, where nothing can be split.
             if !self.is_border([pair[0], pair[1]]) {
                 self.suspend(pair[0], pair[1]);
             }
@@ -69,7 +70,7 @@ impl Sheet {
             self.part(vertex);
         }
         for (end, inside) in ends.into_iter().zip(inside) {
-            // The cut that the walk began from had its end inside the mesh as well.
+            // The cut that the walk continues ended inside the mesh as well.
             let goes_on = inside && (end != start || tip.is_none());
             if goes_on && !self.state.tips.contains(&end) {
                 self.state.tips.push(end);
@@ -77,7 +78,7 @@ impl Sheet {
         }
     }
 
-    /// A tip about the triangle of one end of a path from which the path can go on, the nearest.
+    /// The nearest tip around the triangle at one end of a path from which the path can continue.
     fn tip_near(&self, path: &Path, side: usize) -> Option<u32> {
         let end = if side == 0 { path.points[0] } else { path.points[path.points.len() - 1] };
         let around = self.state.triangles[path.triangles[side] as usize];
@@ -125,7 +126,7 @@ impl Sheet {
         }
     }
 
-    /// A vertex where a path crosses an edge: a new one, a moved one, or the nearer end. `taken` cannot be moved.
+    /// The vertex where a path crosses an edge: a new one, a moved one, or the nearer end. `taken` cannot be moved.
     fn onto(&mut self, edge: [u32; 2], share: f64, taken: &[u32]) -> u32 {
         let (near, far, along) =
             if share <= 0.5 { (edge[0], edge[1], share) } else { (edge[1], edge[0], 1.0 - share) };
@@ -158,7 +159,7 @@ impl Sheet {
                 if chain.contains(&next) {
                     break;
                 }
-                // The edge to it: of the triangle that was crossed, whether split or not.
+                // The edge to it: of the crossed triangle, whether split or not.
                 if self.about_edge(ordered(here, next)).next().is_none() {
                     return chain;
                 }
@@ -171,7 +172,7 @@ impl Sheet {
         chain
     }
 
-    /// Where the way from a vertex to a target leaves the triangles about the vertex.
+    /// Where the segment from a vertex to a target leaves the triangles around the vertex.
     fn crossing(&self, here: u32, target: &Point3<f64>) -> Option<Crossing> {
         let from = self.state.rest[here as usize];
         let way = target - from;
@@ -189,7 +190,8 @@ impl Sheet {
             if sum.is_nan() || sum <= 0.0 {
                 continue;
             }
-            // On a curved surface the way lies in no triangle's plane: the one that it leads into most squarely.
+            // On a curved surface the segment lies in no triangle's plane: take the triangle that it enters most
+            // directly.
             let into = (a.min(b) / sum).min(0.0);
             let off = (way - first * a - second * b).norm() / way.norm();
             let score = off - into;

@@ -1,25 +1,25 @@
-//! Cutting a line: where the edge of a blade passes through a segment between two frames, the line comes apart at the end of
-//! that segment which is nearer. So no piece is shorter than a segment, and no step has to be; the place is off by half a
-//! segment at most.
+//! Cutting of lines: where a blade's edge sweeps through a segment between two frames, the line separates at the nearer
+//! end of that segment. So no piece is shorter than a segment, and no shorter step is needed; the position is accurate
+//! to half a segment.
 
 use nalgebra::Point3;
 use trocar_collision::primitive::Triangle;
 use trocar_dynamics::tet_mesh::Sweep;
 
-/// A line that has come apart.
+/// A line after a cut.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PartedLine {
-    /// Nodes of each segment; there are as many as before.
+    /// Nodes of each segment; their number is unchanged.
     pub segments: Vec<[u32; 2]>,
-    /// Of which node each new one is a copy; the first comes after the last that there was.
+    /// Original of each new node; new nodes come after all others.
     pub copies: Vec<u32>,
 }
 
-/// Share of the way from `a` to `b` at which it passes through a triangle.
+/// Fraction from `a` to `b` at which it intersects a triangle.
 fn crossing(a: &Point3<f64>, b: &Point3<f64>, triangle: &Triangle) -> Option<f64> {
     let normal = (triangle[1] - triangle[0]).cross(&(triangle[2] - triangle[0]));
     let [above, below] = [a, b].map(|point| normal.dot(&(point - triangle[0])));
-    // What only touches with an end passes there once.
+    // A segment that only touches with one end is counted once.
     if (above >= 0.0) == (below >= 0.0) {
         return None;
     }
@@ -32,7 +32,7 @@ fn crossing(a: &Point3<f64>, b: &Point3<f64>, triangle: &Triangle) -> Option<f64
     (0..3).all(is_inside).then_some(share)
 }
 
-/// Where `sweeps` pass through the edges of a chain of nodes at `positions` \[m\]: which edge, at which share of it; each edge
+/// Edges of a chain of nodes at `positions` \[m\] that `sweeps` intersect, with the fraction along the edge; each edge
 /// once, ascending.
 #[must_use]
 pub fn crossed(positions: &[Point3<f64>], sweeps: &[Sweep]) -> Vec<(usize, f64)> {
@@ -43,11 +43,11 @@ pub fn crossed(positions: &[Point3<f64>], sweeps: &[Sweep]) -> Vec<(usize, f64)>
     shares.filter_map(|(edge, share)| Some((edge, share?))).collect()
 }
 
-/// Lets a line come apart where `sweeps` pass through its segments at `positions` \[m\]; none where they pass through none, or
-/// only through ends that nothing else hangs on.
+/// Cuts a line where `sweeps` intersect its segments at `positions` \[m\]; `None` without intersections, or only at
+/// ends without another segment.
 ///
 /// # Panics
-/// A segment that names a node that there is not.
+/// A segment with a missing node.
 #[must_use]
 pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Sweep]) -> Option<PartedLine> {
     let mut about = vec![0_u32; positions.len()];
@@ -65,7 +65,7 @@ pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Swe
             else {
                 continue;
             };
-            // Both edges may have passed there, or one through both segments.
+            // Both edges may have cut there, or one through both segments.
             let node = parted.segments[index][end];
             if about[node as usize] < 2 {
                 continue;
@@ -79,11 +79,11 @@ pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Swe
     (!parted.copies.is_empty()).then_some(parted)
 }
 
-/// Lets a line tear: the segment that is drawn farthest of those that are longer than `tears_at` times as at rest lets go of an
-/// end that something else hangs on; none where no such is. One at a time, since all else gives way then.
+/// Tears a line: the most stretched segment of those longer than `tears_at` times the rest length is detached at an end
+/// shared with another segment; `None` where there is none. One at a time, since all others relax then.
 ///
 /// # Panics
-/// A segment that names a node that there is not.
+/// A segment with a missing node.
 #[must_use]
 pub fn tear_line(
     [rest, now]: [&[Point3<f64>]; 2],
@@ -104,7 +104,7 @@ pub fn tear_line(
     Some(parted)
 }
 
-/// How many lines there are that hang together.
+/// Number of connected pieces.
 #[must_use]
 pub fn pieces(nodes: usize, segments: &[[u32; 2]]) -> usize {
     let mut of: Vec<u32> = (0..nodes as u32).collect();
@@ -122,7 +122,7 @@ pub fn pieces(nodes: usize, segments: &[[u32; 2]]) -> usize {
         }
         let [a, b] = ends.map(|node| root(&of, node));
         if a != b {
-            // The lower number, so that chains stay short where nodes follow one another.
+            // The lower number, so that chains stay short for consecutive nodes.
             of[a.max(b) as usize] = a.min(b);
             count -= 1;
         }
@@ -142,7 +142,7 @@ mod tests {
         (points, (0..n).map(|k| [k, k + 1]).collect())
     }
 
-    /// A blade along y that goes down at `x`.
+    /// A blade along y that moves down at `x`.
     fn down(x: f64) -> Sweep {
         let edge = |z: f64| [Point3::new(x, -1.0, z), Point3::new(x, 1.0, z)];
         Sweep { before: edge(1.0), after: edge(-1.0) }
@@ -171,7 +171,7 @@ mod tests {
         let torn = tear_line([&rest, &now], &segments, 1.04).expect("torn");
         assert_eq!((torn.copies.as_slice(), torn.segments[2]), ([2].as_slice(), [6, 3]));
         assert_eq!(pieces(7, &torn.segments), 2);
-        // What nothing else hangs on is no place to tear.
+        // An end without another segment is no place to tear.
         assert_eq!(tear_line([&rest[..2], &now[2..4]], &segments[..1], 1.1), None);
     }
 
@@ -184,7 +184,7 @@ mod tests {
         let beside =
             Sweep { before: [Point3::new(2.5, 1.0, 1.0); 2], after: [Point3::new(2.5, 2.0, -1.0); 2] };
         assert_eq!(part_line(&points, &segments, &[beside]), None);
-        // A line of one segment has nothing to part from.
+        // A line of one segment has no joint to separate.
         assert_eq!(part_line(&points[..2], &segments[..1], &[down(0.5)]), None);
         // A closed one needs two cuts.
         let ring: Vec<[u32; 2]> = (0..6).map(|k| [k, (k + 1) % 6]).collect();

@@ -1,14 +1,14 @@
-//! Cutting a surface along whatever path a blade takes: what its edge sweeps between two frames is intersected with the
-//! triangles, the paths found are laid into the mesh as edges, and the mesh parts along them into two lips, which tension
-//! then opens.
+//! Cutting of surfaces along arbitrary blade paths: the area swept by a blade's edge between two frames is intersected
+//! with the triangles, the resulting paths are embedded in the mesh as edges, and the mesh splits along them into two
+//! lips, which tension then opens.
 //!
-//! A path becomes edges by walking from vertex to vertex in the rest shape. Where it crosses the edge across from where it
-//! stands, that edge is split; where this would make a triangle too small for the springs, the nearer vertex is moved
-//! onto the path; where that would, the path goes through the vertex ([`Sheet`] says what is too small). So the walk
-//! always makes progress, and never a sliver. What ends inside a triangle waits at the last vertex, a *tip*, and goes on with
+//! A path becomes edges by walking from vertex to vertex in the rest shape. Where it crosses the opposite edge, that
+//! edge is split; where this would make a triangle too small for the springs, the nearer vertex is moved onto the path;
+//! where that would, too, the path goes through the vertex ([`Sheet`] defines too small). So the walk always makes
+//! progress without slivers. A path that ends inside a triangle stops at the last vertex, a *tip*, and continues with
 //! the next frame.
 //!
-//! Each call tells what it did as a [`TopologyChange`].
+//! Each call returns a [`TopologyChange`].
 
 pub(crate) mod cuttable_surface;
 pub(crate) mod edge_path;
@@ -25,38 +25,38 @@ use nalgebra::Point3;
 use thiserror::Error;
 use trocar_dynamics::tet_mesh::Sweep;
 
-/// Why nothing was cut.
+/// Why a cut was rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CutError {
-    /// Another number of positions than of vertices.
+    /// A number of positions other than that of vertices.
     #[error("{given} positions for a mesh of {expected} vertices")]
     Positions {
-        /// Positions given.
+        /// Number of positions.
         given: usize,
-        /// Vertices that there are.
+        /// Number of vertices.
         expected: usize,
     },
-    /// A blade or a vertex that is nowhere.
+    /// A non-finite blade or vertex.
     #[error("{what} {index} has a coordinate that is not finite")]
     NotFinite {
         /// Sweep or vertex.
         what: &'static str,
-        /// Which.
+        /// Its index.
         index: usize,
     },
-    /// The mesh has grown as far as it may.
+    /// The mesh has reached its maximum size.
     #[error("the mesh has {0} triangles, and is cut no further than {TRIANGLES_MAX}")]
     Full(usize),
 }
 
-/// Triangles beyond which nothing is cut any more.
+/// Maximum number of triangles.
 const TRIANGLES_MAX: usize = 1 << 20;
 
 impl Sheet {
-    /// Cuts where the blades' edges pass through the surface at these positions.
+    /// Cuts where the blades' edges sweep through the surface at these positions.
     ///
     /// # Errors
-    /// When the input is not finite or does not fit; nothing is cut then.
+    /// Non-finite or mismatched input; nothing is cut then.
     pub fn cut(&mut self, positions: &[Point3<f64>], sweeps: &[Sweep]) -> Result<TopologyChange, CutError> {
         let (given, expected) = (positions.len(), self.rest().len());
         if given != expected {
@@ -87,7 +87,7 @@ impl Sheet {
         Ok(all)
     }
 
-    /// What has been done since the last call.
+    /// Changes since the last call.
     fn take_change(&mut self) -> TopologyChange {
         let mut change = std::mem::take(&mut self.change);
         change.stale.sort_unstable();

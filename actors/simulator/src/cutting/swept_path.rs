@@ -1,5 +1,4 @@
-//! Where the edge of a blade passes through a surface: the area it sweeps between two frames against every triangle, and
-//! the pieces joined to paths in the rest shape.
+//! Intersection of a blade's swept area between two frames with a surface, joined to paths in the rest shape.
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::primitive::{Triangle, common_segment, triangles_overlap};
@@ -7,18 +6,18 @@ use trocar_dynamics::tet_mesh::Sweep;
 
 use super::Sheet;
 
-/// A line within one triangle, in the rest shape.
+/// A segment within one triangle, in the rest shape.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     triangle: u32,
     ends: [Point3<f64>; 2],
 }
 
-/// A line across the surface in the rest shape.
+/// A polyline across the surface in the rest shape.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Path {
     pub points: Vec<Point3<f64>>,
-    /// Triangle of the first and of the last point, before anything is cut.
+    /// Triangle of the first and of the last point, before any cut.
     pub triangles: [u32; 2],
 }
 
@@ -33,7 +32,7 @@ fn bounds(points: &[Point3<f64>]) -> [Point3<f64>; 2] {
     points.iter().fold([points[0]; 2], |[low, high], point| [low.inf(point), high.sup(point)])
 }
 
-/// Weights of a point on a triangle's corners, by areas.
+/// Barycentric weights of a point, by areas.
 fn weights(point: &Point3<f64>, [a, b, c]: &Triangle) -> [f64; 3] {
     let normal = (b - a).cross(&(c - a));
     let squared = normal.norm_squared();
@@ -71,7 +70,7 @@ pub(super) fn paths(sheet: &Sheet, positions: &[Point3<f64>], sweep: &Sweep) -> 
     join(sheet, pieces)
 }
 
-/// Of the largest edge nearby, how far two ends may be apart and be one.
+/// Distance below which two ends coincide, relative to the largest edge nearby.
 const SAME: f64 = 1e-6;
 
 fn join(sheet: &Sheet, mut pieces: Vec<Piece>) -> Vec<Path> {
@@ -113,7 +112,7 @@ fn join(sheet: &Sheet, mut pieces: Vec<Piece>) -> Vec<Path> {
     paths
 }
 
-/// A direction in a triangle's plane as a sum of two of its edges.
+/// A direction in a triangle's plane as a combination of two of its edges.
 pub(super) fn in_edges(direction: &Vector3<f64>, first: &Vector3<f64>, second: &Vector3<f64>) -> [f64; 2] {
     let (aa, ab, bb) = (first.norm_squared(), first.dot(second), second.norm_squared());
     let (da, db) = (direction.dot(first), direction.dot(second));

@@ -1,4 +1,4 @@
-//! Tearing: where a surface is stretched beyond what it bears it parts, with the operations of a cut.
+//! Tearing: a surface splits where its stretch exceeds a limit, with the operations of cutting.
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
@@ -6,12 +6,12 @@ use super::swept_path::Path;
 use super::{CutError, Sheet, TopologyChange};
 
 impl Sheet {
-    /// Tears about the vertex next to which the surface is stretched most, if that is beyond `stretch_max` (length over
-    /// rest length, above 1): across the direction of the largest stretch, one or two triangles far to either side. Called once in
-    /// each step, so that the tear runs as fast as the stretch that it relieves.
+    /// Tears at the vertex of the most stretched triangle, if its stretch exceeds `stretch_max` (length over rest
+    /// length, above 1): perpendicular to the direction of the largest stretch, one or two triangles to either side.
+    /// Called once per step, so that the tear propagates as fast as the stretch that it relieves.
     ///
     /// # Errors
-    /// When there is another number of positions than of vertices, or one is not finite.
+    /// A number of positions other than that of vertices, or a non-finite one.
     pub fn tear(&mut self, positions: &[Point3<f64>], stretch_max: f64) -> Result<TopologyChange, CutError> {
         let (given, expected) = (positions.len(), self.rest().len());
         if given != expected {
@@ -30,8 +30,8 @@ impl Sheet {
         }
         let Some((_, triangle, direction)) = worst else { return Ok(TopologyChange::default()) };
         let corners = self.triangles()[triangle as usize];
-        // A tear goes on where there is one: at a tip, else at a border, else where it is stretched. Along a border there is
-        // nothing to tear.
+        // Tears propagate: from a tip, else from a border, else from the most stretched place. There is nothing to tear
+        // along a border.
         let rank = |vertex: &u32| (!self.state.tips.contains(vertex), !self.on_border(*vertex), *vertex);
         let mut starts = corners;
         starts.sort_unstable_by_key(rank);
@@ -45,14 +45,14 @@ impl Sheet {
         Ok(TopologyChange::default())
     }
 
-    /// Across the direction in which a triangle is stretched, from one of its corners.
+    /// Perpendicular to the direction in which a triangle is stretched, from one of its corners.
     fn tear_from(&mut self, start: u32, triangle: u32, direction: &Vector2<f64>) {
         let [first, second] = self.frame(triangle);
         let across = first * -direction.y + second * direction.x;
         let [a, b, c] = self.triangles()[triangle as usize].map(|vertex| self.rest()[vertex as usize]);
         let reach = (b - a).norm().max((c - b).norm()).max((a - c).norm());
         let from = self.rest()[start as usize];
-        // From the end of a cut it goes on, away from where the lips already are.
+        // From the end of a cut it continues away from the existing lips.
         let behind = self.lips(start) - from.coords;
         let ways: &[f64] = match behind.dot(&across) {
             _ if !self.on_border(start) && !self.state.tips.contains(&start) => &[1.0, -1.0],
@@ -76,7 +76,7 @@ impl Sheet {
         }
     }
 
-    /// The middle of the vertices to which a border or a cut runs from this one.
+    /// Centre of the vertices along the border or cut next to this one.
     fn lips(&self, vertex: u32) -> nalgebra::Vector3<f64> {
         let (mut sum, mut count) = (nalgebra::Vector3::zeros(), 0);
         for &triangle in self.about(vertex) {
@@ -90,7 +90,7 @@ impl Sheet {
         if count == 0 { self.rest()[vertex as usize].coords } else { sum / f64::from(count) }
     }
 
-    /// Two unit vectors in the rest shape's plane of a triangle.
+    /// Two orthogonal unit vectors in the plane of a triangle at rest.
     fn frame(&self, triangle: u32) -> [nalgebra::Vector3<f64>; 2] {
         let [a, b, c] = self.triangles()[triangle as usize].map(|vertex| self.rest()[vertex as usize]);
         let first = (b - a).normalize();

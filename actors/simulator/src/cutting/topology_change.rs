@@ -1,9 +1,9 @@
-//! What a change of topology did to vertices and triangles, in the order in which it was done, so that whatever belongs
-//! to them (positions, masses, texture coordinates, temperatures, burn) can follow.
+//! Record of a topology change of vertices and triangles, in order, so that attributes (positions, masses, texture
+//! coordinates, temperatures, burns) can be updated.
 
 use serde::{Deserialize, Serialize};
 
-/// One thing that happened to the vertices.
+/// One change of a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VertexChange {
@@ -11,21 +11,21 @@ pub enum VertexChange {
     Between {
         /// The edge.
         edge: [u32; 2],
-        /// How far from the first to the second, 0 to 1.
+        /// Position from the first to the second, 0 to 1.
         share: f64,
     },
-    /// A vertex moved along an edge of its own.
+    /// A vertex moved along one of its edges.
     Moved {
-        /// Which.
+        /// The vertex.
         vertex: u32,
-        /// To which it moved.
+        /// The vertex it moved towards.
         towards: u32,
-        /// How far, 0 to 1.
+        /// The fraction of the edge, 0 to 1.
         share: f64,
     },
-    /// A new vertex, appended, for the other lip of a cut.
+    /// A copy of a vertex, appended, for the other lip of a cut.
     Copy {
-        /// Of which.
+        /// The original.
         of: u32,
     },
 }
@@ -33,11 +33,11 @@ pub enum VertexChange {
 /// The record of a change.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TopologyChange {
-    /// What happened to vertices, in order.
+    /// Changes of vertices, in order.
     pub vertices: Vec<VertexChange>,
-    /// Of each new triangle, appended in this order, the one that it is a part of; indices of triangles stay.
+    /// For each new triangle, appended in this order, the one that it is a part of; indices of triangles do not change.
     pub triangles: Vec<u32>,
-    /// Vertices about which springs, masses and the like are to be derived anew, ascending.
+    /// Vertices around which springs, masses and the like are to be rebuilt, ascending.
     pub stale: Vec<u32>,
     /// Length of the new lips in the rest shape \[m\].
     pub length: f64,
@@ -50,7 +50,7 @@ impl TopologyChange {
         self.vertices.is_empty() && self.triangles.is_empty() && self.length == 0.0
     }
 
-    /// Brings values per vertex up to date; `mix` gives the value a share of the way from the first to the second.
+    /// Updates values per vertex; `mix` interpolates from the first to the second value by a fraction.
     pub fn carry<T: Clone>(&self, values: &mut Vec<T>, mix: impl Fn(&T, &T, f64) -> T) {
         for change in &self.vertices {
             match *change {
@@ -66,15 +66,15 @@ impl TopologyChange {
         }
     }
 
-    /// Brings values per triangle up to date.
+    /// Updates values per triangle.
     pub fn carry_triangles<T: Clone>(&self, values: &mut Vec<T>) {
         for &parent in &self.triangles {
             values.push(values[parent as usize].clone());
         }
     }
 
-    /// Brings a list of vertices that share a property (pinned ones) up to date: copies have it, and what lies between
-    /// two that have it.
+    /// Updates a set of vertices, such as pinned ones: it is extended by copies of members and by vertices between two
+    /// of them.
     pub fn carry_members(&self, members: &mut Vec<u32>, vertices_before: usize) {
         let mut next = vertices_before as u32;
         for change in &self.vertices {
@@ -92,7 +92,7 @@ impl TopologyChange {
         }
     }
 
-    /// Appends what happened after it.
+    /// Appends a later change.
     pub fn append(&mut self, mut later: Self) {
         self.vertices.append(&mut later.vertices);
         self.triangles.append(&mut later.triangles);

@@ -1,4 +1,4 @@
-//! What follows from the mesh of a body: the order and the pattern of its matrix, its elements and its masses.
+//! Data derived from the mesh of a body: elimination order, sparsity pattern, elements and masses.
 
 use nalgebra::Vector3;
 use trocar_dynamics::tet_mesh::TetMesh;
@@ -11,7 +11,7 @@ use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky, minimum_de
 use crate::stiffness::{consistent_mass, pattern};
 
 impl DynamicFem {
-    /// An order of the nodes that are free, the pattern in that order, and its factor, of which there are no numbers yet.
+    /// Elimination order of the free nodes, sparsity pattern, and symbolic factor.
     pub(super) fn analyse(
         mesh: &TetMesh,
         is_fixed: &[bool],
@@ -34,7 +34,7 @@ impl DynamicFem {
         Ok((numbers, hessian, factor))
     }
 
-    /// All that follows from its mesh but the factor.
+    /// Derives everything from the mesh except the factor.
     pub(super) fn look_at_mesh(&mut self, fixed: &[u32]) {
         let (mesh, density) = (&self.mesh, self.config.density);
         let nodes = mesh.rest().len();

@@ -1,35 +1,35 @@
-//! What a body in motion is made of, and what its steps answer.
+//! Configuration, errors and reports of a dynamic body.
 
 use thiserror::Error;
 
 use super::constitutive::Constitution;
 use crate::linear_algebra::FactorError;
 
-/// How masses are spread.
+/// Mass matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MassMatrix {
-    /// A quarter of each element at each of its nodes.
+    /// Lumped: a quarter of each element's mass at each of its nodes.
     Lumped,
-    /// As displacements are interpolated.
+    /// Consistent with the interpolation of displacements.
     Consistent,
 }
 
-/// What a body is made of, and how exactly it is stepped.
+/// Material and solver settings of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// How elements answer to deformation.
+    /// Constitutive law.
     pub constitution: Constitution,
-    /// How masses are spread.
+    /// Mass matrix.
     pub mass: MassMatrix,
     /// Density \[kg/m³\].
     pub density: f64,
-    /// Rayleigh damping of the mass \[1/s\].
+    /// Mass-proportional Rayleigh damping \[1/s\].
     pub mass_damping: f64,
-    /// Rayleigh damping of the stiffness \[s\].
+    /// Stiffness-proportional Rayleigh damping \[s\].
     pub stiffness_damping: f64,
-    /// A step is solved when the forces out of balance are this share of the inner, outer and inertial ones.
+    /// Tolerance: residual force relative to the internal, external and inertial forces.
     pub tolerance: f64,
-    /// Iterations after which a step is taken as it is, and said not to be solved.
+    /// Maximum iterations, after which a step is accepted but reported as unsolved.
     pub iterations_max: u32,
 }
 
@@ -47,31 +47,31 @@ impl Default for Config {
     }
 }
 
-/// Why there is no body.
+/// Why a body was rejected.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum DynamicFemError {
-    /// A number out of range.
+    /// A parameter out of range.
     #[error("{what} is {value}: {valid} is valid")]
     OutOfRange {
-        /// What it is.
+        /// Its name.
         what: &'static str,
-        /// What came.
+        /// Its value.
         value: f64,
-        /// What is valid.
+        /// Its valid range.
         valid: &'static str,
     },
-    /// A node that there is none of.
+    /// A node that does not exist.
     #[error("node {node} is to be fixed, but there are {nodes}: 0 to {nodes} - 1 are valid")]
     NoNode {
-        /// What was named.
+        /// The node.
         node: u32,
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// Nothing can move.
+    /// No free node.
     #[error("all {0} nodes are fixed")]
     NothingFree(usize),
-    /// No factor, or no room for one.
+    /// The matrix could not be factorised, or not enough memory.
     #[error(transparent)]
     Factor(#[from] FactorError),
     /// A state of another body.
@@ -79,57 +79,57 @@ pub enum DynamicFemError {
     State(&'static str),
 }
 
-/// Why a step was not taken; the body is as it was before.
+/// Why a step failed; the body is unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum StepError {
-    /// No time to step by.
+    /// An invalid time step.
     #[error("a step of {0} s: above 0 and up to 1 s is valid")]
     Dt(f64),
-    /// An input that cannot be.
+    /// An input with an invalid node.
     #[error("{what} number {index} names node {node} of {nodes}, a fixed one, or one a second time")]
     Node {
         /// Forces, prescribed nodes, springs or contacts.
         what: &'static str,
-        /// Which of them.
+        /// Its index.
         index: usize,
         /// The node.
         node: u32,
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// A number of an input is none, a stiffness is negative, or a normal is not of length 1.
+    /// A non-finite number, a negative stiffness, or a normal that is not of unit length.
     #[error("{what} number {index} has a number out of range")]
     Number {
         /// The acceleration, forces, prescribed nodes, springs or contacts.
         what: &'static str,
-        /// Which of them.
+        /// Its index.
         index: usize,
     },
-    /// The step would have led nowhere.
+    /// The step would give a non-finite result.
     #[error("the step led node {node} to a position that is not a finite number")]
     NotFinite {
-        /// Which node.
+        /// The node.
         node: u32,
     },
-    /// No factor.
+    /// The matrix could not be factorised.
     #[error(transparent)]
     Factor(#[from] FactorError),
 }
 
-/// What a step took.
+/// Statistics of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
-    /// Forces out of balance as a share of the inner, outer and inertial ones.
+    /// Residual force relative to the internal, external and inertial forces.
     pub residual: f64,
     /// Whether that is within the tolerance.
     pub solved: bool,
     /// Iterations.
     pub iterations: u32,
-    /// Times that energy and forces were computed.
+    /// Evaluations of energy and forces.
     pub evaluations: u32,
     /// Factorisations; most steps need none.
     pub factorisations: u32,
-    /// Elements that are inside out at the end of the step.
+    /// Inverted elements at the end of the step.
     pub inverted: u32,
     /// The first of them.
     pub first_inverted: Option<u32>,
@@ -138,8 +138,8 @@ pub struct Report {
 /// Energies \[J\].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Energies {
-    /// Of motion.
+    /// Kinetic energy.
     pub kinetic: f64,
-    /// Of deformation.
+    /// Elastic energy.
     pub elastic: f64,
 }

@@ -1,27 +1,27 @@
-//! Elastic energy of an element per volume at rest, its stress, and its stiffness made positive.
+//! Constitutive laws: energy density, stress, and stiffness projected to positive semidefinite.
 
 use nalgebra::{Matrix3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
 
 use super::polar::{cofactor, rotation, signed_svd};
 
-/// How an element answers to its deformation gradient F.
+/// Constitutive law of an element, in terms of its deformation gradient F.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Constitution {
-    /// Corotational: linear in the frame that turns with the element, ψ = μ‖F − R‖² + λ/2 tr²(RᵀF − 1).
+    /// Corotational: linear in the rotated frame of the element, ψ = μ‖F − R‖² + λ/2 tr²(RᵀF − 1).
     Corotational,
     /// Neo-Hookean, ψ = μ/2 (I₁ − 3) − μ ln J + λ/2 ln² J (Bonet, Wood 1997). Below J = [`JACOBIAN_MIN`] the logarithm
-    /// is continued by its parabola, so that an element that was turned inside out finds its way back.
+    /// is continued by its parabola, so that an inverted element recovers.
     NeoHookean,
-    /// St. Venant–Kirchhoff, ψ = μ E:E + λ/2 tr² E with Green's strain E = (FᵀF − 1)/2. Where it is pressed it softens,
-    /// and an element that was turned inside out stays so: for comparison, and for large rotations at small strains.
+    /// St. Venant–Kirchhoff, ψ = μ E:E + λ/2 tr² E with Green's strain E = (FᵀF − 1)/2. It softens in compression, and
+    /// an inverted element stays inverted: for comparison, and for large rotations at small strains.
     StVenantKirchhoff,
 }
 
-/// Below this ratio of volumes the logarithm is continued by a parabola.
+/// Volume ratio below which the logarithm is continued by a parabola.
 pub const JACOBIAN_MIN: f64 = 0.2;
 
-/// A constitution with its constants.
+/// A constitutive law with its constants.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Material {
     constitution: Constitution,
@@ -40,14 +40,14 @@ fn logarithm(jacobian: f64) -> [f64; 3] {
     [JACOBIAN_MIN.ln() + below - 0.5 * below * below, (1.0 - below) * inverse, -inverse * inverse]
 }
 
-/// The stiffness of an element about a state, in the frames of its principal stretches, made positive (Teran et al.
-/// 2005; in closed form after Smith, de Goes, Kim 2019).
+/// Stiffness of an element at a state, in its principal frames, projected to positive semidefinite (Teran et al. 2005;
+/// in closed form after Smith, de Goes, Kim 2019).
 pub(super) struct Stiffness {
     pub u: Matrix3<f64>,
     pub v: Matrix3<f64>,
-    /// Between stretches \[Pa\].
+    /// Between principal stretches \[Pa\].
     pub stretch: Matrix3<f64>,
-    /// Of symmetric and of antisymmetric shear in the plane across each axis \[Pa\].
+    /// Of symmetric and of antisymmetric shear in the plane normal to each axis \[Pa\].
     pub shear: [[f64; 2]; 3],
 }
 
@@ -84,7 +84,7 @@ impl Material {
         }
     }
 
-    /// The second derivative of ψ, without what would soften.
+    /// The second derivative of ψ, without negative eigenvalues.
     pub fn stiffness(&self, f: &Matrix3<f64>) -> Stiffness {
         let Self { lambda, mu, .. } = *self;
         let (u, s, v) = signed_svd(f);
@@ -99,7 +99,7 @@ impl Material {
                     let turning = if sum > 1e-6 { 2.0 * mu + 2.0 * excess / sum } else { 0.0 };
                     *shear = [2.0 * mu, turning.max(0.0)];
                 }
-                // Positive already: λ above −2μ/3.
+                // Already positive: λ above −2μ/3.
             }
             Constitution::NeoHookean => {
                 let [log, slope, bend] = logarithm(s.product());
@@ -132,7 +132,7 @@ impl Material {
     }
 }
 
-/// The nearest symmetric matrix that softens nothing.
+/// The nearest positive semidefinite matrix.
 fn made_positive(matrix: Matrix3<f64>) -> Matrix3<f64> {
     let mut eigen = matrix.symmetric_eigen();
     eigen.eigenvalues.apply(|value| *value = value.max(0.0));
@@ -140,8 +140,8 @@ fn made_positive(matrix: Matrix3<f64>) -> Matrix3<f64> {
 }
 
 impl Stiffness {
-    /// The force on a corner per displacement of another \[N/m\], from the gradients of their shape functions turned
-    /// into the frame of V and the volume of the element at rest.
+    /// The force on a corner per displacement of another \[N/m\], from the gradients of their shape functions rotated
+    /// into the frame of V and the rest volume of the element.
     pub fn block(&self, volume: f64, a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
         let mut inner = Matrix3::zeros();
         for k in 0..3 {
@@ -178,7 +178,7 @@ mod tests {
         ) {
             let f = Matrix3::from_column_slice(&entries);
             let d = Matrix3::from_column_slice(&direction);
-            // Where two stretches cancel, the nearest rotation jumps.
+            // Where two stretches cancel, the nearest rotation is discontinuous.
             let (_, s, _) = signed_svd(&f);
             prop_assume!(s.sum() - s.max() > 0.2);
             for constitution in ALL {
@@ -192,7 +192,7 @@ mod tests {
             }
         }
 
-        /// Near rest the stiffness is the derivative of the stress; anywhere it softens nothing.
+        /// Near rest the stiffness is the derivative of the stress; everywhere it is positive semidefinite.
         #[test]
         fn the_stiffness_is_the_slope_of_the_stress(
             entries in prop::collection::vec(-0.015..0.015_f64, 9),

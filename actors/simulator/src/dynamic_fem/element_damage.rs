@@ -1,12 +1,12 @@
-//! Elements that go and elements that change: what a burn does to a body in motion.
+//! Removal and alteration of elements of a dynamic body, as by a burn.
 
 use nalgebra::Matrix3;
 
 use super::solver::{DynamicFem, FactoredAt};
 
 impl DynamicFem {
-    /// Takes elements out, and their masses; those that there are none of or that are out already stay so. A node of which
-    /// nothing is left stays where it is. The next step begins with a new factor, of the same pattern.
+    /// Removes elements and their masses; missing or already removed ones are ignored. A node without remaining
+    /// elements keeps its position. The next step begins with a new factor of the same pattern.
     pub fn remove(&mut self, elements: &[u32]) {
         for &index in elements {
             let Some(element) = self.elements.get_mut(index as usize).filter(|element| !element.is_gone())
@@ -17,7 +17,7 @@ impl DynamicFem {
             let nodes = element.nodes;
             let mass = self.config.density * self.mesh.volumes()[index as usize];
             nodes.iter().for_each(|&node| self.around[node as usize] -= 1);
-            // What is left behind keeps its last mass: it does not move, and the matrix stays one that can be factored.
+            // A node without elements keeps its last mass: it does not move, and the matrix stays positive definite.
             let keeps = |node: u32| self.around[node as usize] == 0;
             for &node in nodes.iter().filter(|node| !keeps(**node)) {
                 self.mass.lumped[node as usize] -= 0.25 * mass;
@@ -36,8 +36,8 @@ impl DynamicFem {
         self.factored_at = FactoredAt::default();
     }
 
-    /// Makes an element so many times as stiff, and so many times as long at rest, as it was at first; one that is gone
-    /// stays so. The next step begins with a new factor.
+    /// Sets stiffness and rest length of an element, as factors of the original values; removed ones are ignored. The
+    /// next step begins with a new factor.
     pub fn alter(&mut self, element: u32, stiffness: f64, length: f64) {
         let index = element as usize;
         let Some(element) = self.elements.get_mut(index).filter(|element| !element.is_gone()) else { return };

@@ -7,38 +7,38 @@ use super::constitutive::Material;
 use super::polar::rotation;
 use crate::linear_algebra::BlockMatrix;
 
-/// A spring between a point of the body and a point in space, as a soft grasp or a thread pulls.
+/// A spring between a point of the body and a point in space, as for a soft grasp or a thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spring {
-    /// Nodes and their weights; a weight of 0 for those that are not used.
+    /// Nodes and their weights; weight 0 for unused entries.
     pub weights: [(u32, f64); 4],
-    /// Where it pulls to \[m\].
+    /// Target point \[m\].
     pub target: Point3<f64>,
-    /// Force per distance \[N/m\].
+    /// Stiffness: force per distance \[N/m\].
     pub stiffness: f64,
 }
 
-/// A plane that a point of the body is pushed out of, by a force that grows with its depth.
+/// A penalty contact with a plane: a force proportional to depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
-    /// Nodes and their weights; a weight of 0 for those that are not used.
+    /// Nodes and their weights; weight 0 for unused entries.
     pub weights: [(u32, f64); 4],
     /// A point of the plane \[m\].
     pub point: Point3<f64>,
-    /// Unit normal, to where the body may be.
+    /// Unit normal, towards the free side.
     pub normal: Vector3<f64>,
-    /// Force per depth \[N/m\].
+    /// Stiffness: force per depth \[N/m\].
     pub stiffness: f64,
 }
 
-/// What acts on the body during a step.
+/// Inputs of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inputs<'a> {
-    /// Acceleration of everything \[m/s²\], such as gravity.
+    /// Acceleration of the whole body \[m/s²\], such as gravity.
     pub acceleration: Vector3<f64>,
     /// Forces on nodes \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
-    /// Nodes that are at a place at the end of the step \[m\]; each once.
+    /// Prescribed node positions at the end of the step \[m\]; each node once.
     pub prescribed: &'a [(u32, Point3<f64>)],
     /// Springs.
     pub springs: &'a [Spring],
@@ -46,12 +46,12 @@ pub struct Inputs<'a> {
     pub contacts: &'a [Contact],
 }
 
-/// What an element is made of, next to each other in memory.
+/// Data of an element, contiguous in memory.
 #[derive(Clone, Debug)]
 pub(super) struct Element {
     pub nodes: [u32; 4],
     pub inverse_shape: Matrix3<f64>,
-    /// At rest \[m³\], times how much stiffer it is than at first; 0 when it is gone.
+    /// Rest volume \[m³\] times its stiffness factor; 0 when removed.
     pub volume: f64,
 }
 
@@ -72,7 +72,7 @@ pub(super) fn elements(mesh: &TetMesh) -> Vec<Element> {
         .collect()
 }
 
-/// Masses: at the nodes, or spread over the elements as the displacements are.
+/// Mass matrix: lumped at the nodes, or consistent.
 #[derive(Clone, Debug)]
 pub(super) struct Mass {
     pub lumped: Vec<f64>,
@@ -92,25 +92,25 @@ impl Mass {
 /// Rayleigh damping.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Damping {
-    /// Of the mass \[1/s\].
+    /// Mass-proportional \[1/s\].
     pub mass: f64,
-    /// Of the stiffness \[s\].
+    /// Stiffness-proportional \[s\].
     pub stiffness: f64,
 }
 
-/// Elastic and viscous energy and forces of elements.
+/// Elastic and viscous energy and forces of the elements.
 pub(super) struct Matter<'a> {
     pub elements: &'a [Element],
     pub material: Material,
     pub lame: [f64; 2],
     pub damping: Damping,
-    /// Deformation gradients and rotations at the beginning of the step; empty without damping of the stiffness.
+    /// Deformation gradients and rotations at the beginning of the step; empty without stiffness damping.
     pub before: &'a [(Matrix3<f64>, Matrix3<f64>)],
     pub dt: f64,
 }
 
 impl Matter<'_> {
-    /// Energy \[J\]; its gradient \[N\] is added.
+    /// Returns the energy \[J\] and adds its gradient \[N\].
     pub fn add(&self, positions: &[Point3<f64>], gradient: &mut [Vector3<f64>]) -> f64 {
         let mut energy = 0.0;
         let viscous = self.damping.stiffness / self.dt;
@@ -118,7 +118,7 @@ impl Matter<'_> {
             let f = shape(positions, &element.nodes) * element.inverse_shape;
             let (mut density, mut stress) = self.material.energy_and_stress(&f);
             if let Some((from, turn)) = self.before.get(index) {
-                // Viscous as the material is elastic about rest, in the frame at the beginning of the step.
+                // Viscosity acts as the linear elasticity at rest, in the frame at the beginning of the step.
                 let change = turn.tr_mul(&(f - from));
                 let rate = (change + change.transpose()) * 0.5;
                 let [lambda, mu] = self.lame;
@@ -164,7 +164,7 @@ fn scatter(weights: &[(u32, f64); 4], force: &Vector3<f64>, to: &mut [Vector3<f6
     }
 }
 
-/// Energy of springs and contacts \[J\]; its gradient is added.
+/// Energy of springs and contacts \[J\]; adds its gradient.
 pub(super) fn add_springs(inputs: &Inputs, positions: &[Point3<f64>], gradient: &mut [Vector3<f64>]) -> f64 {
     let mut energy = 0.0;
     for spring in inputs.springs {
@@ -182,8 +182,8 @@ pub(super) fn add_springs(inputs: &Inputs, positions: &[Point3<f64>], gradient: 
     energy
 }
 
-/// A term of the stiffness that a spring or contact has: nodes with weights, and the block \[N/m\] that the products of
-/// the weights multiply.
+/// Stiffness of a spring or contact: nodes with weights, and the block \[N/m\] multiplied by the products of the
+/// weights.
 pub type Coupling = ([(u32, f64); 4], Matrix3<f64>);
 
 pub(super) fn couplings(inputs: &Inputs, positions: &[Point3<f64>], out: &mut Vec<Coupling>) {
@@ -199,7 +199,7 @@ pub(super) fn couplings(inputs: &Inputs, positions: &[Point3<f64>], out: &mut Ve
     }
 }
 
-/// Adds the elastic, viscous and inertial parts of the Hessian over the nodes that have a number.
+/// Adds the elastic, viscous and inertial parts of the Hessian over the numbered nodes.
 pub(super) fn add_hessian(
     matter: &Matter,
     mass: &Mass,
@@ -229,7 +229,7 @@ pub(super) fn add_hessian(
             }
         }
     }
-    // Damping is elastic stiffness once more, up to the change within a step.
+    // Damping adds a multiple of the elastic stiffness, except for its change within a step.
     let factor = 1.0 + matter.damping.stiffness / dt;
     for element in matter.elements.iter().filter(|element| !element.is_gone()) {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
@@ -248,7 +248,7 @@ pub(super) fn add_hessian(
     }
 }
 
-/// Adds the couplings that the pattern has room for: those of nodes that share an element, such as of points in one.
+/// Adds the couplings that fit the sparsity pattern: those of nodes that share an element, such as of points in one.
 pub(super) fn add_couplings(couplings: &[Coupling], numbers: &[Option<u32>], to: &mut BlockMatrix) {
     for (weights, block) in couplings {
         for &(node, weight) in weights.iter().filter(|(_, weight)| *weight != 0.0) {

@@ -1,11 +1,11 @@
-//! What a quasi-Newton method remembers of the last iterates (Nocedal 1980): pairs of steps and changes of the gradient.
+//! L-BFGS memory (Nocedal 1980): pairs of steps and gradient changes.
 
 use nalgebra::Vector3;
 
-/// Pairs that are remembered.
+/// Number of pairs kept.
 const PAIRS: usize = 8;
 
-/// A ring of pairs; its memory is kept from step to step.
+/// A ring buffer of pairs; its memory is reused from step to step.
 #[derive(Default)]
 pub(super) struct Memory {
     steps: Vec<Vec<Vector3<f64>>>,
@@ -25,7 +25,7 @@ fn add(to: &mut [Vector3<f64>], from: &[Vector3<f64>], factor: f64) {
 }
 
 impl Memory {
-    /// Makes room for so many nodes.
+    /// Allocates for this many nodes.
     pub fn new(nodes: usize) -> Self {
         let room = || vec![vec![Vector3::zeros(); nodes]; PAIRS];
         Self {
@@ -42,7 +42,7 @@ impl Memory {
         self.count = 0;
     }
 
-    /// Remembers that this step changed the gradient from one to another; not where curvature is negative.
+    /// Stores the gradient change of a step; skipped where curvature is negative.
     pub fn remember(
         &mut self,
         direction: &[Vector3<f64>],
@@ -64,7 +64,7 @@ impl Memory {
         if self.count < PAIRS { self.count += 1 } else { self.first = (self.first + 1) % PAIRS }
     }
 
-    /// Turns a gradient into H times it, where `base` applies the first guess of the inverse Hessian.
+    /// Multiplies a gradient by H, where `base` applies the initial inverse Hessian.
     pub fn apply(&mut self, vector: &mut [Vector3<f64>], base: impl FnOnce(&mut [Vector3<f64>])) {
         for back in (0..self.count).rev() {
             let slot = (self.first + back) % PAIRS;

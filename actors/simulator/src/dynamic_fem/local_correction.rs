@@ -1,8 +1,8 @@
-//! What a cut changes near by: how the nodes about it move, by what the body is now, beyond how they would with those still
-//! together that have come apart.
+//! Local correction of a stale factor near a cut: the response of the new mesh near it minus that of the mesh with its
+//! split nodes still joined.
 //!
-//! Both are small problems of the same elements, whose nodes are held beyond them. With `A` of the one and `PᵀAP` of the other
-//! `A⁻¹ − P (PᵀAP)⁻¹ Pᵀ` takes nothing from any force, so that it may be added to any inverse.
+//! Both are small problems with the same elements and held outer nodes. With `A` for the one and `PᵀAP` for the other,
+//! `A⁻¹ − P (PᵀAP)⁻¹ Pᵀ` is positive semidefinite, so that it may be added to any approximate inverse.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::tet_mesh::{gradients, shape};
@@ -10,37 +10,37 @@ use trocar_dynamics::tet_mesh::{gradients, shape};
 use super::incremental_potential::{Element, Matter};
 use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SparseCholesky, minimum_degree};
 
-/// Nodes that are near at most: what is farther moves alike in both.
+/// Maximum number of nodes near the cut: farther ones respond alike in both.
 const NEAR_MAX: usize = 300;
 
-/// Shares of nodes, by their rows.
+/// Node weights, by row.
 type NodeWeights = Vec<(u32, f64)>;
 
-/// The two problems.
+/// The two local problems.
 pub(super) struct NearCut {
-    /// Nodes, by the rows of the first.
+    /// Nodes, by rows of the first problem.
     nodes: Vec<u32>,
-    /// Which rows of the second each goes with.
+    /// Rows of the second problem that each node moves with.
     homes: Vec<NodeWeights>,
     apart: SparseCholesky,
     together: SparseCholesky,
     flat: [Vec<f64>; 2],
 }
 
-/// A body about its cut.
+/// A body around its cut.
 pub(super) struct About<'a> {
     pub matter: Matter<'a>,
     /// Masses of the nodes \[kg\].
     pub masses: &'a [f64],
-    /// Nodes that do not move.
+    /// Fixed nodes.
     pub is_fixed: &'a [bool],
-    /// Nodes before any were born, and for each that was born the ones it goes with.
+    /// Number of original nodes, and for each new one the nodes it moves with.
     pub known: usize,
     pub parents: &'a [NodeWeights],
 }
 
 impl NearCut {
-    /// About the nodes that were born, at these places \[m\].
+    /// Around the new nodes, at these positions \[m\].
     pub fn new(about: &About<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
         let near = about.near();
         let elements: Vec<Near> = about
@@ -56,7 +56,7 @@ impl NearCut {
         let (rows, apart) = factored(about, &elements, own.len(), &alone)?;
         let mut nodes = vec![0; own.len()];
         own.iter().zip(&rows).for_each(|(&node, &row)| nodes[row as usize] = node);
-        // Those that are born have no rows of their own here.
+        // New nodes have no rows of their own here.
         let mut with = vec![NodeWeights::new(); near.len()];
         let former = own.iter().filter(|node| (**node as usize) < about.known);
         former.clone().zip(0_u32..).for_each(|(&node, row)| with[node as usize].push((row, 1.0)));
@@ -72,7 +72,7 @@ impl NearCut {
         Ok(Self { nodes, homes, apart, together, flat })
     }
 
-    /// Takes the forces on nodes \[N\].
+    /// Takes the nodal forces \[N\].
     pub fn load(&mut self, forces: &[Vector3<f64>]) {
         let [apart, together] = &mut self.flat;
         together.fill(0.0);
@@ -87,7 +87,7 @@ impl NearCut {
         self.together.solve(together);
     }
 
-    /// Adds where they take the nodes beyond where they would if none had come apart \[m\].
+    /// Adds the difference of the two responses \[m\].
     pub fn add(&self, moved: &mut [Vector3<f64>]) {
         let [apart, together] = &self.flat;
         let of = |flat: &[f64], row: usize| Vector3::from_column_slice(&flat[3 * row..][..3]);
@@ -99,7 +99,7 @@ impl NearCut {
 }
 
 impl About<'_> {
-    /// Nodes that move and are near: those that were born, those they come from, and layers about these.
+    /// Free nodes near the cut: the new nodes, their parents, and layers around these.
     fn near(&self) -> Vec<bool> {
         let mut near: Vec<bool> = (0..self.masses.len()).map(|node| node >= self.known).collect();
         self.parents.iter().flatten().for_each(|&(node, _)| near[node as usize] = true);
@@ -123,10 +123,10 @@ impl About<'_> {
     }
 }
 
-/// An element that is near.
+/// An element near the cut.
 struct Near {
     nodes: [u32; 4],
-    /// Its stiffness \[N/m\], with its damping, between its nodes.
+    /// Its stiffness \[N/m\], damping included, between its nodes.
     blocks: [[Matrix3<f64>; 4]; 4],
 }
 
@@ -135,14 +135,14 @@ impl Near {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
         let stiffness = matter.material.stiffness(&f);
         let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));
-        // As in the Hessian of all.
+        // As in the global Hessian.
         let volume = element.volume * (1.0 + matter.damping.stiffness / matter.dt);
         let blocks = [0, 1, 2, 3].map(|i| turned.map(|with| stiffness.block(volume, &turned[i], &with)));
         Self { nodes: element.nodes, blocks }
     }
 }
 
-/// The factor of the elements over `count` unknowns of which nodes have shares, and the row of each.
+/// Factor of the elements over `count` unknowns with node weights, and the row of each.
 fn factored(
     about: &About<'_>,
     elements: &[Near],

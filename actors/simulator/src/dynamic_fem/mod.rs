@@ -1,12 +1,13 @@
 //! Implicit dynamic finite elements: corotational, neo-Hookean or St. Venant–Kirchhoff tetrahedra, stepped by backward Euler.
 //!
 //! A step minimises the incremental potential (Martin et al. 2011; Gast et al. 2015): inertia, elasticity, damping,
-//! springs and penalty contacts. The minimum is approached by a quasi-Newton method whose first guess of the inverse
-//! Hessian is a sparse Cholesky factor that is kept over many steps (Liu, Bouaziz, Kavan 2017); it is computed anew
-//! where the body has moved so far away that the iterations it costs would pay for a new one. Every iterate lowers the
-//! potential, so that no step explodes; elements that were turned inside out come back.
+//! springs and penalty contacts. The minimiser is a quasi-Newton method whose initial inverse Hessian is a sparse
+//! Cholesky factor that is reused over many steps (Liu, Bouaziz, Kavan 2017), and recomputed once the extra iterations
+//! cost more than a new factor. Every iterate decreases the potential, so that no step diverges; inverted elements
+//! recover.
 //!
-//! Poisson's ratio is limited by [`Elastic`](trocar_dynamics::elasticity::Elastic) to where linear tetrahedra do not lock.
+//! Poisson's ratio is limited by [`Elastic`](trocar_dynamics::elasticity::Elastic) to the range in which linear
+//! tetrahedra do not lock.
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 

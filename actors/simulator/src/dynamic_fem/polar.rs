@@ -1,25 +1,25 @@
-//! Rotation and principal stretches of a deformation gradient.
+//! Polar decomposition and signed SVD of deformation gradients.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Newton iterations for a polar decomposition; quadratic, so that a dozen only occur next to a singular matrix.
+/// Maximum Newton iterations; convergence is quadratic, so that a dozen occur only near a singular matrix.
 const NEWTON_MAX: usize = 12;
 
-/// The rotation nearest to a deformation gradient: by Newton's iteration (Higham 1986) where the element is upright, by
-/// singular values where it is flat or inverted. Depends on nothing but its argument.
+/// The rotation nearest to a deformation gradient: by Newton's iteration (Higham 1986) for regular elements, by SVD for
+/// flat or inverted ones. A pure function of its argument.
 pub(super) fn rotation(gradient: &Matrix3<f64>) -> Matrix3<f64> {
     let mut now = *gradient;
     for _ in 0..NEWTON_MAX {
         let cofactor = cofactor(&now);
         let determinant = now.column(0).dot(&cofactor.column(0));
-        // Where it is nearly flat the iteration is slow, where it is inverted it finds a reflection.
+        // Newton is slow near flat matrices and finds a reflection for inverted ones.
         if !(determinant > 1e-3) {
             break;
         }
         let next = (now + cofactor / determinant) * 0.5;
         let change = (next - now).norm_squared();
         now = next;
-        // The square of what is left is below rounding.
+        // The square of the remainder is below rounding.
         if change < 1e-16 {
             return now;
         }
@@ -60,7 +60,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
-        /// Of any matrix: a proper rotation, and no rotation nearby is nearer.
+        /// For any matrix: the result is a proper rotation, and no rotation nearby is nearer.
         #[test]
         fn the_nearest_rotation_is_found(entries in prop::collection::vec(-1.5..1.5_f64, 9)) {
             let gradient = Matrix3::from_column_slice(&entries);

@@ -1,4 +1,4 @@
-//! What is to be expected of a body's next step, for those who meet it between two of them.
+//! Prediction of a body's next step, for contact between two steps.
 
 use nalgebra::Vector3;
 
@@ -13,8 +13,8 @@ impl DynamicFem {
         &self.mass.lumped
     }
 
-    /// How all nodes would move after one more step with the same inputs \[m/s\]: by one iteration with the factor of the last
-    /// step; as they do where there is none, or where that leads nowhere. Reactions are lost.
+    /// Velocities of all nodes after one more step with the same inputs \[m/s\]: by one iteration with the factor of
+    /// the last step; the current ones without a factor or after a failed iteration. Overwrites the reactions.
     pub fn expected(&mut self, dt: f64, inputs: &Inputs, velocities: &mut Vec<Vector3<f64>>) {
         velocities.clone_from(&self.velocities);
         if self.factored_at.dt != dt || self.factored_at.positions.is_empty() {
@@ -35,8 +35,8 @@ impl DynamicFem {
         self.work = work;
     }
 
-    /// How readily these nodes follow impulses over a step of `dt` seconds when all of them are given alike \[1/kg\], the mean of
-    /// all directions, by the factor of the last step; before the first step as single masses would. 0 where they are held.
+    /// Effective inverse mass of these nodes when all receive equal impulses in a step of `dt` seconds \[1/kg\], the
+    /// mean over directions, by the factor of the last step; inverse nodal masses before the first step. 0 where held.
     pub fn yielding(&mut self, dt: f64, nodes: &[u32]) -> Vec<f64> {
         let mass = |node: u32| self.mass.lumped[node as usize];
         let alone = |node: u32| if self.moves(node as usize) { mass(node).recip() } else { 0.0 };
@@ -53,8 +53,8 @@ impl DynamicFem {
             flat.fill(0.0);
             stale_factor::solve(&mut self.factor, &self.numbers, self.lent.as_mut(), flat, &mut vector);
             for (&node, yielding) in nodes.iter().zip(&mut yielding) {
-                // The factor is that of forces over displacements: an impulse is a force over the step, and the
-                // displacement is the velocity by the step.
+                // The factor maps displacements to forces: an impulse is a force times the step, and a velocity is a
+                // displacement over the step.
                 *yielding += vector[node as usize][axis] / (3.0 * dt * dt);
             }
         }

@@ -1,4 +1,4 @@
-//! The step.
+//! Quasi-Newton time step of a dynamic body.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -14,7 +14,7 @@ use super::lbfgs::{Memory, dot};
 use super::stale_factor::{self, StaleFactor};
 use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
 
-/// Where the factor was computed: a restored body computes it there again, to the same bits.
+/// Where the factor was computed: a restored body recomputes it there, bit for bit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct FactoredAt {
     pub positions: Vec<Point3<f64>>,
@@ -22,18 +22,18 @@ pub(super) struct FactoredAt {
     pub couplings: Vec<Coupling>,
 }
 
-/// Iterations that a step has for free.
+/// Iterations of a step that do not count as debt.
 const FREE_ITERATIONS: u32 = 2;
-/// Iterations beyond these, summed over steps, that cost as much as a new factor.
+/// Accumulated extra iterations that cost as much as a new factor.
 const DEBT_MAX: u32 = 8;
-/// Iterations within one step after which the factor is computed anew.
+/// Iterations within one step after which the factor is recomputed.
 const REFACTOR_AFTER: u32 = 12;
-/// Share of forces out of balance beyond which a first guess is compared with others.
+/// Relative residual beyond which an initial guess is compared with others.
 const GUESS: f64 = 0.1;
-/// Halvings of a step length.
+/// Maximum halvings in the line search.
 const HALVINGS_MAX: u32 = 40;
 
-/// An elastic body in motion.
+/// A dynamic elastic body.
 pub struct DynamicFem {
     pub(super) mesh: TetMesh,
     pub(super) config: Config,
@@ -41,10 +41,10 @@ pub struct DynamicFem {
     pub(super) material: Material,
     pub(super) lame: [f64; 2],
     pub(super) mass: Mass,
-    /// Elements that each node has; one without stays where it is.
+    /// Number of elements at each node; a node without any keeps its position.
     pub(super) around: Vec<u32>,
     pub(super) fixed: Vec<bool>,
-    /// Row of each node in the order of elimination; `None` for fixed ones, and for new ones where the factor is lent.
+    /// Row of each node in elimination order; `None` for fixed ones, and for new ones while the factor is stale.
     pub(super) numbers: Vec<Option<u32>>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) velocities: Vec<Vector3<f64>>,
@@ -53,19 +53,19 @@ pub struct DynamicFem {
     pub(super) factored_at: FactoredAt,
     pub(super) hessian: BlockMatrix,
     pub(super) factor: SparseCholesky,
-    /// Where the factor is that of what the body was.
+    /// Set while the factor is that of the former mesh.
     pub(super) lent: Option<StaleFactor>,
     /// See [`Self::analysed`].
     pub(super) analysed: u32,
     pub(super) memory: Memory,
-    /// Of the elastic energy \[J\]: it is a difference of terms that are as large as the body is stiff.
+    /// Rounding error of the elastic energy \[J\]: it is a difference of terms as large as the stiffness.
     pub(super) rounding: f64,
-    /// Of the forces \[N\]: what positions that are off by their rounding put out of balance.
+    /// Rounding error of the forces \[N\], from the rounding of positions.
     pub(super) floor: f64,
     pub(super) work: Work,
 }
 
-/// Room that is kept between steps.
+/// Workspace kept between steps.
 #[derive(Default)]
 pub(super) struct Work {
     pub held: Vec<bool>,
@@ -81,19 +81,19 @@ pub(super) struct Work {
     apart: Vec<Vector3<f64>>,
     pub(super) product: Vec<Vector3<f64>>,
     pub flat: Vec<f64>,
-    /// The last evaluation was of a trial that was not taken.
+    /// The last evaluation was that of a rejected trial.
     refused: bool,
 }
 
-/// The potential at a place.
+/// The potential at an iterate.
 #[derive(Clone, Copy)]
 pub(super) struct Value {
     energy: f64,
-    /// Sum of the magnitudes that `energy` is made of: what its rounding is relative to.
+    /// Sum of the magnitudes in `energy`, to which its rounding error is relative.
     magnitude: f64,
-    /// Norms of inner, outer and inertial forces \[N\].
+    /// Norms of internal, external and inertial forces \[N\].
     scale: f64,
-    /// Norm of the forces out of balance \[N\].
+    /// Norm of the residual force \[N\].
     residual: f64,
 }
 
@@ -101,7 +101,7 @@ impl DynamicFem {
     /// A body at rest.
     ///
     /// # Errors
-    /// Numbers out of range, nodes that do not exist, nothing free, no room.
+    /// Parameters out of range, missing nodes, no free node, not enough memory.
     pub fn new(
         mesh: TetMesh,
         elastic: &Elastic,
@@ -158,37 +158,37 @@ impl DynamicFem {
         Ok(body)
     }
 
-    /// The body at rest.
+    /// Its mesh at rest.
     #[must_use]
     pub fn mesh(&self) -> &TetMesh {
         &self.mesh
     }
 
-    /// Where the nodes are \[m\].
+    /// Node positions \[m\].
     #[must_use]
     pub fn positions(&self) -> &[Point3<f64>] {
         &self.positions
     }
 
-    /// Velocities of the nodes \[m/s\].
+    /// Node velocities \[m/s\].
     #[must_use]
     pub fn velocities(&self) -> &[Vector3<f64>] {
         &self.velocities
     }
 
-    /// Forces that held the prescribed and the fixed nodes in the last step \[N\], by node.
+    /// Reactions of the prescribed and fixed nodes in the last step \[N\], by node.
     #[must_use]
     pub fn reactions(&self) -> &[(u32, Vector3<f64>)] {
         &self.work.reactions
     }
 
-    /// Entries of the factor by which steps are solved for: what a solve reads.
+    /// Number of entries of the factor: what a solve reads.
     #[must_use]
     pub fn factor_entries(&self) -> usize {
         self.factor.entries()
     }
 
-    /// Of motion and of deformation.
+    /// Kinetic and elastic energy.
     #[must_use]
     pub fn energies(&self) -> Energies {
         let mut product = vec![Vector3::zeros(); self.velocities.len()];
@@ -203,7 +203,7 @@ impl DynamicFem {
         Matter { elements: &self.elements, material: self.material, lame: self.lame, damping, before, dt }
     }
 
-    /// Whether a node is neither fixed nor left behind.
+    /// Whether a node is neither fixed nor without elements.
     pub(super) fn moves(&self, node: usize) -> bool {
         !self.fixed[node] && self.around[node] > 0
     }
@@ -211,7 +211,7 @@ impl DynamicFem {
     /// One step of `dt` \[s\].
     ///
     /// # Errors
-    /// Inputs that cannot be, or a step that led nowhere; the body is as it was then.
+    /// Invalid inputs, or a diverged step; the body is unchanged then.
     pub fn step(&mut self, dt: f64, inputs: &Inputs) -> Result<Report, StepError> {
         if !(dt > 0.0 && dt <= 1.0) {
             return Err(StepError::Dt(dt));
@@ -273,7 +273,7 @@ impl DynamicFem {
         Ok(report)
     }
 
-    /// Looks through the inputs, and notes who is held.
+    /// Validates the inputs, and marks held nodes.
     fn check(&self, inputs: &Inputs, work: &mut Work) -> Result<(), StepError> {
         let nodes = self.positions.len();
         let number = |what, index, fits: bool| {
@@ -316,7 +316,7 @@ impl DynamicFem {
         Ok(())
     }
 
-    /// Where inertia aims at, what acts from outside, and a first guess: the acceleration stays.
+    /// Inertial target positions, external forces, and the initial guess: constant acceleration.
     pub(super) fn begin(&self, dt: f64, inputs: &Inputs, work: &mut Work) {
         let nodes = self.positions.len();
         work.aim.clear();
@@ -345,7 +345,7 @@ impl DynamicFem {
         }
     }
 
-    /// Computes the factor at a place, as far as the pattern has room for what couples nodes there.
+    /// Computes the factor at a state, with the couplings that fit the sparsity pattern.
     pub(super) fn refactor(&mut self, at: FactoredAt, inputs: &Inputs) -> Result<(), FactorError> {
         let mut at = at;
         if !(inputs.springs.is_empty() && inputs.contacts.is_empty()) {
@@ -357,7 +357,7 @@ impl DynamicFem {
         add_couplings(&at.couplings, &self.numbers, &mut hessian);
         let mut done = self.factor.factor(hessian.pattern(), hessian.values());
         if done.is_err() {
-            // So distorted that rounding decides: the shape at rest can always be factored, if it moves no more.
+            // Too distorted to factorise: the rest shape always works, though with slower convergence.
             at = FactoredAt { positions: self.mesh.rest().to_vec(), dt: at.dt, couplings: Vec::new() };
             hessian.values_mut().fill(0.0);
             add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
@@ -369,7 +369,7 @@ impl DynamicFem {
         done
     }
 
-    /// The potential and its gradient at a place; what acts on held nodes goes to the reactions.
+    /// The potential and its gradient at positions; gradients at held nodes become the reactions.
     pub(super) fn evaluate(
         &self,
         dt: f64,
@@ -420,7 +420,7 @@ impl DynamicFem {
         Value { energy: inner + inertia + drag - work_done, magnitude, scale, residual }
     }
 
-    /// Quasi-Newton iterations from `work.now`, where they end too.
+    /// Quasi-Newton iterations, starting from `work.now` and ending there.
     fn minimise(
         &mut self,
         dt: f64,
@@ -440,7 +440,7 @@ impl DynamicFem {
         let (mut fresh, mut stuck) = (false, false);
         while !self.solved(&value) && report.iterations < self.config.iterations_max {
             if self.lent.is_some() && stuck {
-                // Another factor is on its way: once more with what is known of the gradient alone.
+                // With another factor about to be used, the L-BFGS memory is discarded.
                 self.memory.forget();
                 (stuck, fresh) = (false, true);
             } else if self.lent.is_none() && (stuck || since_factor >= REFACTOR_AFTER) {
@@ -463,21 +463,21 @@ impl DynamicFem {
                     value = next;
                     fresh = false;
                 }
-                // With what is known here nothing gets lower: once more with a new factor, and then it is rounding.
+                // No descent with this factor: try a new one; if that fails, it is rounding.
                 None if fresh => break,
                 None => stuck = true,
             }
         }
         if work.refused {
-            // The reactions are to be those of where it ended, not those of a trial that was not taken.
+            // Recompute the reactions at the final iterate, not at a rejected trial.
             report.evaluations += 1;
             value = self.evaluate(dt, inputs, work, |work| &work.now);
         }
         Ok(value)
     }
 
-    /// A body that nothing holds goes as a whole where the forces on it say, however far its parts are from balance among
-    /// each other: of its momentum nothing is left to the tolerance.
+    /// Moves an unsupported body by the resultant force, however large the internal residual: its momentum is conserved
+    /// independently of the tolerance.
     fn balance(&self, dt: f64, work: &mut Work) {
         let mass: f64 = self.mass.lumped.iter().sum();
         let resists = mass * (1.0 / dt + self.config.mass_damping) / dt;
@@ -485,7 +485,8 @@ impl DynamicFem {
         work.now.iter_mut().for_each(|place| *place -= apart);
     }
 
-    /// The acceleration has changed: begins where the potential is least, there, without it, or where the body is.
+    /// The acceleration has changed: start at the least potential of the guess with it, the one without it, and the
+    /// present position.
     fn better_guess(
         &self,
         dt: f64,
@@ -514,12 +515,12 @@ impl DynamicFem {
         best
     }
 
-    /// Whether what is out of balance is within the tolerance, but for what rounding leaves.
+    /// Whether the residual is within the tolerance, allowing for rounding.
     fn solved(&self, value: &Value) -> bool {
         value.residual <= self.config.tolerance * value.scale + self.floor
     }
 
-    /// The direction from the gradient: minus the inverse Hessian, as far as it is known, times it.
+    /// The descent direction: minus the approximate inverse Hessian times the gradient.
     pub(super) fn descend(&mut self, work: &mut Work) {
         work.direction.clone_from(&work.gradient);
         let (factor, numbers, lent) = (&mut self.factor, &self.numbers, &mut self.lent);
@@ -531,8 +532,8 @@ impl DynamicFem {
         work.direction.iter_mut().for_each(|direction| direction.neg_mut());
     }
 
-    /// How far along the direction: halved until the potential falls by a share of what its slope promises (Armijo),
-    /// or, where that is below its rounding, until the forces out of balance are less.
+    /// Line search: halves the step until the potential decreases by a fraction of its slope (Armijo) or, where that is
+    /// below its rounding error, until the residual decreases.
     fn search(
         &self,
         dt: f64,

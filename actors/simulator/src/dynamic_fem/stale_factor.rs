@@ -1,8 +1,9 @@
-//! A body that has come apart goes on with the factor of what it was until that of what it is has been computed.
+//! Stale factor: after a cut, a body reuses the factor of its former mesh until the new one is ready.
 //!
-//! The quasi-Newton method needs an inverse Hessian only to begin with. That of the former mesh is one of all motions in which
-//! new nodes go with those that they come from; what a cut changes near by is added (`local_correction.rs`; an additive Schwarz method,
-//! Dryja and Widlund 1987). Steps end as near to balance as with a factor of their own: so nothing jumps when that is there.
+//! The quasi-Newton method needs an inverse Hessian only as an initial guess. The former factor covers all motions in
+//! which new nodes move with their parents; the local effect of the cut is added (`local_correction.rs`; an additive
+//! Schwarz method, Dryja and Widlund 1987). Steps converge to the same tolerance as with the new factor, so that
+//! nothing jumps when it arrives.
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::tet_mesh::{Birth, TetMesh};
@@ -14,24 +15,24 @@ use super::solver::{DynamicFem, FactoredAt};
 use super::state::DynamicFemState;
 use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
 
-/// A factor, and of what it is.
+/// A factor with its node numbering.
 pub struct Analysis {
-    /// Row of each node in the order of elimination; `None` for fixed ones.
+    /// Row of each node in elimination order; `None` for fixed ones.
     numbers: Vec<Option<u32>>,
     hessian: BlockMatrix,
     factor: SparseCholesky,
     factored_at: FactoredAt,
 }
 
-/// How nodes that the factor does not know go with those that it does.
+/// How nodes unknown to the factor move with its nodes.
 pub(super) struct StaleFactor {
     births: Vec<Birth>,
-    /// The nodes of the factor that each new node goes with, and their shares.
+    /// The factor's nodes that each new node moves with, and their weights.
     parents: Vec<Vec<(u32, f64)>>,
     near: NearCut,
 }
 
-/// The nodes among the first so many that each born one goes with.
+/// The original nodes that each new one moves with.
 fn parents(known: usize, births: &[Birth]) -> Vec<Vec<(u32, f64)>> {
     let mut parents: Vec<Vec<(u32, f64)>> = Vec::with_capacity(births.len());
     for birth in births {
@@ -54,28 +55,28 @@ fn parents(known: usize, births: &[Birth]) -> Vec<Vec<(u32, f64)>> {
 }
 
 impl DynamicFem {
-    /// Whether it goes on with the factor of what it was.
+    /// Whether it still uses the factor of its former mesh.
     #[must_use]
     pub fn is_lent(&self) -> bool {
         self.lent.is_some()
     }
 
-    /// Whether there is a factor that can be lent to what comes of it.
+    /// Whether there is a factor to reuse after a cut.
     #[must_use]
     pub fn has_factor(&self) -> bool {
         !self.factored_at.positions.is_empty()
     }
 
-    /// How often a pattern has been analysed in the midst of a step.
+    /// Number of symbolic factorisations done during steps.
     #[must_use]
     pub fn analysed(&self) -> u32 {
         self.analysed
     }
 
-    /// Computes its factor where its nodes are at these places \[m\], for steps of `dt` seconds, with what couples nodes besides.
+    /// Computes its factor at these node positions \[m\], for steps of `dt` seconds, with these couplings.
     ///
     /// # Errors
-    /// Lists of another length; there is no factor.
+    /// Lists of other lengths; the matrix could not be factorised.
     pub fn factor_at(
         &mut self,
         positions: &[Point3<f64>],
@@ -89,18 +90,18 @@ impl DynamicFem {
         Ok(self.refactor(FactoredAt { positions, dt, couplings }, &Inputs::default())?)
     }
 
-    /// Leaves the factor alone of it.
+    /// Extracts the factor.
     #[must_use]
     pub fn into_analysis(self) -> Analysis {
         let Self { numbers, hessian, factor, factored_at, .. } = self;
         Analysis { numbers, hessian, factor, factored_at }
     }
 
-    /// It has come apart: it has this mesh now, these of its nodes are fixed, and nodes were born behind those it had; `change`
-    /// does to its elements what has been done to them. Its factor is lent until another is taken over.
+    /// Replaces the mesh after a cut: these of its nodes are fixed, new nodes come after the former ones, and `change`
+    /// repeats the alterations of its elements. The former factor is reused until another is taken over.
     ///
     /// # Errors
-    /// No room for an analysis, which is needed at once where there is no factor to lend.
+    /// Not enough memory for a symbolic factorisation, which is needed at once where there is no former factor.
     pub fn come_apart(
         &mut self,
         mesh: TetMesh,
@@ -130,7 +131,7 @@ impl DynamicFem {
         self.lend(births)
     }
 
-    /// Goes on from a state whose factor is that which it has or has been lent.
+    /// Continues from a state whose factor is the current or the reused one.
     pub fn go_on(&mut self, state: &DynamicFemState) {
         self.positions.clone_from(&state.positions);
         self.velocities.clone_from(&state.velocities);
@@ -147,7 +148,7 @@ impl DynamicFem {
             return Ok(());
         }
         let parents = parents(known, &births);
-        // Where the factor was computed, so that a later life does the same.
+        // Where the factor was computed, so that a restored body does the same.
         let mut places = self.factored_at.positions.clone();
         for birth in &births {
             places.push(birth.mix(&places, |a, b, share| a + (b - a) * share));
@@ -162,16 +163,16 @@ impl DynamicFem {
         let near = NearCut::new(&about, &places).or_else(|_| NearCut::new(&about, self.mesh.rest()));
         match near {
             Ok(near) => self.lent = Some(StaleFactor { births, parents, near }),
-            // So distorted that nothing can be lent.
+            // Too distorted for the former factor.
             Err(_) => self.settle()?,
         }
         Ok(())
     }
 
-    /// Takes over a factor of what it was, since when these nodes were born; of what it is where none were.
+    /// Takes over a factor of its mesh before these nodes were added; of its current mesh if there are none.
     ///
     /// # Errors
-    /// No room.
+    /// Not enough memory.
     pub fn take_over(&mut self, analysis: Analysis, births: &[Birth]) -> Result<(), FactorError> {
         let Analysis { numbers, hessian, factor, factored_at } = analysis;
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
@@ -179,10 +180,10 @@ impl DynamicFem {
         self.lend(births.to_vec())
     }
 
-    /// Analyses what it is at once; the factor is to be computed.
+    /// Does the symbolic factorisation of the current mesh at once; the factor is still to be computed.
     ///
     /// # Errors
-    /// No room.
+    /// Not enough memory.
     pub(super) fn settle(&mut self) -> Result<(), FactorError> {
         let (numbers, hessian, factor) = Self::analyse(&self.mesh, &self.fixed)?;
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
@@ -192,7 +193,7 @@ impl DynamicFem {
     }
 }
 
-/// The inverse Hessian times vectors of the nodes, as far as it is known.
+/// Applies the approximate inverse Hessian to vectors of the nodes.
 pub(super) fn solve(
     factor: &mut SparseCholesky,
     numbers: &[Option<u32>],

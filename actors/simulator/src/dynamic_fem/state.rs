@@ -1,4 +1,4 @@
-//! Everything of a body in motion that changes, so that one that was lost can be continued.
+//! State of a dynamic body, to restart it.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -10,24 +10,24 @@ use super::solver::{DynamicFem, FactoredAt};
 /// State between two steps.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DynamicFemState {
-    /// Where the nodes are \[m\].
+    /// Node positions \[m\].
     pub positions: Vec<Point3<f64>>,
     /// Velocities \[m/s\].
     pub velocities: Vec<Vector3<f64>>,
-    /// Accelerations in the last step \[m/s²\]: where the next one begins to look.
+    /// Accelerations in the last step \[m/s²\]: the initial guess of the next one.
     pub accelerations: Vec<Vector3<f64>>,
     /// Iterations that the factor has cost beyond those of a new one.
     pub debt: u32,
-    /// Where the nodes were when the factor was computed \[m\]; empty if there is none yet.
+    /// Node positions where the factor was computed \[m\]; empty if there is none yet.
     pub factor_positions: Vec<Point3<f64>>,
-    /// For which step \[s\].
+    /// Its step \[s\].
     pub factor_dt: f64,
-    /// With which springs and contacts: nodes and weights, and the stiffness that they couple them by \[N/m\].
+    /// Its springs and contacts: nodes and weights, and coupling stiffness \[N/m\].
     pub factor_couplings: Vec<Coupling>,
 }
 
 impl DynamicFem {
-    /// Everything that changes, to continue from.
+    /// The state.
     #[must_use]
     pub fn state(&self) -> DynamicFemState {
         DynamicFemState {
@@ -41,11 +41,11 @@ impl DynamicFem {
         }
     }
 
-    /// Continues from a state, bit for bit. Positions and velocities may be others than a step left, with
-    /// accelerations of zero and no factor.
+    /// Continues from a state, bit for bit. Positions and velocities may be changed; then set accelerations to zero and
+    /// leave out the factor.
     ///
     /// # Errors
-    /// A state of another body, or with numbers that are none; then everything is as it was.
+    /// A state of another body, or with non-finite numbers; nothing has changed then.
     pub fn restore(&mut self, state: &DynamicFemState) -> Result<(), DynamicFemError> {
         let nodes = self.positions.len();
         let none = state.factor_positions.is_empty();
@@ -78,7 +78,7 @@ impl DynamicFem {
                 couplings: state.factor_couplings.clone(),
             };
             if let Err(error) = self.refactor(at, &Inputs::default()) {
-                // What was there could be factored.
+                // The former state could be factorised.
                 if !before.positions.is_empty() {
                     self.refactor(before, &Inputs::default())?;
                 }

@@ -1,5 +1,5 @@
-//! Thermal damage as a chemical reaction of first order (Henriques and Moritz, *Studies of thermal injury*, 1947):
-//! dΩ/dt = A exp(−Eₐ / (R T)). Where Ω reaches 1, 63 % of the tissue is coagulated: it turns pale, its vessels close.
+//! Arrhenius model of thermal damage, a first-order reaction (Henriques and Moritz, *Studies of thermal injury*, 1947):
+//! dΩ/dt = A exp(−Eₐ / (R T)). At Ω = 1, 63 % of the tissue is coagulated: it turns pale, its vessels close.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,7 +9,7 @@ use super::error::{ElectrosurgeryError, parameter};
 pub const GAS_CONSTANT: f64 = 8.314;
 /// 0 °C \[K\].
 pub const ZERO_CELSIUS: f64 = 273.15;
-/// Ω from which tissue counts as coagulated.
+/// Ω above which tissue counts as coagulated.
 pub const COAGULATED: f64 = 1.0;
 
 /// Parameters of the reaction.
@@ -19,8 +19,8 @@ pub struct Arrhenius {
     pub frequency: f64,
     /// Activation energy Eₐ \[J/mol\].
     pub activation_energy: f64,
-    /// Below this \[°C\] living tissue repairs as fast as it is harmed, and Ω stands still: the law alone would have a
-    /// liver cooked by its own 37 °C within the hour.
+    /// Temperature \[°C\] below which living tissue repairs damage as fast as it arises, and Ω stays constant: by the
+    /// law alone, a liver would coagulate at its own 37 °C within the hour.
     pub threshold: f64,
 }
 
@@ -40,7 +40,7 @@ impl Arrhenius {
         parameter("damage.threshold", self.threshold, -273.15..=1e3, "-273.15 to 1000 °C")
     }
 
-    /// Ω per second at a temperature \[°C\].
+    /// Rate of Ω \[1/s\] at a temperature \[°C\].
     #[inline]
     #[must_use]
     pub fn rate(&self, celsius: f64) -> f64 {
@@ -48,11 +48,11 @@ impl Arrhenius {
             return 0.0;
         }
         let kelvin = celsius + ZERO_CELSIUS;
-        // In one exponential: A alone may be larger than any number that a temperature makes small again.
+        // In one exponential: A alone may overflow, though the exponential makes the product small.
         (self.frequency.ln() - self.activation_energy / (GAS_CONSTANT * kelvin)).exp()
     }
 
-    /// Share of the cells that are dead at Ω.
+    /// Fraction of dead cells at Ω.
     #[must_use]
     pub fn dead(damage: f64) -> f64 {
         -(-damage).exp_m1()

@@ -1,40 +1,40 @@
-//! Heat in the organ's own mesh: linear finite elements with capacities lumped at the vertices (Pennes, *Analysis of tissue
-//! and arterial blood temperatures in the resting human forearm*, 1948), stepped by backward Euler. Stable at any step on
-//! any mesh; elements that go need no factorisation anew, so the equations are solved by conjugate gradients, which a
-//! step's worth of diffusion lets converge in a few iterations.
+//! Bioheat equation on the organ's mesh: linear finite elements with heat capacities lumped at the vertices (Pennes,
+//! *Analysis of tissue and arterial blood temperatures in the resting human forearm*, 1948), stepped by backward Euler.
+//! Unconditionally stable on any mesh. Conjugate gradients need no new factorisation when elements are removed, and
+//! converge in a few iterations at the diffusion of one step.
 //!
-//! What the iterations leave over cannot break the balance: the solution only tells the flows, and heat is moved by them.
+//! The residual cannot violate the energy balance: the solution only determines the fluxes, and these move the heat.
 
 use super::error::HeatStepError;
 use super::material::{BODY, ThermalMaterial};
 use super::voxelisation::{Site, Tissue};
 
-/// The flows of a step are right to this share of the temperatures that they carry \[K\].
+/// Tolerance of the fluxes, as a fraction of the temperatures \[K\].
 const RESIDUAL: f64 = 1e-8;
 const ITERATIONS_MAX: u32 = 2_000;
-/// Share of its capacity that a vertex keeps, whatever is removed around it: the mesh needs a temperature there.
+/// Fraction of its capacity that a vertex always keeps, so that the mesh has a temperature there.
 const CAPACITY_KEPT: f64 = 1e-3;
 
-/// Temperatures of an organ's vertices.
+/// Temperatures at an organ's vertices.
 #[derive(Clone, Debug)]
 pub(super) struct OrganHeat {
-    /// \[°C\].
+    /// Temperatures \[°C\].
     pub celsius: Vec<f64>,
-    /// \[J/K\].
+    /// Heat capacities \[J/K\].
     pub capacity: Vec<f64>,
     pub capacity_least: Vec<f64>,
-    /// Volume that belongs to each vertex, with what has gone since \[m³\].
+    /// Volume of each vertex, removed tissue included \[m³\].
     pub whole: Vec<f64>,
-    /// Heat loss to blood \[W/K\].
+    /// Perfusion loss \[W/K\].
     pub perfusion: Vec<f64>,
     arterial: f64,
-    /// Whether a vertex keeps its temperature, whatever flows in.
+    /// Whether a vertex has a prescribed temperature.
     pub held: Vec<bool>,
     conduction: Conduction,
     rest: [Vec<f64>; 6],
 }
 
-/// The matrix of conduction \[W/K\]: a diagonal, and rows of what is beside it.
+/// Conduction matrix \[W/K\]: a diagonal, and off-diagonal rows.
 #[derive(Clone, Debug)]
 struct Conduction {
     diagonal: Vec<f64>,
@@ -43,7 +43,7 @@ struct Conduction {
     values: Vec<f64>,
 }
 
-/// What an organ lost in a step \[J\].
+/// Losses of an organ in a step \[J\].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct OrganStep {
     pub perfusion: f64,
@@ -88,7 +88,8 @@ impl Conduction {
         }
     }
 
-    /// y = −K x: what flows into each vertex. The diagonal as the sum of its row: what leaves one vertex arrives at another.
+    /// y = −K x: heat flow into each vertex. The diagonal is minus the sum of its row: what leaves one vertex arrives
+    /// at another.
     fn apply(&self, x: &[f64], y: &mut [f64]) {
         for (row, y) in y.iter_mut().enumerate() {
             let entries = self.rows[row] as usize..self.rows[row + 1] as usize;
@@ -99,9 +100,9 @@ impl Conduction {
     }
 }
 
-/// The conduction of an element \[W/K\]: k V ∇λa·∇λb.
+/// Conduction matrix of an element \[W/K\]: k V ∇λa·∇λb.
 pub(super) fn element_conduction(tissue: &Tissue<'_>, element: usize, conductivity: f64) -> [[f64; 4]; 4] {
-    // A blade may leave slivers; what has no extent would conduct without limit.
+    // A blade may leave slivers; a degenerate element would conduct without limit.
     if tissue.is_flat(element) {
         return [[0.0; 4]; 4];
     }
@@ -130,7 +131,7 @@ pub(super) fn element_conduction(tissue: &Tissue<'_>, element: usize, conductivi
 }
 
 impl OrganHeat {
-    /// A tissue that was checked, at the body's temperature.
+    /// A validated tissue at body temperature.
     pub(super) fn new(tissue: &Tissue<'_>, material: &ThermalMaterial) -> Self {
         let vertices = tissue.positions().len();
         let mut volume = vec![0.0; vertices];
@@ -156,17 +157,17 @@ impl OrganHeat {
         }
     }
 
-    /// Takes an element's conduction away.
+    /// Removes an element's conduction.
     pub(super) fn disconnect(&mut self, nodes: &[u32], local: &[[f64; 4]; 4]) {
         self.conduction.add(nodes, local, -1.0);
     }
 
-    /// Heat above the body's temperature \[J\].
+    /// Heat above body temperature \[J\].
     pub(super) fn stored(&self) -> f64 {
         self.capacity.iter().zip(&self.celsius).map(|(capacity, celsius)| capacity * (celsius - BODY)).sum()
     }
 
-    /// Gives heat \[J\] to the vertices about a cell. What a held one gets is lost.
+    /// Adds heat \[J\] to the vertices around a cell. Heat into vertices with prescribed temperature is lost.
     pub(super) fn deposit(&mut self, site: &Site, joules: f64) -> f64 {
         let mut lost = 0.0;
         for (node, weight) in site.nodes.iter().zip(site.weights()) {
@@ -180,7 +181,7 @@ impl OrganHeat {
         lost
     }
 
-    /// Takes a heat capacity \[J/K\] away, with the heat in it, which is the answer \[J\].
+    /// Removes heat capacity \[J/K\] together with its heat, which is returned \[J\].
     pub(super) fn shrink(&mut self, site: &Site, capacity: f64) -> f64 {
         let mut gone = 0.0;
         for (node, weight) in site.nodes.iter().zip(site.weights()) {
@@ -193,7 +194,7 @@ impl OrganHeat {
         gone
     }
 
-    /// Ends the blood that passes about a cell \[W/K\].
+    /// Removes the perfusion at a cell \[W/K\].
     pub(super) fn stop_perfusion(&mut self, site: &Site, loss: f64) {
         for (node, weight) in site.nodes.iter().zip(site.weights()) {
             let perfusion = &mut self.perfusion[*node as usize];
@@ -201,7 +202,7 @@ impl OrganHeat {
         }
     }
 
-    /// One step of diffusion and perfusion. On an error everything is as it was.
+    /// One step of conduction and perfusion. On an error nothing has changed.
     pub(super) fn step(&mut self, dt: f64) -> Result<OrganStep, HeatStepError> {
         let vertices = self.celsius.len();
         let [change, residual, direction, image, inverse, flow] = &mut self.rest;
@@ -250,7 +251,7 @@ impl OrganHeat {
                 residual[node] -= length * image[node];
             }
         }
-        // The flows at the end of the step move the heat.
+        // The fluxes at the end of the step move the heat.
         for node in 0..vertices {
             direction[node] = self.celsius[node] + change[node];
         }

@@ -1,8 +1,8 @@
-//! Tissue that blades have parted: heat does not pass where they passed.
+//! Cuts as barriers to heat.
 //!
-//! The organ's heat goes over to the mesh as it is now, in which a vertex on a cut is two, one for each side; the lattice keeps
-//! its cells, and between cells on both sides of a cut nothing flows. What burned stays told by the elements of the first
-//! mesh.
+//! The mesh temperatures move to the cut mesh, in which a vertex on a cut becomes two, one on each side; the lattice
+//! keeps its cells, but no heat flows between cells on opposite sides of a cut. Burns are still counted by the elements
+//! of the original mesh.
 
 use std::collections::BTreeMap;
 
@@ -15,15 +15,14 @@ use super::material::BODY;
 use super::voxelisation::{Tissue, TissueLattice};
 use super::{Electrosurgery, ElectrosurgeryState};
 
-/// Tissue as blades have left it.
+/// Tissue after cutting.
 #[derive(Clone, Copy, Debug)]
 pub struct Parted<'a> {
-    /// All vertices at rest \[m\], those of the first mesh before the others, and all elements, those that went too.
+    /// All vertices at rest \[m\], original ones first, and all elements, including removed ones.
     pub tissue: Tissue<'a>,
-    /// Of each element, the one of the first mesh that it is a part of.
+    /// The original element that each element is a part of.
     pub of: &'a [u32],
-    /// Where the vertices come from that the first mesh did not have, in order; the last ones, where there are more of them than
-    /// of those.
+    /// Parents of the added vertices, in order; if there are more births than added vertices, the last ones apply.
     pub births: &'a [Birth],
 }
 
@@ -58,14 +57,14 @@ impl Parted<'_> {
         self.tissue.check_places()
     }
 
-    /// Where the vertices beyond so many come from.
+    /// Births of the vertices after the first `count`.
     fn births_from(&self, count: usize) -> &[Birth] {
         let first = self.tissue.positions().len() - self.births.len();
         &self.births[count.saturating_sub(first).min(self.births.len())..]
     }
 }
 
-/// What there is at each vertex of an organ.
+/// Quantities at an organ's vertices.
 #[derive(Clone, Debug)]
 pub(super) struct Nodal {
     pub celsius: Vec<f64>,
@@ -73,7 +72,7 @@ pub(super) struct Nodal {
     pub capacity: Vec<f64>,
     pub perfusion: Vec<f64>,
     pub held: Vec<bool>,
-    /// Volume that belonged to each before anything went \[m³\].
+    /// Original volume of each \[m³\].
     pub whole: Vec<f64>,
 }
 
@@ -82,8 +81,8 @@ impl Nodal {
         self.capacity.iter().zip(&self.celsius).map(|(capacity, celsius)| capacity * (celsius - BODY)).sum()
     }
 
-    /// Goes over to the vertices of `organ`, of which the last ones were born so. Heat is kept: what is between two vertices is as
-    /// warm as a linear field has it, of which that is true, but where parts of the capacity have gone.
+    /// Transfers to the vertices of `organ`, the last of which are new. Heat is conserved: a vertex between two others
+    /// gets the temperature of a linear field, which is exact except where part of the capacity has been removed.
     fn grow(&mut self, births: &[Birth], organ: &OrganHeat) {
         let before = self.stored();
         let mut shares: Vec<[f64; 2]> = (0..self.whole.len())
@@ -119,11 +118,11 @@ impl Nodal {
 }
 
 impl Electrosurgery {
-    /// Heat goes over to tissue that blades have parted further. As often as there is news of them; it costs as much as the mesh
-    /// has elements.
+    /// Transfers heat to tissue that was cut further. Call it after each cut; its cost is proportional to the number of
+    /// elements.
     ///
     /// # Errors
-    /// What does not go with the first mesh; it is as before.
+    /// Cuts that do not fit the original mesh; nothing has changed then.
     pub fn part(&mut self, parted: &Parted<'_>) -> Result<(), ElectrosurgeryError> {
         let nodal = self.nodal();
         self.part_from(parted, nodal)
@@ -170,7 +169,7 @@ impl Electrosurgery {
         Ok(())
     }
 
-    /// An element of the first mesh conducts no longer.
+    /// Removes the conduction of an original element.
     pub(super) fn disconnect(&mut self, element: u32) {
         let from = self.parts.partition_point(|(of, _)| *of < element);
         for (_, part) in self.parts[from..].iter().take_while(|(of, _)| *of == element) {
@@ -179,8 +178,8 @@ impl Electrosurgery {
         }
     }
 
-    /// A state of a mesh that may have been parted further since: the tissue is brought to where it is parted now, with what the
-    /// state has at its vertices.
+    /// Restores the state of a mesh that may have been cut further since: the tissue is updated to the present cuts,
+    /// with the state's values at its vertices.
     pub(super) fn restore_nodes(
         &mut self,
         state: &ElectrosurgeryState,
@@ -209,15 +208,16 @@ impl Electrosurgery {
     }
 }
 
-/// A place to the bit, to find what lies there too.
+/// A position bit for bit, to find coincident points.
 type Place = [u64; 3];
 
 fn place_of(point: &Point3<f64>) -> Place {
-    // Zero is zero.
+    // Makes −0 equal to 0.
     [point.x, point.y, point.z].map(|x| (x + 0.0).to_bits())
 }
 
-/// Where the first mesh ends: facets, as the places of their corners, and of a membrane the segments of its rim.
+/// Boundary of the original mesh: facets, as the positions of their corners, and for a membrane the segments of its
+/// rim.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rim {
     facets: Vec<Vec<Point3<f64>>>,
@@ -235,7 +235,7 @@ impl Rim {
         }
     }
 
-    /// Whether a facet lies in one of them, by the middle of it.
+    /// Whether a facet lies on the boundary, by its centre.
     fn has(&self, middle: &Point3<f64>, reach: f64) -> bool {
         self.facets.iter().any(|facet| match facet.as_slice() {
             [a, b] => {
@@ -257,7 +257,7 @@ impl Rim {
     }
 }
 
-/// Facets of one element alone, by their vertices: triangles of a volume, edges of a membrane.
+/// Facets of a single element, by their vertices: triangles of a volume, edges of a membrane.
 fn open_facets(tissue: &Tissue<'_>) -> Vec<Vec<u32>> {
     let mut open: BTreeMap<Vec<u32>, u32> = BTreeMap::new();
     for element in 0..tissue.element_count() {
@@ -274,7 +274,7 @@ fn open_facets(tissue: &Tissue<'_>) -> Vec<Vec<u32>> {
     open.into_iter().filter(|(_, count)| *count == 1).map(|(facet, _)| facet).collect()
 }
 
-/// Triangles between which and what is beyond nothing is whole any longer: of a membrane, what a cut is across its thickness.
+/// The triangles of cuts, which separate tissue; for a membrane, those across its thickness.
 fn cuts(tissue: &Tissue<'_>, rim: &Rim) -> Vec<[Point3<f64>; 3]> {
     let positions = tissue.positions();
     let mut twins: BTreeMap<Place, u32> = BTreeMap::new();
@@ -285,7 +285,7 @@ fn cuts(tissue: &Tissue<'_>, rim: &Rim) -> Vec<[Point3<f64>; 3]> {
     for facet in open_facets(tissue) {
         let corners: Vec<Point3<f64>> = facet.iter().map(|vertex| positions[*vertex as usize]).collect();
         let middle = corners.iter().map(|corner| corner.coords).sum::<Vector3<f64>>() / corners.len() as f64;
-        // At the rim of the first mesh no vertex has a twin but where a cut ends in it.
+        // On the original boundary no vertex has a copy, except where a cut ends there.
         let size = (corners[0] - corners[1]).norm();
         if !facet.iter().any(is_twin) || rim.has(&Point3::from(middle), 1e-6 * size) {
             continue;
@@ -293,7 +293,7 @@ fn cuts(tissue: &Tissue<'_>, rim: &Rim) -> Vec<[Point3<f64>; 3]> {
         match (corners.as_slice(), tissue) {
             (&[a, b, c], _) => cuts.push([a, b, c]),
             (&[a, b], Tissue::Membrane { thickness, .. }) => {
-                // Half as thick again, so that it bends as it will.
+                // Half as thick again, so that it separates in any bend.
                 let [na, nb] = [0, 1].map(|end| normals[facet[end] as usize] * (0.75 * thickness));
                 cuts.extend([[a - na, b - nb, b + nb], [a - na, b + nb, a + na]]);
             }

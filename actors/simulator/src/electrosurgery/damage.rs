@@ -1,42 +1,43 @@
-//! What heat did to the elements of the mesh: how much of each is coagulated, charred, gone. A mechanical solver takes
-//! factors of stiffness and shrinkage from here, and the elements to take away.
+//! Thermal damage of the mesh's elements: coagulated, charred and removed fractions. A mechanical solver takes
+//! stiffness and shrinkage factors from here, and the elements to remove.
 //!
-//! Elements go whole, cells of the lattice bit by bit. So that what goes of a volume's mesh is what goes of the lattice, however
-//! coarse the mesh is, the remainder is carried over: an element that is due, but of which something is left, waits while more
-//! of the mesh is gone than of the lattice, and where a whole element's worth is owed and none is due, the one that has lost the largest share goes.
+//! Elements are removed whole, lattice cells one by one. To remove the same volume from a solid's mesh as from the
+//! lattice, however coarse the mesh, the difference is carried over: an element that is due but not completely gone
+//! waits while more of the mesh was removed than of the lattice; where a whole element's volume is owed and none is
+//! due, the one with the largest lost fraction is removed.
 
 use super::error::ElectrosurgeryError;
 use super::voxelisation::{EDGE, Site, Tissue};
 
-/// An element is due when this share of its volume is gone.
+/// Removed fraction at which an element is due.
 const GONE: f64 = 0.5;
-/// An element that is due does not wait when this share of it is gone.
+/// Removed fraction at which a due element does not wait.
 const NOTHING_LEFT: f64 = 0.9;
-/// Elements of less than so many cells are told by the cell in which their middle lies.
+/// Elements smaller than this many cells are judged by the cell at their centre.
 const SMALL: f64 = 4.0;
 
-/// Burns by element.
+/// Damage by element.
 #[derive(Clone, Debug)]
 pub(super) struct ElementBurns {
     volume: Vec<f64>,
     pub removed: Vec<f64>,
     pub coagulated: Vec<f64>,
     pub charred: Vec<f64>,
-    /// What each element had of the cells that went \[m³\].
+    /// Volume of each element in removed cells \[m³\].
     pub touched: Vec<f64>,
-    /// What went of the lattice and is not gone of the mesh \[m³\]; negative where more is gone.
+    /// Volume removed from the lattice but not from the mesh \[m³\]; negative for the opposite.
     pub owed: f64,
-    /// Elements that are to go next, in their order.
+    /// Elements to be removed next, in order.
     pub due: Vec<u32>,
     pub is_removed: Vec<bool>,
-    /// Of small elements: the cell of the middle, sorted.
+    /// Centre cells of small elements, sorted.
     middles: Vec<([i32; 3], u32)>,
     is_small: Vec<bool>,
-    /// Whether the remainder is carried over: not of a membrane, whose cut would be bridged by what waits.
+    /// Whether the difference is carried over: not for a membrane, whose cut would be bridged by a waiting element.
     carries: bool,
-    /// Removed since the step began.
+    /// Elements removed in this step.
     pub gone: Vec<u32>,
-    /// All that were removed, in their order.
+    /// All removed elements, in order.
     pub order: Vec<u32>,
 }
 
@@ -88,7 +89,7 @@ impl ElementBurns {
         })
     }
 
-    /// Books what happened to a cell of that volume \[m³\], by what elements have of it.
+    /// Records an event of a cell of this volume \[m³\], distributed over its elements.
     pub(super) fn book(&mut self, number: [i32; 3], site: &Site, volume: f64, event: CellEvent) {
         if matches!(event, CellEvent::Removed { .. }) {
             self.owed += volume;
@@ -130,8 +131,8 @@ impl ElementBurns {
         }
     }
 
-    /// Lets elements go, until as much of the mesh is gone as of the lattice, to one element. What has lost most goes first:
-    /// what waits is at the rim.
+    /// Removes elements until as much of the mesh as of the lattice is gone, to within one element. The largest lost
+    /// fraction goes first: waiting elements are at the rim.
     pub(super) fn settle(&mut self) {
         loop {
             let lost = |element: usize| self.touched[element] / self.volume[element];
@@ -160,7 +161,7 @@ impl ElementBurns {
         }
     }
 
-    /// Shares of an element's remaining volume that are coagulated and charred.
+    /// Coagulated and charred fractions of an element's remaining volume.
     pub(super) fn shares(&self, element: usize) -> (f64, f64) {
         let left = (self.volume[element] - self.removed[element]).max(self.volume[element] * 1e-3);
         let share = |part: f64| (part / left).clamp(0.0, 1.0);

@@ -1,34 +1,34 @@
-//! What an electrosurgical electrode puts where. Current leaves a small contact into a large body: its density falls with
-//! the square of the distance, the heat with the fourth power (Wiley and Webster, *Analysis and control of the current
-//! distribution under circular dispersive electrodes*, 1982, for the contact; a monopolar tip is the small one). The
-//! heat is deposited about the tissue that is nearest to the tip: there an arc strikes when the contact is lost.
+//! Heat source of an electrosurgical electrode. Current spreads from a small contact into a large body: its density
+//! falls with the square of the distance, the heat with the fourth power (Wiley and Webster, *Analysis and control of
+//! the current distribution under circular dispersive electrodes*, 1982, for the contact; a monopolar tip is the small
+//! one). The heat is centred at the tissue nearest to the tip, where an arc strikes when contact is lost.
 //!
-//! What the tip's own distribution leaves to the far field is put near, too: power is exact, and the far field's share is
-//! small against perfusion. The generator is one that holds its power.
+//! The far field of the tip's distribution is deposited near it, too: the total power is exact, and the far field is
+//! small compared with perfusion. The generator holds its power constant.
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 use super::error::{HeatStepError, input};
 
-/// Radii of the contact beyond which no heat is deposited: there it is 0.3 % of the middle's.
+/// Radius of the heated region, in contact radii: there the density is 0.3 % of that at the centre.
 pub(super) const REACH: f64 = 4.0;
 
-/// How the generator drives the electrode.
+/// Generator mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
-    /// Continuous wave: cells burst, and tissue goes as its water boils.
+    /// Cutting, continuous wave: cells burst, and tissue vaporises as its water boils.
     #[default]
     Cut,
-    /// Modulated wave at a high voltage: long sparks over a wide area; tissue dries, chars, and goes at the temperature of
-    /// ablation.
+    /// Coagulation, modulated wave at a high voltage: long sparks over a wide area; tissue dries, chars, and vaporises
+    /// at the ablation temperature.
     Coagulate,
 }
 
 impl Mode {
-    /// How far a spark reaches \[m\]: breakdown of air, 3 kV/mm, at the open-circuit voltages of generators (about
-    /// 1.5 kV peak cutting, 9 kV in spray).
+    /// Spark length \[m\]: breakdown of air, 3 kV/mm, at the open-circuit voltages of generators (about 1.5 kV peak
+    /// cutting, 9 kV in spray).
     #[must_use]
     pub fn spark(self) -> f64 {
         match self {
@@ -37,7 +37,7 @@ impl Mode {
         }
     }
 
-    /// How much wider than the contact the heat is spread.
+    /// Width of the heated region relative to the contact.
     #[must_use]
     pub fn spread(self) -> f64 {
         match self {
@@ -50,30 +50,30 @@ impl Mode {
 /// An active electrode during a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Electrode {
-    /// Middle of the ball that is its tip, in the tissue's rest frame \[m\].
+    /// Centre of its spherical tip, in the tissue's rest frame \[m\].
     pub tip_in_rest: Point3<f64>,
-    /// Power that the generator gives \[W\]; 0 while the pedal is up.
+    /// Generator power \[W\]; 0 while the pedal is up.
     pub power: f64,
-    /// How it gives it.
+    /// Generator mode.
     pub mode: Mode,
-    /// Area of its bare metal \[m²\]: so much is in contact with tissue at most.
+    /// Area of its bare metal \[m²\]: the largest contact area.
     pub contact_area: f64,
 }
 
 impl Electrode {
-    /// Radius of a disc with the area of the bare metal \[m\]; the metal is a ball of that radius about the tip.
+    /// Radius of a disc with the area of the bare metal \[m\], also that of the spherical tip.
     #[must_use]
     pub fn contact_radius(&self) -> f64 {
         (self.contact_area / std::f64::consts::PI).sqrt()
     }
 
-    /// Radius about which heat is deposited by so much area in contact \[m\]: that of a disc, spread as the mode spreads it.
+    /// Radius of the heated region for this contact area \[m\]: that of a disc, widened by the mode.
     #[must_use]
     pub fn radius(&self, area: f64) -> f64 {
         (area / std::f64::consts::PI).sqrt() * self.mode.spread()
     }
 
-    /// Share of the power that arrives over a gap \[m\]: all of it in contact, none where no spark reaches.
+    /// Fraction of the power that crosses a gap \[m\]: 1 in contact, 0 beyond the spark length.
     #[must_use]
     pub fn efficiency(&self, gap: f64) -> f64 {
         (1.0 - gap.max(0.0) / self.mode.spark()).clamp(0.0, 1.0)
@@ -88,7 +88,7 @@ impl Electrode {
     }
 }
 
-/// How much heat is deposited, relative to where it is most, at a distance from there, about a radius \[m\].
+/// Relative heat density at a distance from the centre, for a radius \[m\].
 #[inline]
 #[must_use]
 pub(super) fn profile(distance: f64, radius: f64) -> f64 {

@@ -1,28 +1,29 @@
-//! How the metal of a tip lies to tissue. The metal is a ball; what of it faces tissue no farther off than where it is nearest
-//! conducts: a tip that rests on tissue touches it with a small cap, one that is pressed in with more, up to what is bare.
+//! Contact of an electrode's metal with tissue. The metal is a sphere; its parts that are hardly farther from tissue
+//! than its nearest point conduct: a tip resting on tissue has a small contact cap, one pressed in a larger one, up to
+//! the bare metal.
 //!
-//! A coagulating current does so only while what is touched is wet. As it dries it insulates, the generator's voltage rises to
-//! that of its open circuit, and sparks leave the metal wherever tissue is in their reach (Pearce, *Electrosurgery*, 1986): how
-//! wide they burn does not hang on a step in the wall of a crater.
+//! With coagulating current this holds only while the touched tissue is wet. As it dries, it insulates, the generator's
+//! voltage rises to that of its open circuit, and sparks leave the metal wherever tissue is in reach (Pearce,
+//! *Electrosurgery*, 1986): the burned width then does not depend on a step in the wall of a crater.
 //!
-//! A generator has one output. Where a tip is at several tissues, its current goes into each by the area that faces it, so
-//! that all of them together get what the generator gives.
+//! A generator has one output. If a tip touches several tissues, its current is divided by contact area, so that they
+//! share the generator's power.
 
 use nalgebra::{Point3, Vector3};
 
 use super::electrode::{Electrode, Mode};
 
-/// Directions in which the metal is looked at, evenly spread over the ball.
+/// Number of facets, evenly spread over the sphere.
 const FACETS: usize = 96;
-/// What is so much farther from tissue than where the metal is nearest is in contact still \[m\]: as uneven as tissue is, and
-/// as deep as a film of liquid on it.
+/// Metal this much farther from tissue than the nearest point is still in contact \[m\]: the roughness of tissue, and
+/// the depth of a film of liquid on it.
 const UNEVEN: f64 = 0.1e-3;
 
-/// How far the facets of an electrode's metal are from tissue \[m\]; infinite where there is none in reach.
+/// Distances of an electrode's facets from tissue \[m\]; infinite where there is none in reach.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     away: [f64; FACETS],
-    /// Share of their water that the cells have that are touched; 0 where none is.
+    /// Mean remaining water fraction of the touched cells; 0 where there are none.
     wet: f64,
 }
 
@@ -35,20 +36,20 @@ fn direction(facet: usize) -> Vector3<f64> {
     Vector3::new(ring * cos, ring * sin, z)
 }
 
-/// A cell of tissue that metal may face.
+/// A tissue cell that metal may face.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Facing {
-    /// \[m\]
+    /// Centre \[m\].
     pub middle: Point3<f64>,
-    /// Share of its water that is left.
+    /// Remaining water fraction.
     pub water: f64,
 }
 
 impl Contact {
-    /// Of an electrode that is at no tissue.
+    /// For an electrode without tissue in reach.
     pub const NONE: Self = Self { away: [f64::INFINITY; FACETS], wet: 0.0 };
 
-    /// To cubes of tissue of that edge \[m\], given by their middles and the share of their water that is left.
+    /// For tissue cells of this edge length \[m\], given by centre and remaining water fraction.
     pub(super) fn with_cells(
         electrode: &Electrode,
         edge: f64,
@@ -58,7 +59,7 @@ impl Contact {
         let tip = electrode.tip_in_rest;
         let middles = cells.clone().map(|cell| (cell.middle - tip).norm_squared());
         let nearest = middles.fold(f64::INFINITY, f64::min).sqrt();
-        // Beyond, no cell can be within what counts of any facet; of sparks, none that the ball does not hide.
+        // Farther cells are out of range of every facet; for sparks, they are hidden by the sphere.
         let counts = match electrode.mode {
             Mode::Cut => UNEVEN,
             Mode::Coagulate => UNEVEN.max(2.0 * radius),
@@ -83,7 +84,7 @@ impl Contact {
         }
     }
 
-    /// From the metal to the nearest tissue \[m\].
+    /// Distance from the metal to the nearest tissue \[m\].
     #[must_use]
     pub fn nearest(&self) -> f64 {
         self.away.iter().copied().fold(f64::INFINITY, f64::min)
@@ -93,13 +94,13 @@ impl Contact {
         self.away.iter().filter(|away| **away <= nearest + UNEVEN).count()
     }
 
-    /// Area of the metal that the current leaves \[m²\]: at most what is bare, at least one facet.
+    /// Metal area from which current flows \[m²\]: at least one facet, at most the bare metal.
     #[must_use]
     pub fn area(&self, electrode: &Electrode) -> f64 {
         let nearest = self.nearest();
         let mut facets = self.facing(nearest).max(1) as f64;
         if electrode.mode == Mode::Coagulate {
-            // Each facet as well as sparks reach from it, beside where they are shortest.
+            // Each facet is weighted by its spark efficiency relative to the best one.
             let best = electrode.efficiency(nearest).max(f64::MIN_POSITIVE);
             let sparks: f64 = self.away.iter().map(|away| electrode.efficiency(*away) / best).sum();
             facets += (1.0 - self.wet) * (sparks - facets).max(0.0);
@@ -108,7 +109,7 @@ impl Contact {
     }
 }
 
-/// Which share of an electrode's power goes into each of several tissues. Their sum is 1 where it is at any.
+/// Fraction of an electrode's power that goes into each of several tissues. The sum is 1 where it is at any.
 pub fn shares(contacts: &[Contact]) -> impl Iterator<Item = f64> + '_ {
     let nearest = contacts.iter().map(Contact::nearest).fold(f64::INFINITY, f64::min);
     let facing = move |contact: &Contact| if nearest.is_finite() { contact.facing(nearest) } else { 0 };
@@ -150,7 +151,7 @@ mod tests {
     #[test]
     fn the_deeper_a_tip_is_pressed_the_more_of_it_is_in_contact_up_to_what_is_bare() {
         let radius = tip(0.0).contact_radius();
-        // A cap of a ball: 2π r h, here with what is uneven.
+        // A spherical cap: 2π r h, including the roughness.
         for depth in [0.0, 0.06e-3, 0.12e-3] {
             let contact = at_plate(radius - depth, |_| true);
             let cap = 2.0 * std::f64::consts::PI * radius * (depth + UNEVEN);
@@ -158,7 +159,7 @@ mod tests {
             assert!(contact.nearest() < 1e-5 && (area / cap - 1.0).abs() < 0.15, "{depth}: {area} {cap}");
         }
         assert_eq!(at_plate(0.0, |_| true).area(&tip(0.0)), 1e-6);
-        // Above tissue what is nearest is what a spark leaves from.
+        // Above tissue, sparks leave from the nearest facets.
         let above = at_plate(radius + 0.3e-3, |_| true);
         assert!((above.nearest() - 0.3e-3).abs() < 2e-5, "{}", above.nearest());
         assert!(above.area(&tip(0.0)) < 0.5e-6);
@@ -173,7 +174,7 @@ mod tests {
         assert!((both[0] - 0.5).abs() < 0.1 && both[2] == 0.0, "{both:?}");
         assert!((both.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         assert_eq!(of(&[Contact::NONE, right]), [0.0, 1.0], "one alone gets all");
-        // What lies beneath something else gets nothing.
+        // Hidden tissue gets nothing.
         let [above, below] = [at_plate(0.5e-3, |p| p.z > -0.5e-3), at_plate(0.5e-3, |p| p.z < -0.5e-3)];
         assert_eq!(of(&[below, above]), [0.0, 1.0]);
         assert_eq!(of(&[Contact::NONE; 2]), [0.0, 0.0]);
@@ -191,7 +192,7 @@ mod tests {
         assert_eq!(touching(Mode::Coagulate, 0.0), 1e-6);
         let half = touching(Mode::Coagulate, 0.8);
         assert!(half > 1.2 * cap && half < 1e-6, "{half} between {cap} and all");
-        // With a way through air there is nothing wet to conduct, as far as sparks reach.
+        // Across air nothing wet conducts, as far as sparks reach.
         for (gap, is_reached) in [(1e-3, true), (4e-3, false)] {
             let tip = Electrode { mode: Mode::Coagulate, ..tip(0.565e-3 + gap) };
             let area = wet_plate(&tip, |_| true, 1.0).area(&tip);

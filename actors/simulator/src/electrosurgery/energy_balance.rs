@@ -1,28 +1,28 @@
-//! Where the heat went.
+//! Energy balance of electrosurgery.
 
 use serde::{Deserialize, Serialize};
 
-/// Heat since the beginning \[J\]. What was supplied is what is stored more than at the beginning and what left.
+/// Heat since the beginning \[J\]. Supplied heat equals the increase of stored heat plus all losses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HeatLedger {
-    /// What electrodes put into tissue.
+    /// Supplied by electrodes.
     pub supplied: f64,
-    /// What turned water into steam.
+    /// Latent heat of vaporised water.
     pub latent: f64,
-    /// What steam took along as warm water.
+    /// Sensible heat of vaporised water.
     pub steam: f64,
-    /// What tissue took along that was removed.
+    /// Heat of removed tissue.
     pub removed: f64,
-    /// What blood carried away.
+    /// Loss to perfusion.
     pub perfusion: f64,
-    /// What vertices took that are held at a temperature.
+    /// Loss to vertices held at a temperature.
     pub held: f64,
-    /// What was stored at the beginning, above the body's temperature.
+    /// Stored at the beginning, above body temperature.
     pub stored_before: f64,
 }
 
 impl HeatLedger {
-    /// What is not accounted for \[J\], when so much is stored: rounding.
+    /// Error of the balance \[J\] at this stored heat: rounding.
     #[must_use]
     pub fn missing(&self, stored: f64) -> f64 {
         let left = self.latent + self.steam + self.removed + self.perfusion + self.held;
@@ -30,27 +30,27 @@ impl HeatLedger {
     }
 }
 
-/// What was given off in a step.
+/// Statistics of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HeatReport {
-    /// Power that arrived in tissue \[W\].
+    /// Power absorbed by tissue \[W\].
     pub absorbed: f64,
-    /// From the metal of the nearest electrode that is on to tissue \[m\]; infinite where there is none in reach.
+    /// Gap from the metal of the nearest active electrode to tissue \[m\]; infinite where there is none in reach.
     pub gap: f64,
-    /// Area of metal that is in contact with tissue when the step begins \[m²\], of all electrodes that are on.
+    /// Contact area at the beginning of the step \[m²\], of all active electrodes.
     pub contact_area: f64,
     /// Volume of tissue removed \[m³\].
     pub removed_volume: f64,
-    /// Cells of the lattice removed.
+    /// Removed lattice cells.
     pub removed_cells: u32,
-    /// Water turned into steam \[kg/s\].
+    /// Vaporised water \[kg/s\].
     pub steam_rate: f64,
     /// Smoke \[kg/s\].
     pub smoke_rate: f64,
     /// Hottest tissue on the lattice \[°C\].
     pub hottest: f64,
-    /// Blocks in which heat moves.
+    /// Blocks with conduction.
     pub active_blocks: u32,
-    /// Blocks that heat should have reached, but that there was no room for.
+    /// Blocks that heat should have reached, but exceeded the limit.
     pub refused_blocks: u32,
 }

@@ -1,18 +1,18 @@
-//! The enthalpy method in a cell: heat that a cell gets is a sum, and its temperature follows from it. What is above the
-//! boiling point goes into steam, however much came at once; so no step is too long to see the boiling (Voller and
-//! Cross, *Accurate solutions of moving boundary problems using the enthalpy method*, 1981). A method that puts the
-//! latent heat into a capacity near 100 °C steps over it instead.
+//! Enthalpy method of phase change: a cell accumulates heat, and its temperature follows from that. Heat above the
+//! boiling point vaporises water, however much arrives at once; so boiling is never missed, whatever the step (Voller
+//! and Cross, *Accurate solutions of moving boundary problems using the enthalpy method*, 1981). An apparent heat
+//! capacity near 100 °C would be stepped over instead.
 //!
-//! Steam leaves, and takes the heat of its water with it: a cell that has dried does not get its water back by cooling.
+//! Steam leaves with the heat of its water: a dried cell does not regain water by cooling.
 
 use super::material::{BODY, ThermalMaterial};
 
-/// How much nearer to the middle of a dry cell the boiling point is than the middle of a boiling cell beside it. What boils is as
-/// hot all over: heat crosses half of the dry cell only. From middle to middle, a layer that has dried would be taken for up to
-/// twice as thick as it is where it is a cell thick, and go too soon.
+/// Conductance factor between a dry cell and a boiling neighbour. A boiling cell has uniform temperature, so that heat
+/// crosses only half of the dry cell. Measured from centre to centre, a dried layer of one cell would count as up to
+/// twice as thick, and vaporise too early.
 pub(super) const BOILING_NEARER: f64 = 2.0;
 
-/// Derived numbers of a material that every cell needs.
+/// Derived material constants used by every cell.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Enthalpy {
     pub wet: f64,
@@ -23,14 +23,14 @@ pub(super) struct Enthalpy {
     dry_conductivity: f64,
 }
 
-/// What a cell gave off, by volume \[J/m³\].
+/// Heat given off by a cell, per volume \[J/m³\].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Boiled {
-    /// Share of the cell's water that went.
+    /// Vaporised fraction of the cell's water.
     pub water: f64,
-    /// Heat that turned it into steam.
+    /// Latent heat.
     pub latent: f64,
-    /// Heat capacity that went with it \[J/(m³·K)\].
+    /// Heat capacity lost with the water \[J/(m³·K)\].
     pub capacity: f64,
 }
 
@@ -46,32 +46,33 @@ impl Enthalpy {
         }
     }
 
-    /// Heat capacity of a cell with this share of its water \[J/(m³·K)\].
+    /// Heat capacity of a cell with this water fraction \[J/(m³·K)\].
     #[inline]
     pub(super) fn capacity(&self, water: f64) -> f64 {
         self.dry + (self.wet - self.dry) * water
     }
 
-    /// Conductivity of a cell with this share of its water \[W/(m·K)\].
+    /// Conductivity of a cell with this water fraction \[W/(m·K)\].
     #[inline]
     pub(super) fn conductivity(&self, water: f64) -> f64 {
         self.dry_conductivity + (self.conductivity - self.dry_conductivity) * water
     }
 
-    /// Largest diffusivity that a cell can have \[m²/s\]: of a dry one among boiling ones, which are nearer ([`BOILING_NEARER`]).
+    /// Largest diffusivity of a cell \[m²/s\]: that of a dry one among boiling ones, which are effectively nearer
+    /// ([`BOILING_NEARER`]).
     pub(super) fn diffusivity_max(&self) -> f64 {
         // Both are linear in the water: their quotient is largest at an end.
         (self.conductivity / self.wet).max(BOILING_NEARER * self.dry_conductivity / self.dry)
     }
 
-    /// Heat that turns a fresh cell into steam \[J/m³\].
+    /// Heat that vaporises a fresh cell's water \[J/m³\].
     pub(super) fn vaporisation(&self) -> f64 {
         self.wet * (self.boiling - BODY) + self.latent
     }
 
-    /// Boils what a cell at `celsius` above the boiling point can boil; its temperature afterwards is the second number.
-    /// With H the heat above boiling: H = C(w) (T − Tb) before; as water goes, L goes with it, and the capacity too, at
-    /// Tb. Only when all water has gone can the cell be hotter.
+    /// Boils a cell at `celsius` above the boiling point as far as its heat allows; the second result is its new
+    /// temperature. With H the heat above boiling, H = C(w) (T − Tb) before; vaporisation removes the latent heat L and
+    /// the water's capacity, at Tb. Only a dry cell can be hotter.
     #[inline]
     pub(super) fn boil(&self, celsius: f64, water: f64) -> (Boiled, f64) {
         let above = self.capacity(water) * (celsius - self.boiling);
@@ -91,7 +92,7 @@ impl Enthalpy {
 mod tests {
     use super::*;
 
-    /// Heats a cell evenly; the heat at which it was dry, and the energy that is not accounted for.
+    /// Heats a cell uniformly; returns the heat at which it was dry, and the error of the balance.
     fn dried_after(parts: u32, total: f64) -> (f64, f64) {
         let cell = Enthalpy::new(&ThermalMaterial::default());
         let (mut celsius, mut water, mut gone) = (BODY, 1.0, 0.0);
@@ -123,7 +124,8 @@ mod tests {
         }
     }
 
-    /// The simple method: a capacity with a peak of 1 K at the boiling point, at the temperature before the step.
+    /// For comparison, an apparent heat capacity: a peak of 1 K at the boiling point, evaluated at the temperature
+    /// before the step.
     fn apparent_capacity_temperature(parts: u32, total: f64) -> f64 {
         let material = ThermalMaterial::default();
         let mut celsius = BODY;
@@ -137,7 +139,7 @@ mod tests {
     #[test]
     fn an_apparent_heat_capacity_steps_over_the_boiling_where_the_enthalpy_does_not() {
         let cell = Enthalpy::new(&ThermalMaterial::default());
-        // Half of the water's heat: the tissue must be at 100 °C.
+        // Half of the water's latent heat: the tissue must be at 100 °C.
         let total = cell.wet * (cell.boiling - BODY) + 0.5 * cell.latent;
         assert!((apparent_capacity_temperature(100_000, total) - 100.0).abs() < 0.6, "fine steps see it");
         assert!(apparent_capacity_temperature(40, total) > 250.0, "long steps do not");

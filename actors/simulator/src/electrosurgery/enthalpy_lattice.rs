@@ -1,10 +1,10 @@
-//! The lattice on which heat moves where it is fine: blocks of 8 × 8 × 8 cells, taken into use where the tip or the heat
-//! arrives, given back to the organ's mesh where it has left.
+//! Fine lattice for heat near the electrode: blocks of 8 × 8 × 8 cells, activated where the tip or the heat arrives,
+//! and deactivated once it has dissipated.
 //!
-//! A cell holds what its temperature exceeds that of the mesh there. Conduction is linear in the temperature, so both
-//! fields may move apart, and their sum moves as heat does; a field that varies within an element needs no place in the
-//! mesh, and no seam between lattice and mesh has to be kept continuous. Heat passes from the lattice to the mesh where a
-//! block that has cooled is given back, and at the rim of the active blocks.
+//! A cell stores its temperature excess above the mesh there. Conduction is linear in the temperature, so that the two
+//! fields evolve separately and their sum obeys the heat equation; fields that vary within an element need no refined
+//! mesh, and no continuity has to be enforced between lattice and mesh. Heat passes from the lattice to the mesh when a
+//! cooled block is deactivated, and at the rim of the active blocks.
 
 use super::bioheat_fem::OrganHeat;
 use super::damage::{CellEvent, ElementBurns, cell_number};
@@ -17,18 +17,18 @@ use super::lattice_block::{
 use super::material::ThermalMaterial;
 use super::voxelisation::{EDGE, PADDED, Site, TissueLattice};
 
-/// An excess at a side with which the block beyond is taken into use \[K\].
+/// Excess at a side that activates the neighbouring block \[K\].
 const ARRIVES: f64 = 1.0;
-/// The largest excess with which a block is given back \[K\].
+/// Largest excess at which a block is deactivated \[K\].
 const LEAVES: f64 = 0.5;
-/// Blocks that are remembered to be empty.
+/// Maximum number of blocks remembered as empty.
 const EMPTY_MAX: usize = 16_384;
-/// Share of the largest stable step that is taken.
+/// Fraction of the stable step that is used.
 const SAFETY: f64 = 0.9;
-/// What has lost water and is no colder than this below the boiling point boils \[K\].
+/// A cell that has lost water boils within this margin below the boiling point \[K\].
 const BOILS: f64 = 1.0;
 
-/// Blocks that were taken into use, in the order of their keys.
+/// Blocks used so far, sorted by key.
 #[derive(Clone, Debug)]
 pub(super) struct ThermalGrid {
     pub spacing: f64,
@@ -36,28 +36,28 @@ pub(super) struct ThermalGrid {
     blocks_max: usize,
     pub enthalpy: Enthalpy,
     lattice: TissueLattice,
-    /// Blocks without tissue that were asked for, sorted: to find that out is dear.
+    /// Requested blocks without tissue, sorted: rasterising them again would be slow.
     empty: Vec<[i32; 3]>,
     next: Vec<Box<[f64; CELLS]>>,
     wanted: Vec<[i32; 3]>,
     kept: Vec<[i32; 3]>,
     padded_excess: Box<[f64; PADDED * PADDED * PADDED]>,
     padded_conduction: Box<[f64; PADDED * PADDED * PADDED]>,
-    /// Conduction of cells that are dry; and by how much more heat passes between such a one and each that boils.
+    /// Conduction of dry cells, and the conductance factor between dry and boiling cells.
     padded_dry: Box<[f64; PADDED * PADDED * PADDED]>,
     padded_boiling: Box<[f64; PADDED * PADDED * PADDED]>,
 }
 
-/// What a step on the lattice writes to.
+/// Outputs of a step on the lattice.
 pub(super) struct LatticeOutputs<'a> {
     pub material: &'a ThermalMaterial,
     pub organ: &'a mut OrganHeat,
     pub burns: &'a mut ElementBurns,
     pub ledger: &'a mut HeatLedger,
     pub report: &'a mut HeatReport,
-    /// Whether cells that dry burst, and are gone.
+    /// Whether drying cells burst and are removed.
     pub bursts: bool,
-    /// Where tissue was removed last \[cells\], for the smoke: a sum, weighted by volume.
+    /// Where tissue was last removed \[cells\], as the origin of smoke: a sum weighted by volume.
     pub plume: &'a mut nalgebra::Vector4<f64>,
 }
 
@@ -89,18 +89,18 @@ impl ThermalGrid {
         self.blocks.binary_search_by_key(&key, |block| block.key)
     }
 
-    /// Volume of a whole cell \[m³\].
+    /// Volume of a full cell \[m³\].
     pub(super) fn cell_volume(&self) -> f64 {
         self.spacing.powi(3)
     }
 
-    /// Longest step in which diffusion on the lattice is stable \[s\].
+    /// Longest step for which diffusion on the lattice is stable \[s\].
     pub(super) fn step_max(&self) -> f64 {
         let diffusivity = self.enthalpy.diffusivity_max();
         if diffusivity > 0.0 { SAFETY * self.spacing.powi(2) / (6.0 * diffusivity) } else { f64::INFINITY }
     }
 
-    /// Heat in the cells beyond that of the mesh \[J\].
+    /// Excess heat in the cells, relative to the mesh \[J\].
     pub(super) fn stored(&self) -> f64 {
         let of = |block: &Block| {
             let cells = (0..CELLS).filter(|cell| block.is_tissue(*cell));
@@ -112,7 +112,7 @@ impl ThermalGrid {
         self.blocks.iter().filter(|block| block.is_active).map(of).sum()
     }
 
-    /// Takes a block into use. Whether there is tissue there, and room for it.
+    /// Activates a block. Returns whether there is tissue, and room for it.
     pub(super) fn activate(&mut self, key: [i32; 3], report: &mut HeatReport) -> bool {
         if let Ok(at) = self.find(key) {
             self.blocks[at].is_active = true;
@@ -126,7 +126,7 @@ impl ThermalGrid {
             return false;
         };
         if self.blocks.len() >= self.blocks_max {
-            // What nothing happened in need not be remembered.
+            // An unchanged block need not be stored.
             let Some(pristine) = self.blocks.iter().position(Block::is_pristine) else {
                 report.refused_blocks += 1;
                 return false;
@@ -138,15 +138,15 @@ impl ThermalGrid {
         true
     }
 
-    /// A block as it was, at the end of the list; whether there is tissue at its place.
+    /// Adds a saved block at the end of the list; `None` without tissue at its place.
     pub(super) fn remember(&mut self, key: [i32; 3]) -> Option<&mut Block> {
         let raster = self.lattice.raster(key)?;
         self.blocks.push(Block::new(key, raster));
         self.blocks.last_mut()
     }
 
-    /// Tissue was parted: cells lie otherwise in the mesh, and some are cut off from their neighbours. They keep their tissue,
-    /// and the element of the first mesh that they are told by.
+    /// Updates to a cut: cells have other locations in the mesh, and some are separated from their neighbours. They
+    /// keep their tissue, and their element of the original mesh.
     pub(super) fn part(&mut self, lattice: TissueLattice) {
         self.lattice = lattice;
         for block in &mut self.blocks {
@@ -160,7 +160,7 @@ impl ThermalGrid {
         }
     }
 
-    /// Conduction and perfusion for a time that is stable.
+    /// Conduction and perfusion for a stable step.
     pub(super) fn diffuse(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
         let volume = self.cell_volume();
         let blood = dt * books.material.perfusion_loss();
@@ -212,7 +212,7 @@ impl ThermalGrid {
                 next[cell] = own + gain / capacity;
             }
             books.ledger.perfusion += lost * volume;
-            // What leaves the active blocks arrives in the mesh.
+            // Heat that leaves the active blocks enters the mesh.
             for (side, _) in SIDES.iter().zip(is_rim).filter(|(_, is_rim)| *is_rim) {
                 for (cell, halo, _) in side_cells(*side).filter(|at| !block.is_cut_off(at.0, *side)) {
                     let flow = conduction[padded(cell)].min(conduction[halo]) * excess[padded(cell)];
@@ -229,7 +229,7 @@ impl ThermalGrid {
         }
     }
 
-    /// Excess and conduction of a block and of the layer around it; which sides have no active block beyond.
+    /// Collects excess and conduction of a block and its halo; returns which sides have no active neighbour.
     fn gather(&mut self, index: usize) -> [bool; 6] {
         let block = &self.blocks[index];
         let around = SIDES.map(|side| self.find(block.beyond(side)).ok());
@@ -240,7 +240,7 @@ impl ThermalGrid {
                 0.0
             }
         };
-        // Dry, its conduction; boiling, how much nearer it is.
+        // Dry: its conduction; boiling: the conductance factor.
         let kind = |block: &Block, cell: usize, through: f64| {
             if block.water[cell] == 0.0 {
                 (through, 0.0)
@@ -266,7 +266,7 @@ impl ThermalGrid {
                     Some(beyond) => (beyond.excess[other], through(beyond, other)),
                     None => (0.0, f64::from(block.raster.share[halo]) * self.enthalpy.conductivity(1.0)),
                 };
-                // At the rim heat passes to the mesh, by conduction alone.
+                // At the rim, heat passes to the mesh by conduction alone.
                 (dry[halo], boiling[halo]) = match beyond {
                     Some(beyond) if beyond.is_active => kind(beyond, other, conduction[halo]),
                     _ => (0.0, 0.0),
@@ -276,7 +276,7 @@ impl ThermalGrid {
         })
     }
 
-    /// Boiling, damage and removal after heat has moved for `dt`; blocks that heat reaches or has left.
+    /// Boiling, damage and removal after conduction for `dt`; activates and deactivates blocks.
     pub(super) fn settle(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
         for index in 0..self.blocks.len() {
             if !self.blocks[index].is_active {
@@ -306,7 +306,7 @@ impl ThermalGrid {
         self.spread(books);
     }
 
-    /// Boils what is too hot in a cell, and removes it when its time has come; its temperature \[°C\].
+    /// Boils excess heat in a cell and removes it where due; returns its temperature \[°C\].
     pub(super) fn settle_cell(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) -> f64 {
         let volume = self.cell_volume();
         let block = &mut self.blocks[index];
@@ -365,7 +365,7 @@ impl ThermalGrid {
         books.ledger.removed += capacity * block.excess[cell] + books.organ.shrink(&site, capacity);
         block.excess[cell] = 0.0;
         block.flags[cell] |= REMOVED | if books.bursts { BURST } else { 0 };
-        // What vaporised was surely coagulated.
+        // Vaporised tissue is always coagulated.
         block.damage[cell] = block.damage[cell].max(super::arrhenius::COAGULATED);
         let number = cell_number(block.key, cell);
         books.burns.book(number, &site, volume, CellEvent::Removed { was_coagulated, was_charred });
@@ -377,7 +377,7 @@ impl ThermalGrid {
         *books.plume += nalgebra::Vector4::new(x, y, z, volume);
     }
 
-    /// Takes the blocks into use that heat reaches, gives those back that it has left.
+    /// Activates blocks that heat reaches and deactivates those that have cooled.
     fn spread(&mut self, books: &mut LatticeOutputs<'_>) {
         let (mut wanted, mut kept) = (std::mem::take(&mut self.wanted), std::mem::take(&mut self.kept));
         wanted.clear();
@@ -404,7 +404,7 @@ impl ThermalGrid {
         kept.sort_unstable();
         let volume = self.cell_volume();
         for block in self.blocks.iter_mut().filter(|block| block.is_active && block.peak < LEAVES) {
-            // Into some the heat is just about to come.
+            // Heat is about to reach some of them.
             if kept.binary_search(&block.key).is_ok() {
                 continue;
             }
@@ -421,8 +421,8 @@ impl ThermalGrid {
         (self.wanted, self.kept) = (wanted, kept);
     }
 
-    /// The cell at a vertex: the nearest of those about it that are tissue, else the nearest that were; where something was cut,
-    /// rather one on its side of that. Block and cell.
+    /// The cell at a vertex: the nearest tissue cell, else the nearest removed one; near cuts, preferably on the
+    /// vertex's side. Block and cell.
     pub(super) fn cell_near(&self, point: &nalgebra::Point3<f64>, vertex: u32) -> Option<(usize, usize)> {
         let at = point.coords / self.spacing;
         let number = [at.x, at.y, at.z].map(|x| x.floor() as i32);
@@ -448,11 +448,11 @@ impl ThermalGrid {
         best.map(|(_, _, index, cell)| (index, cell))
     }
 
-    /// How many sides of a cell have no tissue beyond.
+    /// Number of a cell's sides without tissue beyond.
     pub(super) fn bare_sides(&self, block: &Block, cell: usize) -> u32 {
         let bare = SIDES.into_iter().filter(|side| {
             let (found, beyond) = self.beside(block, cell, *side);
-            // Of a block that was never in use, what its neighbour knows of it.
+            // For a block never activated, its neighbour's halo tells.
             !found.map_or_else(
                 || block.raster.share[beside(padded(cell), *side)] > 0.0,
                 |found| found.is_tissue(beyond),
@@ -461,7 +461,7 @@ impl ThermalGrid {
         bare.count() as u32
     }
 
-    /// Whether what was beside a cell went up in smoke.
+    /// Whether a neighbour of the cell vaporised.
     pub(super) fn is_bared_by_fire(&self, block: &Block, cell: usize) -> bool {
         SIDES.into_iter().any(|side| {
             let (found, beyond) = self.beside(block, cell, side);
@@ -469,7 +469,7 @@ impl ThermalGrid {
         })
     }
 
-    /// The cell beside one, and its block where that was ever in use.
+    /// The neighbouring cell, and its block if ever activated.
     fn beside(&self, block: &Block, cell: usize, (axis, way): (usize, i32)) -> (Option<&Block>, usize) {
         let own = xyz(cell).map(|at| at as i32);
         let mut at: [i32; 3] = std::array::from_fn(|axis| block.key[axis] * EDGE as i32 + own[axis]);
@@ -479,7 +479,7 @@ impl ThermalGrid {
         (found.ok().map(|index| &self.blocks[index]), within[0] + EDGE * (within[1] + EDGE * within[2]))
     }
 
-    /// Middle of a cell, in the tissue's rest frame \[m\].
+    /// Centre of a cell, in the tissue's rest frame \[m\].
     pub(super) fn centre(&self, block: &Block, cell: usize) -> nalgebra::Point3<f64> {
         let within = xyz(cell);
         let at = |axis: usize| {
@@ -500,7 +500,7 @@ mod tests {
     use super::super::{BODY, Electrosurgery, LatticeConfig, Tissue};
     use super::*;
 
-    /// A block of tissue that is all on the lattice, warmer than the body by `excess` at each cell's middle \[K\].
+    /// A block of tissue completely on the lattice, warmer than the body by `excess` at each cell's centre \[K\].
     fn warmed(
         cells: [u32; 3],
         mesh: f64,
@@ -531,7 +531,7 @@ mod tests {
         heat
     }
 
-    /// Mean excess of the cells that touch a place \[K\].
+    /// Mean excess of the cells that touch a point \[K\].
     fn excess_at(heat: &Electrosurgery, place: [f64; 3]) -> f64 {
         let reach = heat.grid.spacing * 0.51;
         let near = heat
@@ -542,8 +542,8 @@ mod tests {
         sum / count
     }
 
-    /// Half of space at 100 °C, the other half at 37 °C: their seam stays at the mean, so that each half warms or cools as
-    /// half of space does whose face is held there, with half the reference's rise.
+    /// A half space at 100 °C next to one at 37 °C: their interface stays at the mean, so that each half follows the
+    /// error function of a half space with a fixed surface temperature, with half of the reference's rise.
     #[test]
     fn beyond_a_seam_at_a_constant_temperature_the_lattice_warms_as_the_error_function() {
         let bloodless = ThermalMaterial { perfusion: 0.0, ..ThermalMaterial::default() };
@@ -559,7 +559,7 @@ mod tests {
                 heat.step(0.02, &[]).expect("a step");
             }
             let (rise, wanted) = (excess_at(&heat, [seam + depth, 0.5e-3, 0.5e-3]), (expected - BODY) / 2.0);
-            // Of a block that has all but cooled the heat goes to the mesh, which is coarser.
+            // An almost cooled block passes its heat to the mesh, which is coarser.
             assert!(
                 (rise / wanted - 1.0).abs() < 0.05,
                 "{depth} m after {seconds} s: {rise} K, not {wanted} K"
@@ -567,8 +567,8 @@ mod tests {
         }
     }
 
-    /// A warm spot in tissue with blood: a Gaussian stays one, its variance grows by 2αt, and blood carries off what
-    /// Pennes' equation says. Half the spacing, less than half of the error where it is warmest.
+    /// A warm spot in perfused tissue: a Gaussian stays one, its variance grows by 2αt, and perfusion removes heat by
+    /// Pennes' equation. At half the spacing, less than half of the error at the peak.
     #[test]
     fn a_warm_spot_spreads_and_is_cooled_by_blood_as_pennes_has_it() {
         let material = ThermalMaterial::default();

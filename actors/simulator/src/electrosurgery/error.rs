@@ -1,10 +1,10 @@
-//! What can be wrong with tissue, its parameters and a step.
+//! Errors of electrosurgery.
 
 use std::ops::RangeInclusive;
 
 use thiserror::Error;
 
-/// How many of many are named.
+/// Maximum number of items listed in a message.
 const NAMED_MAX: usize = 8;
 
 fn some(indices: &[u32]) -> String {
@@ -14,85 +14,85 @@ fn some(indices: &[u32]) -> String {
     format!("{}{more}", named.join(", "))
 }
 
-/// Why there can be no such tissue.
+/// Why a tissue was rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ElectrosurgeryError {
-    /// A parameter out of its range.
+    /// A parameter out of range.
     #[error("{what} of {value}: {valid} is valid")]
     Parameter {
-        /// Which one.
+        /// Its name.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
     /// Positions that are not finite, or more than 1 km away.
     #[error("vertices {} are nowhere: finite coordinates within 1000 m are valid", some(.0))]
     Positions(Vec<u32>),
-    /// Elements that name a vertex that does not exist.
+    /// Elements with a vertex that does not exist.
     #[error("elements {} name vertices that do not exist: 0 to {vertices} - 1 are valid", some(.elements))]
     NoVertex {
-        /// Which elements.
+        /// The elements.
         elements: Vec<u32>,
-        /// How many vertices there are.
+        /// Number of vertices.
         vertices: usize,
     },
-    /// Elements without area or volume.
+    /// Degenerate elements.
     #[error("elements {} have no extent, and would conduct without limit", some(.0))]
     Degenerate(Vec<u32>),
-    /// No elements, or more than can be told apart.
+    /// No elements, or too many.
     #[error("{0} elements: 1 to 10,000,000 are valid")]
     Count(usize),
-    /// The lattice over the mesh would need more room than there is.
+    /// The lattice over the mesh would be too large.
     #[error("elements lie in {0} cells of the search grid: at most 100,000,000 are held; use a coarser grid")]
     TooLarge(usize),
-    /// What blades have made of it cannot be of this tissue.
+    /// Cuts that do not fit this tissue.
     #[error("parted: {0}")]
     Parted(String),
-    /// A state that does not belong to this tissue, or that holds numbers that cannot be.
+    /// A state of another tissue, or with invalid numbers.
     #[error("state: {0}")]
     State(String),
 }
 
-/// Why a step was not taken. The state is as it was before.
+/// Why a step was rejected; the state is unchanged.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum HeatStepError {
-    /// A number that is given with a step, out of its range.
+    /// An input out of range.
     #[error("{what} of {value}: {valid} is valid")]
     Input {
-        /// Which one.
+        /// Its name.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
-    /// More instruments than a step takes.
+    /// Too many electrodes.
     #[error("{0} electrodes: at most 16 at a time are valid")]
     Electrodes(usize),
-    /// The equations of the organ were not solved.
+    /// The organ's heat equation did not converge.
     #[error(
         "the heat of the organ does not settle: vertex {vertex} is off by {residual:.1e} K after {iterations} iterations"
     )]
     NotConverged {
-        /// The worst vertex.
+        /// The vertex with the largest residual.
         vertex: u32,
-        /// By how much \[K\].
+        /// Its residual \[K\].
         residual: f64,
-        /// After how many iterations.
+        /// Number of iterations.
         iterations: u32,
     },
-    /// The source is so strong for its size and the step that it would need too many parts.
+    /// The source is too strong for its size and the step: it would need too many substeps.
     #[error(
         "a step of {dt} s needs {parts} parts for this power on this area: at most {most}; take shorter steps"
     )]
     TooStrong {
         /// The step \[s\].
         dt: f64,
-        /// How many parts it needs.
+        /// Number of substeps needed.
         parts: f64,
-        /// How many it may have.
+        /// Number allowed.
         most: u32,
     },
 }

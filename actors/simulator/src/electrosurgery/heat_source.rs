@@ -1,5 +1,5 @@
-//! The heat of an electrode on the lattice: which cells it reaches, how much each gets, in parts so small that what a cell
-//! has too much of when it goes does not matter.
+//! Heat deposition of an electrode on the lattice: which cells it heats and how much, in substeps so short that the
+//! overshoot of a vaporising cell is negligible.
 
 use super::electrode::{Electrode, Mode, REACH, profile};
 use super::electrode_contact::{Contact, Facing};
@@ -9,34 +9,34 @@ use super::error::HeatStepError;
 use super::lattice_block::CELLS;
 use super::voxelisation::EDGE;
 
-/// Share of the heat that vaporises a cell that it may get in one part.
+/// Largest fraction of a cell's vaporisation heat deposited in one substep.
 const PART: f64 = 0.05;
-/// Most parts of a step.
+/// Maximum substeps of a step.
 const PARTS_MAX: u32 = 4096;
 
-/// A cell that an electrode may heat.
+/// A cell within an electrode's heated region.
 #[derive(Clone, Copy, Debug)]
 struct Near {
     block: usize,
     cell: usize,
-    /// From the tip \[m\].
+    /// Distance from the tip \[m\].
     distance: f64,
-    /// Joules for each joule of the whole.
+    /// Its share of the total heat.
     share: f64,
 }
 
-/// The cells about an electrode; kept for the next.
+/// The cells around an electrode; reused buffer.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Source {
     near: Vec<Near>,
-    /// How many of them there were when it was seen how the metal lies to them.
+    /// Their number when the contact was computed.
     faced: usize,
-    /// Area of the metal that faces them \[m²\].
+    /// Contact area facing them \[m²\].
     pub area: f64,
 }
 
 impl Source {
-    /// Blocks about the electrode are taken into use; whether the step's parts are few enough.
+    /// Activates the blocks around the electrode; an error where a step needs too many substeps.
     pub(super) fn prepare(
         &mut self,
         grid: &mut ThermalGrid,
@@ -59,7 +59,7 @@ impl Source {
         Ok(gap)
     }
 
-    /// How the metal of an electrode lies to the tissue; blocks about it are taken into use.
+    /// Computes an electrode's contact; activates the blocks around it.
     pub(super) fn contact(
         &mut self,
         grid: &mut ThermalGrid,
@@ -78,7 +78,7 @@ impl Source {
         Contact::with_cells(electrode, grid.spacing, cells)
     }
 
-    /// The cells about an electrode that are tissue.
+    /// Collects the tissue cells around an electrode.
     pub(super) fn gather(&mut self, grid: &mut ThermalGrid, electrode: &Electrode, report: &mut HeatReport) {
         self.near.clear();
         self.faced = usize::MAX;
@@ -111,14 +111,14 @@ impl Source {
         }
     }
 
-    /// Heat that the hottest place gets for each joule of the whole \[1/m³\].
+    /// Heat density at the hottest cell per joule in total \[1/m³\].
     fn density(&self, grid: &ThermalGrid) -> f64 {
         let volume = grid.cell_volume();
         let of = |near: &Near| near.share / (volume * grid.blocks[near.block].share(near.cell));
         self.near.iter().map(of).fold(0.0, f64::max)
     }
 
-    /// Shares of the cells that are still there; the gap from the tip to the nearest \[m\].
+    /// Shares of the remaining cells; returns the gap from the tip to the nearest \[m\].
     fn aim(&mut self, grid: &ThermalGrid, electrode: &Electrode, dry: f64) -> f64 {
         self.near.retain(|near| grid.blocks[near.block].is_tissue(near.cell));
         if self.near.len() != self.faced {
@@ -128,9 +128,9 @@ impl Source {
         let radius = electrode.radius(self.area);
         let first = self.near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
         let nearest = first.map_or(f64::INFINITY, |first| first.distance);
-        // From the metal, a ball with the contact's radius, to about the side of the nearest cell. What burns away recedes from
-        // cell to cell, each of which goes when its middle is as hot as that: the wall runs through the nearest of the middles that
-        // are left, and whatever sticks out of it is the lattice.
+        // From the metal, a sphere with the contact's radius, to about the face of the nearest cell. A burned surface
+        // recedes cell by cell, each of which vaporises when its centre reaches the temperature: the true surface
+        // passes through the nearest remaining centres, and anything that protrudes is an artefact of the lattice.
         let is_bared = |near: &Near| grid.is_bared_by_fire(&grid.blocks[near.block], near.cell);
         let is_wall = electrode.mode == Mode::Coagulate && first.is_some_and(is_bared);
         let gap = nearest - electrode.contact_radius() - if is_wall { 0.0 } else { grid.spacing / 2.0 };
@@ -142,7 +142,7 @@ impl Source {
                 0.0
             } else {
                 let block = &grid.blocks[near.block];
-                // Cutting, the arc in the steam strikes what is nearest; cells burst before they insulate.
+                // When cutting, the arc in the steam strikes the nearest tissue; cells burst before they insulate.
                 let conducts = match electrode.mode {
                     Mode::Cut => 1.0,
                     Mode::Coagulate => dry + (1.0 - dry) * block.water[near.cell],
@@ -157,7 +157,7 @@ impl Source {
         gap.max(0.0)
     }
 
-    /// Heats for `dt` what was prepared; the energy that arrived \[J\].
+    /// Deposits heat for `dt` as prepared; returns the absorbed energy \[J\].
     pub(super) fn heat(
         &mut self,
         grid: &mut ThermalGrid,

@@ -5,14 +5,14 @@ use super::voxelisation::{EDGE, PADDED, Raster, Site};
 /// Cells of a block.
 pub(super) const CELLS: usize = EDGE * EDGE * EDGE;
 
-/// What a cell is.
+/// Cell flags: tissue.
 pub(super) const TISSUE: u8 = 1;
 pub(super) const REMOVED: u8 = 2;
 pub(super) const COAGULATED: u8 = 4;
 pub(super) const CHARRED: u8 = 8;
-/// It burst as it boiled, whole; else what is gone went up in smoke bit by bit.
+/// It burst whole while boiling; other removed cells vaporised gradually.
 pub(super) const BURST: u8 = 16;
-/// Its water boils: told once for a step, as neighbours must agree about it.
+/// Its water boils: set once per step, so that neighbours agree.
 pub(super) const BOILING: u8 = 32;
 
 /// Directions of the six neighbours: the axis, and −1 or +1.
@@ -21,19 +21,19 @@ pub(super) const SIDES: [(usize, i32); 6] = [(0, -1), (0, 1), (1, -1), (1, 1), (
 /// Cells in the order x, y, z, x fastest.
 #[derive(Clone, Debug)]
 pub(super) struct Block {
-    /// Where it is, in blocks from the origin.
+    /// Its position, in blocks from the origin.
     pub key: [i32; 3],
     pub raster: Raster,
     /// Temperature above that of the organ's mesh there \[K\].
     pub excess: Box<[f64; CELLS]>,
-    /// Share of its water that a cell still has.
+    /// Remaining water fraction of each cell.
     pub water: Box<[f64; CELLS]>,
-    /// Ω.
+    /// Damage Ω.
     pub damage: Box<[f64; CELLS]>,
     pub flags: Box<[u8; CELLS]>,
-    /// Whether heat moves in it. Without that every excess is 0.
+    /// Whether heat is conducted in it. Otherwise every excess is 0.
     pub is_active: bool,
-    /// Largest excess of the last step \[K\].
+    /// Largest excess in the last step \[K\].
     pub peak: f64,
 }
 
@@ -42,21 +42,21 @@ pub(super) fn xyz(cell: usize) -> [usize; 3] {
     [cell % EDGE, cell / EDGE % EDGE, cell / (EDGE * EDGE)]
 }
 
-/// Index of a cell in an array with a layer around it.
+/// Index of a cell in an array with a halo layer.
 #[inline]
 pub(super) fn padded(cell: usize) -> usize {
     let [x, y, z] = xyz(cell);
     x + 1 + PADDED * (y + 1 + PADDED * (z + 1))
 }
 
-/// The place beside one in an array with a layer around it.
+/// The neighbouring index in an array with a halo layer.
 #[inline]
 pub(super) fn beside(at: usize, (axis, way): (usize, i32)) -> usize {
     let step = [1, PADDED, PADDED * PADDED][axis];
     if way < 0 { at - step } else { at + step }
 }
 
-/// The cells along a side: in the block, in the layer around it, and in the block beyond.
+/// The cells along a side: in the block, in the halo, and in the neighbouring block.
 pub(super) fn side_cells((axis, way): (usize, i32)) -> impl Iterator<Item = (usize, usize, usize)> {
     let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
     (0..EDGE).flat_map(move |i| (0..EDGE).map(move |j| (i, j))).map(move |(i, j)| {
@@ -107,7 +107,7 @@ impl Block {
         &self.raster.sites[cell]
     }
 
-    /// Whether something was cut between a cell and the one beside it.
+    /// Whether a cut separates a cell from its neighbour.
     #[inline]
     pub(super) fn is_cut_off(&self, cell: usize, (axis, way): (usize, i32)) -> bool {
         let own = padded(cell);
@@ -115,14 +115,14 @@ impl Block {
         self.raster.cut.get(first).is_some_and(|cut| cut & (1 << axis) != 0)
     }
 
-    /// Whether nothing ever happened in it that must be remembered.
+    /// Whether it is unchanged, so that it need not be stored.
     pub(super) fn is_pristine(&self) -> bool {
         !self.is_active
             && self.damage.iter().all(|damage| *damage == 0.0)
             && self.water.iter().all(|water| *water == 1.0)
     }
 
-    /// The block beyond a side.
+    /// Key of the neighbouring block.
     pub(super) fn beyond(&self, (axis, way): (usize, i32)) -> [i32; 3] {
         let mut key = self.key;
         key[axis] += way;

@@ -1,11 +1,11 @@
-//! What heat does to a tissue.
+//! Thermal material of a tissue.
 
 use serde::{Deserialize, Serialize};
 
 use super::arrhenius::Arrhenius;
 use super::error::{ElectrosurgeryError, parameter};
 
-/// Temperature that stored heat is counted from \[°C\]: the body's.
+/// Reference temperature of stored heat \[°C\]: that of the body.
 pub const BODY: f64 = 37.0;
 
 /// Thermal properties of a tissue.
@@ -17,46 +17,46 @@ pub struct ThermalMaterial {
     pub heat_capacity: f64,
     /// Thermal conductivity \[W/(m·K)\].
     pub conductivity: f64,
-    /// Blood that passes, by volume \[1/s\]; none where tissue is coagulated.
+    /// Perfusion by volume \[1/s\]; none in coagulated tissue.
     pub perfusion: f64,
-    /// Heat capacity of blood by volume \[J/(m³·K)\].
+    /// Volumetric heat capacity of blood \[J/(m³·K)\].
     pub blood_capacity: f64,
-    /// Temperature at which blood arrives \[°C\].
+    /// Arterial temperature \[°C\].
     pub arterial: f64,
-    /// Share of water in the mass.
+    /// Water mass fraction.
     pub water: f64,
-    /// Temperature at which the water boils \[°C\].
+    /// Boiling temperature \[°C\].
     pub boiling: f64,
-    /// Heat that boiling takes per mass of water \[J/kg\].
+    /// Latent heat per mass of water \[J/kg\].
     pub latent_heat: f64,
-    /// Whether boiling takes heat at all. Without it tissue goes at 100 °C, about eight times too easily.
+    /// Whether boiling takes latent heat. Without it tissue vaporises at 100 °C, about eight times too easily.
     pub has_latent_heat: bool,
-    /// Specific heat capacity of what is left when the water has gone \[J/(kg·K)\].
+    /// Specific heat capacity of dried tissue \[J/(kg·K)\].
     pub dry_heat_capacity: f64,
-    /// Conductivity of what is left when the water has gone \[W/(m·K)\].
+    /// Conductivity of dried tissue \[W/(m·K)\].
     pub dry_conductivity: f64,
-    /// Share of a coagulating current that dry tissue draws, beside as much wet tissue: it hardly conducts.
+    /// Share of a coagulating current through dry tissue, relative to as much wet tissue: it hardly conducts.
     pub dry_current: f64,
-    /// Temperature at which dry tissue turns to char \[°C\].
+    /// Charring temperature of dry tissue \[°C\].
     pub charring: f64,
-    /// Temperature at which dry tissue goes up in smoke \[°C\].
+    /// Ablation temperature of dry tissue \[°C\].
     pub ablation: f64,
-    /// Share of the dry mass removed that stays in the air as smoke; the rest is ash and gas.
+    /// Fraction of the removed dry mass that becomes airborne smoke; the rest is ash and gas.
     pub smoke: f64,
-    /// How much stiffer tissue is when it is coagulated.
+    /// Stiffness factor of coagulated tissue.
     pub coagulated_stiffness: f64,
-    /// By how much of its length tissue shrinks when it is coagulated.
+    /// Shrinkage of coagulated tissue, as a fraction of length.
     pub coagulated_shrinkage: f64,
-    /// How fast heat harms it.
+    /// Thermal damage.
     pub damage: Arrhenius,
 }
 
 impl Default for ThermalMaterial {
-    /// Liver. Density, capacity and conductivity: IT'IS tissue database; perfusion as models of ablation take it
-    /// (Tungjitkusolmun et al. 2002): the database has 0.0155 1/s; 70 % water by mass. Dry tissue: as protein. Charring from
-    /// 200 °C and ablation from 400 °C: the range in which proteins and fats pyrolyse. Stiffness: 6.6 → 46 kPa in porcine liver
-    /// under radio frequency (ultrasonic elastometry, ex vivo). Shrinkage: 21.7 % of length after 15 min at 95 °C (Rossmann et
-    /// al., *Dynamics of tissue shrinkage during ablative temperature exposures*, 2014).
+    /// Liver. Density, capacity and conductivity: IT'IS tissue database; perfusion as in models of ablation
+    /// (Tungjitkusolmun et al. 2002): the database has 0.0155 1/s; 70 % water by mass. Dry tissue: as protein. Charring
+    /// from 200 °C and ablation from 400 °C: the range in which proteins and fats pyrolyse. Stiffness: 6.6 → 46 kPa in
+    /// porcine liver under radio frequency (ultrasonic elastometry, ex vivo). Shrinkage: 21.7 % of length after 15 min
+    /// at 95 °C (Rossmann et al., *Dynamics of tissue shrinkage during ablative temperature exposures*, 2014).
     fn default() -> Self {
         Self {
             density: 1079.0,
@@ -83,25 +83,25 @@ impl Default for ThermalMaterial {
 }
 
 impl ThermalMaterial {
-    /// Heat capacity by volume of tissue with all its water \[J/(m³·K)\].
+    /// Volumetric heat capacity of wet tissue \[J/(m³·K)\].
     #[must_use]
     pub fn wet_capacity(&self) -> f64 {
         self.density * self.heat_capacity
     }
 
-    /// Heat capacity by volume of what is left of tissue without its water \[J/(m³·K)\]; not more than with it.
+    /// Volumetric heat capacity of dried tissue \[J/(m³·K)\]; at most that of wet tissue.
     #[must_use]
     pub fn dry_capacity(&self) -> f64 {
         (self.density * (1.0 - self.water) * self.dry_heat_capacity).min(self.wet_capacity())
     }
 
-    /// Heat that boiling all its water takes, by volume \[J/m³\]; 0 where the latent heat is switched off.
+    /// Latent heat of all its water by volume \[J/m³\]; 0 where the latent heat is switched off.
     #[must_use]
     pub fn latent(&self) -> f64 {
         if self.has_latent_heat { self.density * self.water * self.latent_heat } else { 0.0 }
     }
 
-    /// Heat loss to blood by volume \[W/(m³·K)\].
+    /// Perfusion heat loss by volume and temperature \[W/(m³·K)\].
     #[must_use]
     pub fn perfusion_loss(&self) -> f64 {
         self.perfusion * self.blood_capacity

@@ -1,17 +1,17 @@
-//! Electrosurgery: a tip heats tissue, which dries, coagulates, chars and goes.
+//! Electrosurgery: an electrode heats tissue, which dries, coagulates, chars and vaporises.
 //!
 //! | Concept | File |
 //! |---|---|
-//! | The tissue at rest, and which cells lie in it | `voxelisation.rs` |
-//! | Its properties | `material.rs` |
+//! | Voxelisation of the tissue at rest | `voxelisation.rs` |
+//! | Thermal material | `material.rs` |
 //! | Boiling: the enthalpy method | `enthalpy.rs` |
-//! | Damage | `arrhenius.rs` |
-//! | The electrode, how it lies to tissue, and how it heats cells | `electrode.rs`, `electrode_contact.rs`, `heat_source.rs` |
-//! | Heat on the lattice at the tip | `enthalpy_lattice.rs`, `lattice_block.rs` |
-//! | Heat in the organ's mesh | `bioheat_fem.rs` |
-//! | What became of the elements | `damage.rs` |
-//! | Tissue that blades have parted | `cut_barrier.rs` |
-//! | Where the heat went | `energy_balance.rs` |
+//! | Thermal damage | `arrhenius.rs` |
+//! | Electrode, its contact with tissue, heat deposition | `electrode.rs`, `electrode_contact.rs`, `heat_source.rs` |
+//! | Fine lattice near the tip | `enthalpy_lattice.rs`, `lattice_block.rs` |
+//! | Bioheat equation on the organ's mesh | `bioheat_fem.rs` |
+//! | Damage of the elements | `damage.rs` |
+//! | Cuts as barriers to heat | `cut_barrier.rs` |
+//! | Energy balance | `energy_balance.rs` |
 
 pub mod arrhenius;
 pub(crate) mod bioheat_fem;
@@ -51,18 +51,18 @@ use heat_source::Source;
 use lattice_block::{Block, CELLS, CHARRED};
 use voxelisation::TissueLattice;
 
-/// Electrodes at a time.
+/// Maximum number of active electrodes.
 const ELECTRODES_MAX: usize = 16;
 
-/// Longest time for which an electrode heats before heat spreads \[s\].
+/// Longest time of heating before conduction is computed \[s\].
 const TURN: f64 = 0.01;
 
-/// The lattice of a session.
+/// Lattice settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LatticeConfig {
-    /// Edge of a cell \[m\]: 0.5 mm or less carries the tip's field.
+    /// Edge of a cell \[m\]: 0.5 mm or less resolves the tip's field.
     pub spacing: f64,
-    /// Most blocks of 8 × 8 × 8 cells that are remembered, 36 kB each.
+    /// Maximum number of stored blocks of 8 × 8 × 8 cells, 36 kB each.
     pub blocks_max: usize,
 }
 
@@ -72,37 +72,37 @@ impl Default for LatticeConfig {
     }
 }
 
-/// What a mechanical solver does to an element that heat has changed.
+/// Effect of heat on an element, for a mechanical solver.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ElementFactors {
-    /// Times the stiffness.
+    /// Stiffness factor.
     pub stiffness: f64,
-    /// Times the length at rest.
+    /// Rest length factor.
     pub length: f64,
-    /// Share that is charred.
+    /// Charred fraction.
     pub charred: f64,
-    /// Whether it is gone.
+    /// Whether it was removed.
     pub is_removed: bool,
 }
 
-/// A cell of the lattice that was taken into use.
+/// A lattice cell in use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HeatCell {
-    /// Its middle, in the tissue's rest frame \[m\].
+    /// Its centre, in the tissue's rest frame \[m\].
     pub middle_in_rest: Point3<f64>,
-    /// Its tissue \[m³\], or what there was.
+    /// Its original tissue volume \[m³\].
     pub volume: f64,
-    /// \[°C\]
+    /// Temperature \[°C\].
     pub celsius: f64,
     /// Ω; 1 means coagulated.
     pub damage: f64,
-    /// Share of its water that is left.
+    /// Remaining water fraction.
     pub water: f64,
     /// Whether it is charred.
     pub is_charred: bool,
-    /// Whether it is gone.
+    /// Whether it was removed.
     pub is_removed: bool,
-    /// Tetrahedron or triangle.
+    /// Its tetrahedron or triangle.
     pub element: u32,
 }
 
@@ -111,11 +111,11 @@ pub struct HeatCell {
 pub struct Electrosurgery {
     material: ThermalMaterial,
     positions: Vec<Point3<f64>>,
-    /// Corners and conduction of each element of the mesh as it is now, to take them away.
+    /// Corners and conduction of each element of the present mesh, to remove them.
     elements: Vec<([u32; 4], [[f64; 4]; 4])>,
-    /// Elements of the first mesh and those of now that are parts of them, sorted.
+    /// Original elements with the present elements that are parts of them, sorted.
     parts: Vec<(u32, u32)>,
-    /// Where the first mesh ends.
+    /// Boundary of the original mesh.
     rim: Rim,
     corners: usize,
     organ: OrganHeat,
@@ -128,10 +128,10 @@ pub struct Electrosurgery {
 }
 
 impl Electrosurgery {
-    /// Tissue at the body's temperature.
+    /// Tissue at body temperature.
     ///
     /// # Errors
-    /// A parameter out of its range; all bad vertices or elements of the mesh.
+    /// A parameter out of range; all invalid vertices or elements of the mesh.
     pub fn new(
         tissue: &Tissue<'_>,
         material: ThermalMaterial,
@@ -167,11 +167,11 @@ impl Electrosurgery {
         })
     }
 
-    /// Heats, conducts, boils and removes for `dt` \[s\], 1 µs to 1 s. Where an electrode is, is given in the tissue's rest
-    /// frame: what deforms takes its heat along.
+    /// Heats, conducts, boils and removes for `dt` \[s\], 1 µs to 1 s. Electrode positions are in the tissue's rest
+    /// frame: deforming tissue carries its heat along.
     ///
     /// # Errors
-    /// An input out of its range, or a source too strong for so long a step; temperatures, damage and ledger are as before.
+    /// An input out of range, or a source too strong for so long a step; temperatures, damage and ledger are unchanged.
     pub fn step(&mut self, dt: f64, electrodes: &[Electrode]) -> Result<HeatReport, HeatStepError> {
         error::input("dt", dt, 1e-6..=1.0, "1e-6 to 1 s")?;
         if electrodes.len() > ELECTRODES_MAX {
@@ -200,7 +200,7 @@ impl Electrosurgery {
         let organ = books.organ.step(dt)?;
         books.ledger.perfusion += organ.perfusion;
         books.ledger.held += organ.held;
-        // Heat comes and spreads by turns, so that no long step lets it pile up at the tip.
+        // Heating and conduction alternate, so that no long step accumulates heat at the tip.
         let longest = if active().next().is_some() { TURN } else { f64::INFINITY };
         let parts = (dt / self.grid.step_max().min(longest)).ceil().max(1.0);
         for _ in 0..parts as u32 {
@@ -228,7 +228,7 @@ impl Electrosurgery {
         Ok(report)
     }
 
-    /// How the metal of an electrode lies to this tissue, for [`shares`]; one that is no electrode is at none.
+    /// Contact of an electrode with this tissue, for [`shares`]; none for an invalid electrode.
     pub fn contact(&mut self, electrode: &Electrode) -> Contact {
         if electrode.check().is_err() {
             return Contact::NONE;
@@ -236,25 +236,25 @@ impl Electrosurgery {
         self.source.contact(&mut self.grid, electrode, &mut HeatReport::default())
     }
 
-    /// Elements (tetrahedra or triangles) that went in the last step, in the order in which they went.
+    /// Elements (tetrahedra or triangles) removed in the last step, in order of removal.
     #[must_use]
     pub fn removed_in_step(&self) -> &[u32] {
         &self.burns.gone
     }
 
-    /// Where tissue went in the last step, in its rest frame \[m\]: there the smoke rises.
+    /// Where tissue was removed in the last step, in its rest frame \[m\]: the origin of smoke.
     #[must_use]
     pub fn plume_in_rest(&self) -> Option<Point3<f64>> {
         self.plume_in_rest
     }
 
-    /// Whether each element is gone.
+    /// Whether each element was removed.
     #[must_use]
     pub fn removed(&self) -> &[bool] {
         &self.burns.is_removed
     }
 
-    /// What heat did to an element; of one that there is none of, nothing.
+    /// Effect of heat on an element; neutral for one that does not exist.
     #[must_use]
     pub fn factors(&self, element: u32) -> ElementFactors {
         let element = element as usize;
@@ -270,7 +270,7 @@ impl Electrosurgery {
         }
     }
 
-    /// Temperature \[°C\] and Ω of a vertex: of the cell that it lies in where the lattice is in use, else of the mesh.
+    /// Temperature \[°C\] and Ω of a vertex: from its lattice cell where one is in use, else from the mesh.
     #[must_use]
     pub fn vertex(&self, vertex: u32) -> Option<(f64, f64)> {
         let at = vertex as usize;
@@ -284,7 +284,7 @@ impl Electrosurgery {
         })
     }
 
-    /// Whether a vertex lies where tissue is charred.
+    /// Whether a vertex lies in charred tissue.
     #[must_use]
     pub fn is_charred(&self, vertex: u32) -> bool {
         let place = self.positions.get(vertex as usize);
@@ -294,7 +294,7 @@ impl Electrosurgery {
         })
     }
 
-    /// Charred cells that are left, and the area that they show where tissue is gone or ends \[m²\].
+    /// Remaining charred cells, and their exposed area \[m²\].
     #[must_use]
     pub fn char(&self) -> (usize, f64) {
         let charred = |block: &Block, cell: usize| block.flags[cell] & CHARRED != 0 && block.is_tissue(cell);
@@ -307,13 +307,13 @@ impl Electrosurgery {
         (cells, sides * self.grid.spacing.powi(2))
     }
 
-    /// Number of vertices, with those that blades have made of them.
+    /// Number of vertices, including those added by cuts.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
         self.positions.len()
     }
 
-    /// The cells of the lattice that were taken into use, tissue and what was removed.
+    /// The lattice cells in use, including removed ones.
     pub fn cells(&self) -> impl Iterator<Item = HeatCell> + '_ {
         self.grid.blocks.iter().flat_map(move |block| {
             (0..CELLS).filter(|cell| block.flags[*cell] & lattice_block::TISSUE != 0).map(move |cell| {
@@ -331,8 +331,8 @@ impl Electrosurgery {
         })
     }
 
-    /// Holds a vertex of the mesh at a temperature \[°C\], as a large vessel would, or lets it go. Whether there is one, and
-    /// that is a temperature.
+    /// Prescribes a vertex's temperature \[°C\], like that of a large vessel, or releases it. Returns whether vertex
+    /// and temperature are valid.
     pub fn hold(&mut self, vertex: u32, celsius: Option<f64>) -> bool {
         let vertex = vertex as usize;
         let is_valid = celsius.is_none_or(|celsius| (-100.0..=1e4).contains(&celsius));
@@ -348,13 +348,13 @@ impl Electrosurgery {
         true
     }
 
-    /// Heat in the tissue above the body's temperature \[J\].
+    /// Heat in the tissue above body temperature \[J\].
     #[must_use]
     pub fn stored(&self) -> f64 {
         self.organ.stored() + self.grid.stored()
     }
 
-    /// Where the heat went since the beginning.
+    /// Energy balance since the beginning.
     #[must_use]
     pub fn ledger(&self) -> &HeatLedger {
         &self.ledger

@@ -1,4 +1,4 @@
-//! Everything that heat has done, to go on from.
+//! State of heated tissue, to restart it.
 
 use std::ops::RangeInclusive;
 
@@ -13,17 +13,17 @@ use super::{Electrosurgery, LatticeConfig, Parted, ThermalMaterial, Tissue};
 /// A block of the lattice; cells in the order x, y, z, x fastest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BlockState {
-    /// Where it is, in blocks from the origin.
+    /// Its position, in blocks from the origin.
     pub key: [i32; 3],
-    /// Whether heat moves in it.
+    /// Whether heat is conducted in it.
     pub is_active: bool,
     /// Largest excess \[K\].
     pub peak: f64,
     /// Temperatures above the mesh's \[K\].
     pub excess: Vec<f64>,
-    /// Shares of water left.
+    /// Remaining water fractions.
     pub water: Vec<f64>,
-    /// Ω.
+    /// Damage Ω.
     pub damage: Vec<f64>,
     /// Bits: tissue, removed, coagulated, charred, burst, boiling.
     pub flags: Vec<u8>,
@@ -36,37 +36,37 @@ pub struct ElectrosurgeryState {
     pub celsius: Vec<f64>,
     /// Ω of the mesh's vertices.
     pub damage: Vec<f64>,
-    /// Heat capacities of the mesh's vertices that are left \[J/K\].
+    /// Remaining heat capacities of the mesh's vertices \[J/K\].
     pub capacity: Vec<f64>,
-    /// Heat loss to blood that is left \[W/K\].
+    /// Remaining perfusion loss \[W/K\].
     pub perfusion: Vec<f64>,
-    /// Whether vertices are held.
+    /// Whether vertices have a prescribed temperature.
     pub held: Vec<bool>,
-    /// Volumes that belonged to the vertices before anything went \[m³\].
+    /// Original volumes of the vertices \[m³\].
     #[serde(default)]
     pub whole: Vec<f64>,
-    /// Volumes of each element that are removed, coagulated, charred \[m³\].
+    /// Removed, coagulated and charred volume of each element \[m³\].
     pub burns: Vec<[f64; 3]>,
-    /// Volume of cells that went of each element \[m³\].
+    /// Volume of each element in removed cells \[m³\].
     pub touched: Vec<f64>,
-    /// What went of the lattice and is not gone of the mesh \[m³\].
+    /// Volume removed from the lattice but not from the mesh \[m³\].
     pub owed: f64,
-    /// Elements that are to go next.
+    /// Elements to be removed next.
     pub due: Vec<u32>,
-    /// Elements that are gone, in the order in which they went.
+    /// Removed elements, in order of removal.
     pub removed: Vec<u32>,
     /// Blocks in the order of their keys.
     pub blocks: Vec<BlockState>,
-    /// Where the heat went.
+    /// Energy balance.
     pub ledger: HeatLedger,
 }
 
-/// What temperatures can be, and what differs of them \[°C\] \[K\]: far beyond what goes up in smoke.
+/// Valid temperatures and differences \[°C\] \[K\]: far beyond vaporisation.
 const CELSIUS: RangeInclusive<f64> = -273.15..=1e5;
 const EXCESS: RangeInclusive<f64> = -1e5..=1e5;
-/// Ω; of what chars it grows beyond all that is of use.
+/// Valid Ω; in charred tissue it grows beyond any useful value.
 const OMEGA: RangeInclusive<f64> = 0.0..=1e300;
-/// Energies \[J\], volumes \[m³\], capacities \[J/K\] and losses \[W/K\]: far beyond those of a body.
+/// Valid energies \[J\], volumes \[m³\], capacities \[J/K\] and losses \[W/K\]: far beyond those of a body.
 const EXTENT: RangeInclusive<f64> = 0.0..=1e12;
 const BALANCE: RangeInclusive<f64> = -1e12..=1e12;
 
@@ -74,7 +74,7 @@ fn wrong<T>(what: impl Into<String>) -> Result<T, ElectrosurgeryError> {
     Err(ElectrosurgeryError::State(what.into()))
 }
 
-/// Of how many there are, and between what each of them is: what is not would make whatever is computed of it infinite.
+/// Checks length and range of a list, so that no computed result becomes infinite.
 fn fits(
     name: &str,
     values: &[f64],
@@ -122,7 +122,7 @@ impl BlockState {
 }
 
 impl Electrosurgery {
-    /// Everything to go on from.
+    /// The state.
     #[must_use]
     pub fn state(&self) -> ElectrosurgeryState {
         let ElementBurns { removed, coagulated, charred, .. } = &self.burns;
@@ -143,10 +143,10 @@ impl Electrosurgery {
         }
     }
 
-    /// The tissue of a state: it goes on as the one that the state was taken from, bit for bit.
+    /// Restores a tissue, which continues bit for bit.
     ///
     /// # Errors
-    /// As [`Electrosurgery::new`]; a state of another tissue, or with numbers that cannot be.
+    /// As [`Electrosurgery::new`]; a state of another tissue, or with invalid numbers.
     pub fn restore(
         tissue: &Tissue<'_>,
         material: ThermalMaterial,
@@ -156,10 +156,10 @@ impl Electrosurgery {
         Self::restore_parted(tissue, None, material, lattice, state)
     }
 
-    /// The same of tissue that blades have parted, perhaps further than when the state was taken.
+    /// The same for cut tissue, possibly cut further since the state was taken.
     ///
     /// # Errors
-    /// As [`Electrosurgery::restore`]; what does not go with the first mesh.
+    /// As [`Electrosurgery::restore`]; cuts that do not fit the original mesh.
     pub fn restore_parted(
         tissue: &Tissue<'_>,
         parted: Option<&Parted<'_>>,
@@ -213,7 +213,7 @@ impl Electrosurgery {
             restored.burns.coagulated[element] = *coagulated;
             restored.burns.charred[element] = *charred;
         }
-        // In the order in which they went: sums keep their bits.
+        // In order of removal: sums keep their bits.
         for element in &state.removed {
             if std::mem::replace(&mut restored.burns.is_removed[*element as usize], true) {
                 return wrong(format!("removed: element {element} is named twice"));
@@ -232,7 +232,7 @@ impl Electrosurgery {
             kept.excess.copy_from_slice(&block.excess);
             kept.water.copy_from_slice(&block.water);
             kept.damage.copy_from_slice(&block.damage);
-            // What is tissue the mesh tells.
+            // The tissue flag comes from the mesh.
             for (kept, flag) in kept.flags.iter_mut().zip(&block.flags) {
                 if *kept != 0 {
                     *kept = *flag | super::lattice_block::TISSUE;

@@ -1,8 +1,8 @@
-//! Meshes that tests of heat share.
+//! Meshes shared by tests of electrosurgery.
 
 use nalgebra::Point3;
 
-/// A block of cubes, each of six tetrahedra, from the origin.
+/// A block of cubes, six tetrahedra each, from the origin.
 pub(crate) fn bar(cells: [u32; 3], spacing: f64) -> (Vec<Point3<f64>>, Vec<[u32; 4]>) {
     let [nx, ny, nz] = cells;
     let at = |i: u32, j: u32, k: u32| (i * (ny + 1) + j) * (nz + 1) + k;
@@ -19,7 +19,7 @@ pub(crate) fn bar(cells: [u32; 3], spacing: f64) -> (Vec<Point3<f64>>, Vec<[u32;
     (positions, tets)
 }
 
-/// A square of `n` × `n` cells of two triangles in z = 0, from the origin.
+/// A square of `n` × `n` cells of two triangles at z = 0, from the origin.
 pub(crate) fn grid_of_triangles(n: u32, spacing: f64) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     let positions = triples(n + 1, n + 1, 1)
         .map(|(i, j, _)| Point3::new(f64::from(i) * spacing, f64::from(j) * spacing, 0.0))

@@ -1,8 +1,8 @@
-//! The tissue that is heated, at rest: a volume of tetrahedra, or a membrane of triangles with a thickness, and which cells
-//! of the lattice lie in it.
+//! Voxelisation of the heated tissue at rest: a volume of tetrahedra, or a membrane of triangles with a thickness,
+//! sampled on the lattice.
 //!
-//! Heat stays in the frame of the tissue at rest: what deforms carries its heat with it. A membrane is taken as prisms
-//! along its vertices' normals, each of three tetrahedra, so that it has no gaps where it bends.
+//! Heat is stored in the tissue's rest frame: deforming tissue carries its heat along. A membrane is extruded into
+//! prisms along its vertex normals, three tetrahedra each, so that it has no gaps where it bends.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -10,30 +10,30 @@ use super::error::ElectrosurgeryError;
 
 /// Cells along an edge of a block.
 pub(super) const EDGE: usize = 8;
-/// Samples of a cell along an edge: 64 in a cell, the bits of a word.
+/// Samples along a cell's edge: 64 in a cell, the bits of a word.
 const SAMPLES: i32 = 4;
-/// Elements that are told apart in a cell: of a fifth there is little.
+/// Maximum number of elements distinguished in a cell: a fifth would have little of it.
 const ELEMENTS: usize = 4;
-/// Elements that have samples of a cell, and how many.
+/// Elements with samples in a cell, and their sample counts.
 type Samples = [(u32, u32); ELEMENTS];
-/// Cells along an edge of a block with the cells around it.
+/// Cells along an edge of a block with its halo.
 pub(super) const PADDED: usize = EDGE + 2;
 const ELEMENTS_MAX: usize = 10_000_000;
 const BIN_ENTRIES_MAX: usize = 100_000_000;
-/// What is thinner than this share of its size has no extent.
+/// Relative thickness below which an element is degenerate.
 const FLAT: f64 = 1e-9;
 
-/// A tissue at rest, as it is given.
+/// Input tissue at rest.
 #[derive(Clone, Copy, Debug)]
 pub enum Tissue<'a> {
-    /// A massive organ. Vertices \[m\] and tetrahedra, of either orientation.
+    /// A solid organ. Vertices \[m\] and tetrahedra, of either orientation.
     Volume {
         /// Vertices \[m\].
         positions: &'a [Point3<f64>],
         /// Corners of the tetrahedra.
         tets: &'a [[u32; 4]],
     },
-    /// A thin one. Vertices of its middle surface \[m\], triangles, thickness \[m\].
+    /// A membrane. Vertices of its middle surface \[m\], triangles, thickness \[m\].
     Membrane {
         /// Vertices \[m\].
         positions: &'a [Point3<f64>],
@@ -84,7 +84,7 @@ impl Tissue<'_> {
         }
     }
 
-    /// Looks through everything once.
+    /// Validates everything once.
     pub(super) fn check(&self) -> Result<(), ElectrosurgeryError> {
         self.check_places()?;
         let count = self.element_count();
@@ -93,7 +93,7 @@ impl Tissue<'_> {
         if flat.is_empty() { Ok(()) } else { Err(ElectrosurgeryError::Degenerate(flat)) }
     }
 
-    /// The same, but that elements may have no extent.
+    /// The same, but allows degenerate elements.
     pub(super) fn check_places(&self) -> Result<(), ElectrosurgeryError> {
         let (positions, count) = (self.positions(), self.element_count());
         if count == 0 || count > ELEMENTS_MAX || u32::try_from(positions.len()).is_err() {
@@ -119,7 +119,7 @@ impl Tissue<'_> {
         Ok(())
     }
 
-    /// Whether an element has no extent.
+    /// Whether an element is degenerate.
     pub(super) fn is_flat(&self, element: usize) -> bool {
         let corners = self.corners(element);
         let at = |corner: usize| self.positions()[corners[corner] as usize];
@@ -131,7 +131,7 @@ impl Tissue<'_> {
             Self::Volume { .. } => longest.powi(3),
             Self::Membrane { thickness, .. } => longest.powi(2) * thickness,
         };
-        // Also true of an element in one point.
+        // Also true for an element collapsed to a point.
         self.volume(element) <= FLAT * extent
     }
 
@@ -150,7 +150,7 @@ impl Tissue<'_> {
     }
 }
 
-/// Three tetrahedra for each triangle. Cut in the order of the vertices' numbers, so that neighbours agree.
+/// Three tetrahedra for each triangle, split in the order of vertex numbers, so that neighbours match.
 fn prisms(positions: &[Point3<f64>], triangles: &[[u32; 3]], thickness: f64) -> Vec<Piece> {
     let mut normals = vec![Vector3::zeros(); positions.len()];
     for triangle in triangles {
@@ -180,11 +180,11 @@ fn prisms(positions: &[Point3<f64>], triangles: &[[u32; 3]], thickness: f64) -> 
     pieces
 }
 
-/// A tetrahedron of tissue with the mesh's nodes that its corners belong to.
+/// A tetrahedron of tissue with the mesh nodes of its corners.
 #[derive(Clone, Debug)]
 struct Piece {
     origin: Point3<f64>,
-    /// Takes what is seen from the origin to the weights of the other three corners.
+    /// Maps a vector from the origin to the barycentric weights of the other three corners.
     weights: Matrix3<f64>,
     min: Point3<f64>,
     max: Point3<f64>,
@@ -208,16 +208,16 @@ impl Piece {
     }
 }
 
-/// Where a cell of the lattice lies in the mesh.
+/// Location of a lattice cell in the mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Site {
-    /// The element that has the most of it.
+    /// The element with the largest share of it.
     pub element: u32,
-    /// The one that has the most of the rest, and which share of what the two have; 0 where there is none.
+    /// The element with the second largest, and its share of the two; 0 where there is none.
     pub other: u32,
     pub others: f32,
     pub nodes: [u32; 4],
-    /// Of the first three nodes; the fourth has the rest.
+    /// Weights of the first three nodes; the fourth has the rest.
     pub weights: [f32; 3],
 }
 
@@ -228,7 +228,7 @@ impl Site {
         [a, b, c, 1.0 - a - b - c]
     }
 
-    /// A nodal quantity at the cell.
+    /// Interpolates a nodal quantity at the cell.
     #[inline]
     pub(super) fn interpolate(&self, values: &[f64]) -> f64 {
         let weights = self.weights();
@@ -236,18 +236,18 @@ impl Site {
     }
 }
 
-/// A block of the lattice in the tissue. Cells in the order x, y, z, x fastest.
+/// A rasterised block of the lattice. Cells in the order x, y, z, x fastest.
 #[derive(Clone, Debug)]
 pub(super) struct Raster {
-    /// Share of each cell that is tissue, also of the cells around the block.
+    /// Tissue fraction of each cell, including the halo.
     pub share: Box<[f32; PADDED * PADDED * PADDED]>,
     pub sites: Box<[Site; EDGE * EDGE * EDGE]>,
-    /// Of each cell, also of those around the block: a bit for each axis where something was cut between it and the next one.
-    /// Where nothing was, there are none.
+    /// Of each cell, including the halo: one bit per axis where a cut separates it from the next cell. Empty without
+    /// cuts.
     pub cut: Vec<u8>,
 }
 
-/// The pieces of a tissue, to be found by place.
+/// The tetrahedra of a tissue, in a spatial grid.
 #[derive(Clone, Debug)]
 pub(super) struct TissueLattice {
     spacing: f64,
@@ -255,7 +255,7 @@ pub(super) struct TissueLattice {
     bin: f64,
     /// Bins and the pieces in them, sorted.
     bins: Vec<([i32; 3], u32)>,
-    /// Triangles beyond which nothing hangs together.
+    /// Triangles of cuts, which separate tissue.
     cuts: Vec<[Point3<f64>; 3]>,
 }
 
@@ -264,7 +264,8 @@ fn cell_of(point: &Point3<f64>, size: f64) -> [i32; 3] {
     [point.x, point.y, point.z].map(|x| (x / size).floor() as i32)
 }
 
-/// Whether a way from a place meets a triangle, its border included, its own end not (Möller, Trumbore 1997).
+/// Whether a segment from a point intersects a triangle, including its border, excluding the segment's end (Möller,
+/// Trumbore 1997).
 fn passes(from: &Point3<f64>, way: &Vector3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> bool {
     const BORDER: f64 = 1e-9;
     let (u, v) = (b - a, c - a);
@@ -310,15 +311,15 @@ impl TissueLattice {
         Ok(Self { spacing, pieces, bin, bins, cuts: Vec::new() })
     }
 
-    /// The same where elements are parts of others, by whose numbers they are known, and something has been cut.
+    /// The same for elements that are parts of original ones, whose numbers they keep, and with cuts.
     pub(super) fn parted(mut self, of: &[u32], cuts: &[[Point3<f64>; 3]]) -> Self {
         self.pieces.iter_mut().for_each(|piece| piece.element = of[piece.element as usize]);
         self.cuts = cuts.to_vec();
         self
     }
 
-    /// Which cells from `first` on are cut off from the next one along an axis: where the way from middle to middle passes a
-    /// triangle. A middle that lies in one is of the side before it.
+    /// Cells from `first` on that are separated from the next one along an axis: the segment between their centres
+    /// intersects a cut. A centre on a cut belongs to the near side.
     fn cut_links(&self, first: [i32; 3]) -> Vec<u8> {
         let mut links = Vec::new();
         let middle = |cell: [usize; 3]| {
@@ -330,7 +331,7 @@ impl TissueLattice {
             let (min, max) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
             let (low, high) = (cell_of(&min, self.spacing), cell_of(&max, self.spacing));
             let last = PADDED as i32 - 1;
-            // The cell before may reach it.
+            // The previous cell may reach it.
             let range = |axis: usize| {
                 let from = (low[axis] - first[axis] - 1).clamp(0, last + 1) as usize;
                 let to = (high[axis] - first[axis] + 1).clamp(0, last + 1) as usize;
@@ -355,8 +356,8 @@ impl TissueLattice {
         links
     }
 
-    /// Which cells of a block, and of the layer around it, are tissue, and where they lie in the mesh. `None` where there
-    /// is no tissue in the block itself.
+    /// Tissue cells of a block and its halo, and their locations in the mesh. `None` where there is no tissue in the
+    /// block itself.
     pub(super) fn raster(&self, block: [i32; 3]) -> Option<Raster> {
         let edge = EDGE as i32;
         let first = block.map(|index| index.checked_mul(edge).and_then(|cell| cell.checked_sub(1)));
@@ -397,7 +398,7 @@ impl TissueLattice {
         best.iter().any(|count| *count > 0).then_some(Raster { share, sites, cut })
     }
 
-    /// Claims the samples of cells that lie in a piece.
+    /// Assigns the samples in a piece to it.
     fn fill(
         &self,
         piece: &Piece,
@@ -412,8 +413,8 @@ impl TissueLattice {
             ((low[axis] - first[axis]).clamp(0, last + 1), (high[axis] - first[axis]).clamp(-1, last))
         };
         let ((x0, x1), (y0, y1), (z0, z1)) = (range(0), range(1), range(2));
-        // By how much weights, and their sum, differ within the samples of a cell: most cells about a piece lie beyond one of
-        // its sides with all of them, and need not be sampled.
+        // Variation of the weights, and of their sum, within the samples of a cell: most cells around a piece lie
+        // completely beyond one of its faces, and need not be sampled.
         let half = 0.5 * self.spacing * f64::from(SAMPLES - 1) / f64::from(SAMPLES);
         let spread = piece.weights.abs() * Vector3::repeat(half * (1.0 + 1e-9)) + Vector3::repeat(1e-9);
         let spread_of_sum = piece.weights.row_sum().abs().sum() * half * (1.0 + 1e-9) + 1e-9;
@@ -486,7 +487,7 @@ mod tests {
         let (is, should) = (volume_of(&raster, 0.5e-3), tissue.volume(0));
         assert!((is / should - 1.0).abs() < 0.03, "{is} {should}");
         assert!(lattice.raster([5, 0, 0]).is_none());
-        // The centre of a full cell is where its weights say.
+        // The interpolated position at a full cell is its centre.
         let cell = 2 + EDGE * (2 + EDGE);
         let at: Vec<f64> =
             (0..3).map(|axis| raster.sites[cell].interpolate(&positions.map(|point| point[axis]))).collect();
@@ -494,7 +495,7 @@ mod tests {
         assert!((0..3).all(|axis| (at[axis] - centre[axis]).abs() < 1e-9), "{at:?}");
     }
 
-    /// Else what goes of a mesh that lies along the lattice would be more than goes of the lattice.
+    /// Otherwise a mesh aligned with the lattice would lose more than the lattice.
     #[test]
     fn a_cell_that_two_elements_share_is_told_as_of_both() {
         let positions = [[0.0, 0.0], [1e-3, 0.0], [1e-3, 1e-3], [0.0, 1e-3]];
@@ -509,13 +510,13 @@ mod tests {
             parts[site.element as usize] += 1.0 - site.others;
             parts[site.other as usize] += site.others;
         }
-        // Samples on the line between the two are the first one's.
+        // Samples on the line between the two belong to the first one.
         assert!(parts[0] + parts[1] == 16.0 && (parts[0] - 8.0).abs() <= 1.0, "{parts:?}");
     }
 
     #[test]
     fn a_bent_membrane_has_no_gaps_and_its_volume_is_that_of_its_triangles() {
-        // Ends at edges of samples. A quarter of a tube of radius 2.5 mm, 1 mm thick.
+        // Ends at sample boundaries. A quarter of a tube of radius 2.5 mm, 1 mm thick.
         let (around, along) = (12, 6);
         let positions: Vec<Point3<f64>> = (0..=around)
             .flat_map(|i| (0..=along).map(move |j| (i, j)))
@@ -534,7 +535,7 @@ mod tests {
             .collect();
         let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness: 1e-3 };
         let should: f64 = (0..triangles.len()).map(|element| tissue.volume(element)).sum();
-        // Some 250 samples in a section are right to a few of them; at half the spacing the error is less than half.
+        // Some 250 samples in a section are accurate to a few of them; at half the spacing the error is less than half.
         for (spacing, last, tolerance) in [(0.5e-3, 1, 0.02), (0.25e-3, 2, 0.008)] {
             let lattice = TissueLattice::new(&tissue, spacing).expect("a lattice");
             let blocks = boxes([-1, -1, -1], [last, last, last]);

@@ -1,10 +1,10 @@
-//! A vessel that bleeds. Through a hole blood goes as through an orifice, Q = C A √(2 Δp / ρ), and to the hole as through
-//! the vessel before it, Δp = Q · 8 μ L / (π r⁴) (Poiseuille); both are in series. A clamp closes the vessel by its share, a
-//! clot of coagulated tissue the hole; released, the vessel bleeds on.
+//! Bleeding vessel. Outflow through the hole follows the orifice equation, Q = C A √(2 Δp / ρ), in series with the
+//! vessel upstream, Δp = Q · 8 μ L / (π r⁴) (Poiseuille). A clamp closes a fraction of the vessel, a coagulated clot a
+//! fraction of the hole; once unclamped, the vessel bleeds again.
 //!
-//! Blood that flows keeps the rim of its hole cool, so that what burns there does not coagulate it: a vessel is closed
-//! first, and burned then. Heat comes to the rim as to a disc on a half-space, 4 k a (Carslaw and Jaeger, *Conduction of heat
-//! in solids*, 1959), and blood takes ρ c Q of it away.
+//! Flowing blood cools the rim of its hole, so that heat cannot coagulate it: a vessel has to be clamped first. Heat
+//! reaches the rim as it does a disc on a half-space, 4 k a (Carslaw and Jaeger, *Conduction of heat in solids*, 1959),
+//! and blood removes it at ρ c Q.
 
 use std::f64::consts::PI;
 
@@ -19,38 +19,38 @@ pub const BLOOD_VISCOSITY: f64 = 3.5e-3;
 pub const BLOOD_DENSITY: f64 = 1060.0;
 /// Discharge coefficient of a sharp-edged orifice.
 const DISCHARGE: f64 = 0.61;
-/// A clot that leaves less than this share of the hole open is tight.
+/// A hole of which less than this fraction is open is sealed.
 const TIGHT: f64 = 1e-3;
-/// Ω beyond which there is nothing left to coagulate.
+/// Ω beyond which damage is no longer tracked.
 const BURN_MAX: f64 = 100.0;
 
-/// A vessel and the hole in it.
+/// A vessel with a hole.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Vessel {
     /// Inner radius \[m\].
     pub radius: f64,
-    /// From where the pressure is known to the hole \[m\].
+    /// Length from the point of known pressure to the hole \[m\].
     pub length: f64,
-    /// Share of the way from the mean venous (0) to the arterial pressure (1) at which it is.
+    /// Source pressure as a fraction from the mean venous (0) to the arterial pressure (1).
     pub arterial: f64,
 }
 
-/// What has been done to a vessel.
+/// State of a vessel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BleedingState {
-    /// Area of the hole, as a share of the vessel's section; 1 is cut through.
+    /// Area of the hole, as a fraction of the vessel's cross-section; 1 is cut through.
     pub damage: f64,
-    /// Share of the section that a clamp or a ligature closes.
+    /// Fraction of the cross-section closed by a clamp or a ligature.
     pub clamped: f64,
-    /// Share of the hole that coagulated tissue closes; it stays closed.
+    /// Fraction of the hole closed by coagulation, permanently.
     pub coagulated: f64,
     /// Thermal damage Ω of the rim of the hole.
     pub burn: f64,
-    /// Blood that has come out \[m³\].
+    /// Volume of blood lost \[m³\].
     pub lost: f64,
 }
 
-/// A source of blood.
+/// A bleeding source.
 #[derive(Clone, Debug)]
 pub struct Bleeding {
     vessel: Vessel,
@@ -58,18 +58,18 @@ pub struct Bleeding {
 }
 
 impl Bleeding {
-    /// A vessel that is whole.
+    /// An intact vessel.
     ///
     /// # Errors
-    /// A parameter out of its range.
+    /// A parameter out of range.
     pub fn new(vessel: Vessel) -> Result<Self, FluidError> {
         Self::restore(vessel, BleedingState::default())
     }
 
-    /// Goes on from a state.
+    /// Restores from a state.
     ///
     /// # Errors
-    /// A parameter or a number of the state out of its range.
+    /// A parameter or a number of the state out of range.
     pub fn restore(vessel: Vessel, state: BleedingState) -> Result<Self, FluidError> {
         parameter("radius", vessel.radius, 1e-5..=0.05, "1e-5 to 0.05 m")?;
         parameter("length", vessel.length, 0.0..=1.0, "0 to 1 m")?;
@@ -84,46 +84,46 @@ impl Bleeding {
         Ok(Self { vessel, state })
     }
 
-    /// What has been done to it, and what came out.
+    /// Its state.
     #[must_use]
     pub fn state(&self) -> &BleedingState {
         &self.state
     }
 
-    /// The hole is so far from where the pressure is known \[m\].
+    /// Sets the length from the point of known pressure to the hole \[m\].
     pub fn set_length(&mut self, length: f64) {
         if (0.0..=1.0).contains(&length) {
             self.vessel.length = length;
         }
     }
 
-    /// Opens the hole to a share of the section; a hole grows, it does not heal.
+    /// Enlarges the hole to a fraction of the cross-section; it never shrinks.
     pub fn injure(&mut self, damage: f64) {
         if damage.is_finite() {
             self.state.damage = self.state.damage.max(damage).min(1.0);
         }
     }
 
-    /// Closes a share of the section, or opens it again.
+    /// Sets the clamped fraction of the cross-section.
     pub fn clamp(&mut self, share: f64) {
         if share.is_finite() {
             self.state.clamped = share.clamp(0.0, 1.0);
         }
     }
 
-    /// Cuts it through, before the hole that it may have: what had closed that holds nothing any more.
+    /// Cuts it through, upstream of any hole: earlier closures have no effect any more.
     pub fn sever(&mut self) {
         (self.state.damage, self.state.coagulated, self.state.burn) = (1.0, 0.0, 0.0);
     }
 
-    /// Closes a share of the hole for good.
+    /// Closes a fraction of the hole permanently.
     pub fn coagulate(&mut self, share: f64) {
         if share.is_finite() {
             self.state.coagulated = self.state.coagulated.max(share).min(1.0);
         }
     }
 
-    /// Temperature of the hole's rim \[°C\] in tissue of `celsius`, while `rate` \[m³/s\] comes out.
+    /// Temperature of the hole's rim \[°C\] in tissue of `celsius`, at an outflow of `rate` \[m³/s\].
     #[must_use]
     pub fn rim_celsius(&self, celsius: f64, rate: f64) -> f64 {
         let tissue = ThermalMaterial::default();
@@ -136,8 +136,8 @@ impl Bleeding {
         }
     }
 
-    /// The tissue around the hole is at `celsius` \[°C\] for `dt` \[s\], while `rate` \[m³/s\] comes out: what of its rim is
-    /// denatured closes it.
+    /// Heats the rim for `dt` \[s\] in tissue of `celsius` \[°C\], at an outflow of `rate` \[m³/s\]: its denatured
+    /// fraction closes the hole.
     pub fn heat(&mut self, dt: f64, celsius: f64, rate: f64) {
         let rim = self.rim_celsius(celsius, rate);
         let more = dt * Arrhenius::default().rate(rim);
@@ -147,19 +147,19 @@ impl Bleeding {
         }
     }
 
-    /// What comes out at a mean arterial and a venous pressure above that in the cavity \[Pa\]: \[m³/s\].
+    /// Outflow \[m³/s\] at mean arterial and venous pressures relative to the cavity \[Pa\].
     #[must_use]
     pub fn rate(&self, arterial: f64, venous: f64) -> f64 {
         let pressure = venous + (arterial - venous) * self.vessel.arterial;
         let section = PI * self.vessel.radius.powi(2);
         let gap = 1.0 - self.state.coagulated;
         let hole = section * self.state.damage * if gap < TIGHT { 0.0 } else { gap };
-        // A clamp narrows the vessel: what is left is a narrow place before the hole.
+        // A clamp narrows the vessel: a stenosis in series with the hole.
         let open = (1.0 - self.state.clamped) * section;
         if pressure <= 0.0 || hole <= 0.0 || open <= 0.0 || !pressure.is_finite() {
             return 0.0;
         }
-        // a Q² + b Q = p: the hole and the narrow place, and the way there.
+        // a Q² + b Q = p: orifice losses of the hole and the stenosis, and the vessel's resistance.
         let loss = |area: f64| BLOOD_DENSITY / (2.0 * (DISCHARGE * area).powi(2));
         let narrow = if self.state.clamped > 0.0 { loss(open) } else { 0.0 };
         let a = loss(hole) + narrow;
@@ -167,16 +167,16 @@ impl Bleeding {
         2.0 * pressure / (b + (b * b + 4.0 * a * pressure).sqrt())
     }
 
-    /// Area of the hole \[m²\], without what a clot closes.
+    /// Open area of the hole \[m²\], without the clot.
     #[must_use]
     pub fn hole(&self) -> f64 {
         PI * self.vessel.radius.powi(2) * self.state.damage * (1.0 - self.state.coagulated)
     }
 
-    /// Bleeds for `dt` \[s\] at these pressures \[Pa\]. The volume that came out \[m³\].
+    /// Bleeds for `dt` \[s\] at these pressures \[Pa\]; returns the volume \[m³\].
     ///
     /// # Errors
-    /// A step that is no time.
+    /// An invalid time step.
     pub fn step(&mut self, dt: f64, arterial: f64, venous: f64) -> Result<f64, FluidStepError> {
         if !(1e-9..=1.0).contains(&dt) {
             return Err(FluidStepError::Time(dt));
@@ -210,7 +210,7 @@ mod tests {
         short.injure(0.1);
         let orifice = DISCHARGE * 0.1 * PI * 25e-6 * (2.0 * PRESSURES.0 / BLOOD_DENSITY).sqrt();
         assert!((short.rate(PRESSURES.0, 0.0) / orifice - 1.0).abs() < 1e-9);
-        // About what surgeons know of a cut cystic artery: 1 to 10 ml/s.
+        // Clinical range for a cut cystic artery: 1 to 10 ml/s.
         let mut artery = artery();
         artery.injure(1.0);
         assert!((1e-6..10e-6).contains(&artery.rate(PRESSURES.0, PRESSURES.1)));
@@ -246,11 +246,11 @@ mod tests {
         let mut artery = artery();
         artery.injure(1.0);
         let rate = artery.rate(PRESSURES.0, PRESSURES.1);
-        // At 95 °C for 2 s, with the blood running: it takes all of the heat away.
+        // At 95 °C for 2 s with flowing blood, which removes all of the heat.
         assert!(artery.rim_celsius(95.0, rate) < 38.0, "{} °C", artery.rim_celsius(95.0, rate));
         (0..200).for_each(|_| artery.heat(0.01, 95.0, rate));
         assert_eq!(artery.state().coagulated, 0.0);
-        // Clamped, it takes 60 °C some seconds: Ω = 1 after 3.4486 s.
+        // Clamped, it coagulates at 60 °C within seconds: Ω = 1 after 3.4486 s.
         (0..345).for_each(|_| artery.heat(0.01, 60.0, 0.0));
         let denatured = 1.0 - (-1.0_f64).exp();
         assert!((artery.state().coagulated - denatured).abs() < 0.01, "{}", artery.state().coagulated);

@@ -1,26 +1,26 @@
-//! Samples of surfaces, as walls of a liquid: points that are bound to triangles, so that they go where those go, and are
-//! nowhere nearer to each other than they have to be.
+//! Boundary samples of surfaces, as walls of a liquid: points bound to triangles, which move with them and keep a
+//! minimum distance.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-/// No two samples are nearer than this, in spacings.
+/// Least distance between samples, in spacings.
 const APART: f64 = 0.7;
-/// Most samples along an edge of one triangle.
+/// Maximum number of samples along an edge of one triangle.
 const DIVISIONS_MAX: f64 = 400.0;
 
-/// A point of a surface: corners of a triangle, and how much of each.
+/// A sample point of a surface: a triangle and barycentric weights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WallSample {
     /// Corners.
     pub nodes: [u32; 3],
-    /// Weights, their sum 1.
+    /// Barycentric weights; their sum is 1.
     pub weights: [f64; 3],
 }
 
 impl WallSample {
-    /// Where it is, with the vertices there.
+    /// Its position for these vertices.
     #[must_use]
     pub fn place(&self, positions: &[Point3<f64>]) -> Point3<f64> {
         let parts = self.nodes.iter().zip(self.weights);
@@ -31,7 +31,7 @@ impl WallSample {
         )
     }
 
-    /// Across its triangle, with the vertices there, of any length \[m²\].
+    /// Normal of its triangle for these vertices, not normalised \[m²\].
     #[must_use]
     pub fn across(&self, positions: &[Point3<f64>]) -> Vector3<f64> {
         let [a, b, c] = self.nodes.map(|node| positions[node as usize]);
@@ -39,7 +39,7 @@ impl WallSample {
     }
 }
 
-/// Samples of a surface, about a `spacing` \[m\] apart, at most `most`. Triangles with corners that are not there are left out.
+/// Samples of a surface, about a `spacing` \[m\] apart, at most `most`. Triangles with missing corners are skipped.
 #[must_use]
 pub fn sample(
     positions: &[Point3<f64>],
@@ -100,14 +100,14 @@ mod tests {
             assert!(samples[index].weights.iter().all(|weight| *weight >= -1e-12));
             assert!(places[..index].iter().all(|other| (other - place).norm() >= 0.7 * 0.004));
         }
-        // From everywhere one is near.
+        // Every point of the surface is near to one.
         for (i, j) in (0..=40).flat_map(|i| (0..=32).map(move |j| (i, j))) {
             let at = Point3::new(f64::from(i) * 0.0025, f64::from(j) * 0.0025, 0.0);
             let nearest = places.iter().map(|place| (place - at).norm()).fold(1.0, f64::min);
             assert!(nearest < 0.75 * 0.004, "{at}: {nearest}");
         }
         assert_eq!(sample(&positions, &triangles, 0.004, 7).len(), 7);
-        // Triangles that are finer than the spacing do not give more.
+        // Triangles finer than the spacing do not give more.
         let n = 40_u32;
         let at = |i: u32, j: u32| i * (n + 1) + j;
         let fine: Vec<Point3<f64>> = (0..=n)

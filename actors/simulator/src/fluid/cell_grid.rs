@@ -1,4 +1,4 @@
-//! Who is within the support of whom: particles sorted by the cells of a grid over the domain.
+//! Cell grid for neighbour search: particles sorted by the cells of a uniform grid over the domain.
 
 use nalgebra::Point3;
 
@@ -11,7 +11,7 @@ pub(super) struct CellGrid {
 }
 
 impl CellGrid {
-    /// Cells of an edge over a box.
+    /// A grid over a box, with cells of this edge length.
     pub(super) fn new(min: Point3<f64>, max: Point3<f64>, edge: f64) -> Self {
         let size = std::array::from_fn(|axis| ((max[axis] - min[axis]) / edge).ceil().max(1.0) as usize);
         Self { min, inverse: 1.0 / edge, size }
@@ -21,7 +21,7 @@ impl CellGrid {
         self.size.iter().product()
     }
 
-    /// The cell of a point; what lies outside counts as at the edge.
+    /// The cell of a point; points outside count as at the border.
     #[inline]
     pub(super) fn place(&self, point: &Point3<f64>) -> [usize; 3] {
         // The cast saturates.
@@ -35,7 +35,7 @@ impl CellGrid {
         x + self.size[0] * (y + self.size[1] * z)
     }
 
-    /// The cell of a place seen from the corner of the box.
+    /// The cell of a position relative to the corner of the box.
     #[inline]
     pub(super) fn cell_of(&self, place: &[f32; 4]) -> usize {
         // The cast saturates.
@@ -44,17 +44,17 @@ impl CellGrid {
         }))
     }
 
-    /// Which row of cells along x a cell is in.
+    /// The row of cells along x that contains a cell.
     pub(super) fn line_of(&self, cell: usize) -> usize {
         cell / self.size[0]
     }
 
-    /// Rows of cells about one, as ranges of indices, both ends included.
+    /// Rows of neighbouring cells, as index ranges, both ends included.
     pub(super) fn rows_about(&self, cell: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.rows_about_all(cell, cell)
     }
 
-    /// The same about all cells of a row, from the first to the last.
+    /// The same for all cells of a row, from the first to the last.
     pub(super) fn rows_about_all(
         &self,
         first: usize,
@@ -69,19 +69,19 @@ impl CellGrid {
     }
 }
 
-/// Where the particles of each cell begin, of particles in the order of their cells.
+/// Start index of each cell in the sorted particles.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CellStarts {
     starts: Vec<u32>,
-    /// Which particle comes at each place.
+    /// Original index of each sorted particle.
     pub order: Vec<u32>,
-    /// Cell of each particle, as they came.
+    /// Cell of each particle, in original order.
     cell_of: Vec<u32>,
 }
 
 impl CellStarts {
-    /// Sorts by cells, and within a cell by the first coordinate, so that what follows one another along a row of cells is
-    /// near; what has both alike stays in its order.
+    /// Sorts by cell, and within a cell by the first coordinate, so that neighbours in a row of cells are near in
+    /// memory; the sort is stable.
     pub(super) fn sort(&mut self, grid: &CellGrid, points: &[Point3<f64>]) {
         let Self { starts, order, cell_of } = self;
         starts.clear();
@@ -104,7 +104,7 @@ impl CellStarts {
         }
         starts.copy_within(..grid.count(), 1);
         starts[0] = 0;
-        // They come nearly so from the step before.
+        // Almost sorted from the previous step.
         for end in 1..order.len() {
             let particle = order[end] as usize;
             let mut at = end;
@@ -120,7 +120,7 @@ impl CellStarts {
         }
     }
 
-    /// Places of what is in a row of cells, from the first to the last.
+    /// Sorted indices of the particles in a row of cells, from the first to the last.
     #[inline]
     pub(super) fn range(&self, from: usize, to: usize) -> std::ops::Range<usize> {
         self.starts[from] as usize..self.starts[to + 1] as usize
@@ -166,7 +166,7 @@ mod tests {
             let mut found = Vec::new();
             cells.around(&grid, &sorted, &sorted[a], 0.2, |other, _| found.push(other as usize));
             found.sort_unstable();
-            // Beyond the edge a cell is larger than the support: nothing is missed there.
+            // Border cells are larger than the support: nothing is missed there.
             let expected: Vec<usize> =
                 (0..400).filter(|b| (sorted[a] - sorted[*b]).norm_squared() < 0.2 * 0.2).collect();
             assert_eq!(found, expected);

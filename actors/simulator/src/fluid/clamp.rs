@@ -1,13 +1,13 @@
-//! A vessel between two jaws. Its wall does not stretch: squeezed to a gap g it is a stadium with the same perimeter, whose
-//! section is 2 (g/d) − (g/d)² of the round one; nothing is left where the walls meet.
+//! Clamping of a vessel between jaws. Its wall is inextensible: squeezed to a gap g, its section is a stadium of the
+//! same perimeter with 2 (g/d) − (g/d)² of the round area; zero where the walls meet.
 
 use nalgebra::{Isometry3, Point3};
 
-/// A pair of jaws, in a frame as instruments have it: the tip is the origin, the hinge lies at z = −`length`, they close
-/// along x, and their blades are as wide as `width` along y.
+/// A pair of jaws, in an instrument's frame: origin at the tip, hinge at z = −`length`, closing along x, blades of
+/// `width` along y.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jaws {
-    /// From the hinge to the tip \[m\].
+    /// Length from the hinge to the tip \[m\].
     pub length: f64,
     /// Width of the blades \[m\].
     pub width: f64,
@@ -25,7 +25,7 @@ pub struct Tube {
 }
 
 impl Tube {
-    /// Share of its section that is closed between two parallel plates that are `gap` \[m\] apart.
+    /// Closed fraction of its section between two parallel plates `gap` \[m\] apart.
     #[must_use]
     pub fn closed_share(&self, gap: f64) -> f64 {
         let open = ((gap - 2.0 * self.wall) / (2.0 * self.radius)).clamp(0.0, 1.0);
@@ -34,7 +34,7 @@ impl Tube {
 }
 
 impl Jaws {
-    /// Share of the tube's section that they close. `line` is its middle from its source on \[m\], up to where it matters.
+    /// Closed fraction of the tube's section. `line` is its centre line from the source \[m\] to the point of interest.
     #[must_use]
     pub fn closed_share(&self, jaws_from_line: &Isometry3<f64>, line: &[Point3<f64>], tube: &Tube) -> f64 {
         let outer = tube.radius + tube.wall;
@@ -47,7 +47,7 @@ impl Jaws {
                 continue;
             }
             let half = along.min(self.length) * (0.5 * self.angle).clamp(0.0, 1.5).tan();
-            // It is soft, and goes where the jaws leave it room.
+            // The tube is soft, and moves into the space between the jaws.
             if at.x.abs() <= half + outer {
                 closed = closed.max(tube.closed_share(2.0 * half));
             }
@@ -55,7 +55,7 @@ impl Jaws {
         closed
     }
 
-    /// Where a piece of the line is nearest to the middle of the blades, if it is between them.
+    /// The point of a segment nearest to the middle of the blades, if it is between them.
     fn crossing(&self, a: &Point3<f64>, b: &Point3<f64>) -> Option<Point3<f64>> {
         let run = b.y - a.y;
         let share = if run.abs() < 1e-12 { 0.0 } else { (-a.y / run).clamp(0.0, 1.0) };
@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(TUBE.closed_share(2.5e-3), 0.0);
         assert!(TUBE.closed_share(0.4e-3) > 1.0 - 1e-12);
         assert_eq!(TUBE.closed_share(0.0), 1.0);
-        // Half as wide inside: two half circles of 0.5 mm, and between them what is left of the perimeter.
+        // At half the inner width: two half circles of 0.5 mm, and the rest of the perimeter between them.
         let (gap, around) = (1e-3, std::f64::consts::PI * 2e-3);
         let section =
             gap * (around - std::f64::consts::PI * gap) / 2.0 + std::f64::consts::PI * gap * gap / 4.0;
@@ -97,14 +97,14 @@ mod tests {
             assert_eq!(jaws.closed_share(&away, &line, &TUBE), 0.0, "{away}");
         }
         assert_eq!(jaws.closed_share(&here, &line[..1], &TUBE), 0.0, "no line");
-        // Opened, it opens, more so nearer to the tip.
+        // Opening the jaws opens it, more so nearer to the tip.
         let open = |angle: f64| Jaws { angle, ..jaws }.closed_share(&here, &line, &TUBE);
         let shares = [open(0.06), open(0.12), open(0.2), open(0.4)];
         assert!(shares.windows(2).all(|pair| pair[0] > pair[1] || pair[0] == 0.0), "{shares:?}");
         assert!(shares[0] > 0.9 && shares[3] == 0.0, "{shares:?}");
         let deeper = Jaws { angle: 0.12, ..jaws }.closed_share(&at(0.0, 0.0, -0.006), &line, &TUBE);
         assert!(deeper > shares[1], "{deeper}");
-        // Along the blades nothing is between them at one place: the middle counts.
+        // A vessel parallel to the blades: its middle counts.
         let along = [Point3::new(0.0, 0.0, -0.1), Point3::from(Vector3::new(0.0, 0.0, 0.0))];
         assert!(jaws.closed_share(&here, &along, &TUBE) <= 1.0);
     }

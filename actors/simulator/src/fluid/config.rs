@@ -1,14 +1,14 @@
-//! What a liquid is, its particles, and what a step of it came to.
+//! Settings, state and step report of a liquid.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::clone_in_place::clones_in_place;
 
-/// What a liquid is.
+/// Settings of a liquid.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FluidConfig {
-    /// Distance of particles at rest \[m\]; each stands for the cube of it.
+    /// Particle spacing at rest \[m\]; the volume of a particle is its cube.
     pub spacing: f64,
     /// Density at rest \[kg/m³\].
     pub density: f64,
@@ -16,19 +16,20 @@ pub struct FluidConfig {
     pub viscosity: f64,
     /// Acceleration of gravity \[m/s²\].
     pub gravity: Vector3<f64>,
-    /// Box in which it is \[m\]; what leaves it is absorbed.
+    /// Lower corner of its box \[m\]; particles that leave it are removed.
     pub min: Point3<f64>,
-    /// The other end of the box \[m\].
+    /// Upper corner of the box \[m\].
     pub max: Point3<f64>,
-    /// Most particles; when there are more, the oldest are absorbed.
+    /// Maximum number of particles; the oldest are removed.
     pub particles_max: usize,
-    /// Part of a spacing that all but the fastest hundredth of the particles may go in a part of a step; those a whole one.
+    /// CFL number: fraction of a spacing that all but the fastest hundredth of the particles may move in a substep;
+    /// those a whole one.
     pub cfl: f64,
-    /// Most parts of a step.
+    /// Maximum number of substeps.
     pub parts_max: u32,
-    /// Mean compression that is left, as a share.
+    /// Tolerance: mean remaining compression, as a fraction.
     pub compression: f64,
-    /// Most iterations of the solver in a part of a step.
+    /// Maximum solver iterations in a substep.
     pub iterations_max: u32,
 }
 
@@ -51,36 +52,36 @@ impl Default for FluidConfig {
     }
 }
 
-/// Particles of a liquid; lists are in no particular order, but always the same.
+/// State of a liquid; the order of its lists is arbitrary but deterministic.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FluidState {
-    /// Numbers, in the order in which particles came: never used twice.
+    /// Particle numbers, in order of creation: never reused.
     pub numbers: Vec<u64>,
-    /// Where they are \[m\].
+    /// Positions \[m\].
     pub positions: Vec<Point3<f64>>,
-    /// How they move \[m/s\].
+    /// Velocities \[m/s\].
     pub velocities: Vec<Vector3<f64>>,
-    /// Pressure over density that held them, for the solver to begin with \[m²/s²\].
+    /// Pressure over density in the last substep, the solver's initial guess \[m²/s²\].
     pub pushes: Vec<f32>,
-    /// The same of the samples of walls, in the order in which these were given.
+    /// The same for wall samples, in the order in which they were given.
     pub wall_pushes: Vec<f32>,
-    /// Number of the next one.
+    /// The next particle number.
     pub next: u64,
-    /// How many were absorbed since the beginning.
+    /// Number of particles removed since the beginning.
     pub absorbed: u64,
 }
 
 clones_in_place!(FluidState { numbers, positions, velocities, pushes, wall_pushes, next, absorbed });
 
-/// What a step came to.
+/// Statistics of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FluidReport {
-    /// Parts that the step was taken in.
+    /// Number of substeps.
     pub parts: u32,
-    /// Iterations of the solver, over all parts.
+    /// Solver iterations, over all substeps.
     pub iterations: u32,
-    /// Mean compression that was left, as a share.
+    /// Mean remaining compression, as a fraction.
     pub compression: f64,
-    /// Particles absorbed in the step.
+    /// Particles removed in the step.
     pub absorbed: u64,
 }

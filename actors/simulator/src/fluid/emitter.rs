@@ -1,5 +1,5 @@
-//! A spout: what flows out of a hole, as particles of a liquid. It is told how much came out in all, so that whoever listens
-//! late, or anew, misses nothing and counts nothing twice.
+//! Emitter: outflow of a hole as liquid particles. It is given the cumulative volume, so that a late or restarted
+//! receiver neither loses nor double-counts any.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -7,39 +7,39 @@ use serde::{Deserialize, Serialize};
 use super::error::{FluidError, parameter};
 use super::sph::Fluid;
 
-/// Fastest jet, in spacings per step: particles are wider than the jet of a small vessel.
+/// Largest jet velocity, in spacings per step: particles are wider than the jet of a small vessel.
 const SPACINGS_PER_STEP: f64 = 1.0;
 
-/// A hole out of which liquid comes.
+/// A hole from which liquid flows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hole {
-    /// Its middle \[m\].
+    /// Its centre \[m\].
     pub place: Point3<f64>,
-    /// Where it opens to (any length).
+    /// Outward direction (any length).
     pub outwards: Vector3<f64>,
     /// Its area \[m²\].
     pub area: f64,
 }
 
-/// What has come out of a spout.
+/// State of an emitter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Spout {
-    /// All that it is known to have given \[m³\].
+    /// Cumulative volume received \[m³\].
     pub given: f64,
-    /// Of this, what makes no particle yet \[m³\].
+    /// Part of it too small for a particle \[m³\].
     pub waiting: f64,
     /// Particles emitted.
     pub emitted: u64,
-    /// Liquid for which there was no place, since the hole lies outside of the liquid's box \[m³\].
+    /// Volume not emitted because the hole lies outside of the liquid's box \[m³\].
     pub unseen: f64,
 }
 
 impl Spout {
-    /// Whether it can go on.
+    /// Validates the state.
     ///
     /// # Errors
-    /// A number out of its range.
+    /// A number out of range.
     pub fn check(&self) -> Result<(), FluidError> {
         for (what, volume) in [("given", self.given), ("waiting", self.waiting), ("unseen", self.unseen)] {
             parameter(what, volume, 0.0..=1e3, "0 to 1000 m³")?;
@@ -47,7 +47,7 @@ impl Spout {
         Ok(())
     }
 
-    /// So much has come out of the hole in all \[m³\], the last of it in `dt` \[s\]: what is new goes into the liquid.
+    /// Emits the increase of the cumulative volume `given` \[m³\], over the last `dt` \[s\], into the liquid.
     pub fn pour(&mut self, given: f64, dt: f64, hole: &Hole, fluid: &mut Fluid) {
         if !given.is_finite() || dt.is_nan() || dt <= 0.0 {
             return;
@@ -60,10 +60,10 @@ impl Spout {
         let speed = (new / dt / hole.area.max(1e-12)).min(SPACINGS_PER_STEP * spacing / dt.max(1e-3));
         let direction = hole.outwards.try_normalize(1e-12).unwrap_or_else(Vector3::z);
         let [across, beside] = super::across(&direction);
-        // Not more than there may be at once.
+        // At most the maximum number of particles.
         let ready = (self.waiting / particle).floor().min(fluid.config().particles_max as f64);
         for index in 0..ready as u64 {
-            // Four beside each other, and one layer above the other: never two in one place.
+            // Four side by side, in layers: never two at one position.
             let (layer, corner) = (index / 4, index % 4);
             let side = spacing * 0.5;
             let aside = across * if corner % 2 == 0 { side } else { -side }
@@ -90,7 +90,7 @@ mod tests {
         let hole = Hole { place: Point3::origin(), outwards: Vector3::x(), area: 2e-6 };
         let mut spout = Spout::default();
         for step in 1..=200_u32 {
-            // 5 ml/s; now and then nobody listens, and now and then twice.
+            // 5 ml/s; now and then an update is lost or repeated.
             let given = f64::from(step) * 5e-6 * 0.005;
             for _ in 0..step % 3 {
                 spout.pour(given, 0.005, &hole, &mut fluid);
@@ -102,7 +102,7 @@ mod tests {
         assert!((all - 5e-6).abs() < 1e-15 && spout.waiting < volume, "{spout:?}");
         assert!((spout.emitted as f64 * volume / 5e-6 - 1.0).abs() < 0.02);
         assert_eq!(fluid.state().numbers.len() as u64 + fluid.state().absorbed, spout.emitted);
-        // Out of the box nothing is seen, but it is counted.
+        // Outside of the box nothing is emitted, but counted.
         let far = Hole { place: Point3::new(9.0, 0.0, 0.0), ..hole };
         spout.pour(6e-6, 0.1, &far, &mut fluid);
         assert!((spout.unseen + spout.waiting - 1e-6).abs() < volume);

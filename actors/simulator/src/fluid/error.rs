@@ -1,42 +1,42 @@
-//! What can be wrong with a liquid and its steps.
+//! Errors of liquids and of their steps.
 
 use std::ops::RangeInclusive;
 
 use thiserror::Error;
 
-/// Why there can be no such liquid.
+/// Why a fluid was rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FluidError {
-    /// A parameter out of its range.
+    /// A parameter out of range.
     #[error("{what} of {value}: {valid} is valid")]
     Parameter {
-        /// Which one.
+        /// Its name.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
-    /// Lists that do not belong together, or are too long.
+    /// Lists of different lengths, or too long.
     #[error("{count} particles: lists of one length, at most {most}, are valid")]
     State {
-        /// How many came.
+        /// Number given.
         count: usize,
-        /// How many there may be.
+        /// Number allowed.
         most: usize,
     },
-    /// A number that is none.
+    /// A non-finite number.
     #[error("particle {particle} has a number that is not finite")]
     NotFinite {
-        /// Which one, in the list that came.
+        /// Its index in the list.
         particle: usize,
     },
 }
 
-/// Why a step was not taken. Everything is as it was before.
+/// Why a step was rejected; the state is unchanged.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FluidStepError {
-    /// No time.
+    /// An invalid time step.
     #[error("a step of {0} s: 1e-9 to 1 s is valid")]
     Time(f64),
     /// Too fast for so long a step.
@@ -44,12 +44,12 @@ pub enum FluidStepError {
     TooFast {
         /// The step \[s\].
         dt: f64,
-        /// What was left of it \[s\].
+        /// The part of it that remained \[s\].
         left: f64,
-        /// How many parts it may have.
+        /// Maximum number of substeps.
         most: u32,
     },
-    /// A particle came to be nowhere.
+    /// A particle with a non-finite position.
     #[error("particle {number} came to be nowhere")]
     NotFinite {
         /// Its number.

@@ -1,4 +1,4 @@
-//! The cubic spline of smoothed particles (Monaghan, *Smoothed particle hydrodynamics*, 1992), with support h.
+//! Cubic spline kernel of SPH (Monaghan, *Smoothed particle hydrodynamics*, 1992), with support radius h.
 
 use crate::simd::f32x8::Eight;
 
@@ -16,7 +16,7 @@ impl Kernel {
         Self { support, inverse: 1.0 / support, scale }
     }
 
-    /// W and the factor f of ∇W = f x, x being seen from the other particle, at a distance within the support.
+    /// W and the factor f of ∇W = f x, with x relative to the other particle, at a distance within the support.
     #[inline]
     pub(super) fn value_and_slope(&self, distance: f64) -> (f64, f64) {
         let q = distance * self.inverse;
@@ -26,16 +26,16 @@ impl Kernel {
         } else {
             (2.0 * rest * rest * rest, -6.0 * rest * rest / q.max(1e-9))
         };
-        // dW/dq / (q h²): finite in the middle.
+        // dW/dq / (q h²): finite at the centre.
         (self.scale * value, self.scale * slope * self.inverse * self.inverse)
     }
 
-    /// The steepest factor, that of two at the same place: no other is below it.
+    /// The most negative factor, that of two particles at the same position.
     pub(super) fn steepest(&self) -> f64 {
         -12.0 * self.scale * self.inverse * self.inverse
     }
 
-    /// The same of eight in single precision; 0 beyond the support.
+    /// The same for eight distances in single precision; 0 beyond the support.
     #[inline(always)]
     pub(super) fn values_and_slopes<E: Eight>(
         &self,
@@ -47,7 +47,7 @@ impl Kernel {
         let q = eight.mul(distances, eight.all(inverse));
         let rest = eight.max(eight.sub(one, q), eight.all(0.0));
         let rest_square = eight.mul(rest, rest);
-        // Both, and the right one: without a branch.
+        // Computes both branches and selects, without a jump.
         let inner = eight.add(eight.mul(eight.mul3(six, q, q), eight.sub(q, one)), one);
         let inner_slope = eight.sub(eight.mul(eight.all(18.0), q), eight.all(12.0));
         let outer = eight.mul3(eight.all(2.0), rest, rest_square);

@@ -1,15 +1,14 @@
-//! What flows: blood and irrigation as smoothed particles, smoke, a vessel that bleeds, and what the loss does to the
-//! patient.
+//! Fluids: blood and irrigation by SPH, smoke, bleeding vessels, and the effect of blood loss on vital signs.
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Liquid: smoothed particles that keep their volume | `sph.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
-//! | Smoke: puffs that rise and stray | `smoke.rs` |
-//! | A vessel that bleeds | `bleeding.rs` |
-//! | What jaws close of a vessel, what cuts it | `clamp.rs`, `vessel_cut.rs` |
-//! | What comes out of a hole, as particles | `emitter.rs` |
+//! | Liquid: incompressible SPH | `sph.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
+//! | Smoke puffs | `smoke.rs` |
+//! | Bleeding vessels | `bleeding.rs` |
+//! | Clamping and cutting of vessels | `clamp.rs`, `vessel_cut.rs` |
+//! | Outflow of a hole as particles | `emitter.rs` |
 //! | Surfaces as walls of a liquid | `boundary_samples.rs` |
-//! | Pressure and heart rate | `vital_signs.rs` |
+//! | Vital signs | `vital_signs.rs` |
 
 pub mod bleeding;
 pub mod boundary_samples;
@@ -35,7 +34,7 @@ pub use emitter::{Hole, Spout};
 pub use error::{FluidError, FluidStepError};
 pub use sph::Fluid;
 
-/// Two unit directions across a unit direction, and across each other.
+/// Two unit vectors perpendicular to a unit direction and to each other.
 fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let helper = if direction.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
     let first = direction.cross(&helper).normalize();

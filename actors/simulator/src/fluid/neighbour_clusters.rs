@@ -1,5 +1,5 @@
-//! What eight rows that lie together have in common with their neighbours, and sums over it: the operator of the pressures,
-//! and what particles do to each other.
+//! Sums over the common neighbours of eight adjacent rows: the pressure operator, and the pair forces between
+//! particles.
 
 use nalgebra::Vector3;
 
@@ -7,31 +7,31 @@ use super::neighbour_lists::Rows;
 use super::neighbour_search::{LANES, Lanes, Packed};
 use crate::simd::f32x8::{Eight, ForEight, with_eight};
 
-/// Softens what slows down where particles meet, as a share of the square of the support (Monaghan 2005).
+/// Regularises viscosity where particles meet, as a fraction of the squared support (Monaghan 2005).
 const SOFT: f32 = 0.01;
 
-/// Links of eight rows that follow one another: each neighbour of one is in the list of all, and has a factor of 0 where it is
-/// none.
+/// Neighbours of eight consecutive rows: each neighbour of one is in the common list, with a factor of 0 for the other
+/// rows.
 #[derive(Clone, Copy)]
 pub(super) struct Links<'a> {
     /// The first row.
     pub row: usize,
-    /// Places of the rows, from the corner of the box \[m\].
+    /// Positions of the rows, relative to the corner of the box \[m\].
     pub axes: &'a [Lanes; 3],
-    /// Of all rows.
+    /// Positions of all rows.
     pub places: &'a [[f32; 4]],
     /// Rows of the neighbours: particles first, then walls.
     pub others: &'a [u32],
-    /// Factors of the ways to the rows from each neighbour in the gradients that the two have in common, in units.
+    /// Factors of the pair gradients, multiplying the vectors from each neighbour to the rows, in units.
     pub factors: &'a [Packed],
     /// The unit of factors \[1/m²\].
     pub unit: f32,
-    /// How many particles.
+    /// Number of particles.
     pub liquid: usize,
 }
 
 impl Links<'_> {
-    /// Adds up what belongs to the neighbours, times the factors.
+    /// Sums the neighbours' values times the factors.
     #[inline(always)]
     fn weighted<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
         let mut sums = [eight.all(0.0); 4];
@@ -43,23 +43,23 @@ impl Links<'_> {
         std::array::from_fn(|axis| eight.mul(sums[axis], unit))
     }
 
-    /// Places of the rows.
+    /// Positions of the rows.
     #[inline(always)]
     fn own<E: Eight>(self, eight: E) -> [E::Numbers; 3] {
         vector(eight, self.axes)
     }
 
-    /// Numbers of the rows, of a list of vectors.
+    /// The rows' values in a list of vectors.
     #[inline(always)]
     fn of_own<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
         eight.columns(&eight_of(of, self.row))
     }
 }
 
-/// A vector of each.
+/// One vector for each.
 #[inline(always)]
 fn vector<E: Eight>(eight: E, [x, y, z]: &[Lanes; 3]) -> [E::Numbers; 3] {
-    // Spelled out: a closure here is called, through memory.
+    // Written out: a closure here would be called through memory.
     [eight.load(&x.0), eight.load(&y.0), eight.load(&z.0)]
 }
 
@@ -69,13 +69,13 @@ fn three<T>([x, y, z, _]: [T; 4]) -> [T; 3] {
     [x, y, z]
 }
 
-/// The ways from a place.
+/// The vectors from a point.
 #[inline(always)]
 fn ways<E: Eight>(eight: E, own: [E::Numbers; 3], from: &[f32; 4]) -> [E::Numbers; 3] {
     std::array::from_fn(|axis| eight.sub(own[axis], eight.all(from[axis])))
 }
 
-/// Eight of a list, from a place on.
+/// Eight items of a list from an index on.
 #[inline(always)]
 fn eight_of<T: Copy + Default>(list: &[T], from: usize) -> [T; LANES] {
     let mut eight = [T::default(); LANES];
@@ -83,7 +83,7 @@ fn eight_of<T: Copy + Default>(list: &[T], from: usize) -> [T; LANES] {
     eight
 }
 
-/// Writes sums of eight rows, scaled.
+/// Writes scaled sums of eight rows.
 #[inline(always)]
 fn write<E: Eight>(eight: E, out: &mut [Vector3<f64>], sums: [E::Sums; 3], scale: f64) {
     let [x, y, z] = sums;
@@ -93,14 +93,14 @@ fn write<E: Eight>(eight: E, out: &mut [Vector3<f64>], sums: [E::Sums; 3], scale
     }
 }
 
-/// Something that is computed of rows from their links.
+/// A computation of row values from their links.
 pub(super) trait Sweep<T> {
-    /// Of eight rows; all that it calls has to be inlined.
+    /// For eight rows; everything that it calls has to be inlined.
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [T]);
 }
 
-/// What pressures do, times `scale`: the sum of those of the two times the gradient. In double precision, so that what one gives
-/// another takes: each term is the same from both sides but for its sign, and sums of them are exact enough.
+/// Pressure forces times `scale`: the sum of both pressures times the gradient. In double precision, so that action and
+/// reaction cancel: each term is identical from both sides except for its sign, and sums are accurate enough.
 pub(super) struct Push<'a> {
     pub pressures: &'a [f32],
     pub scale: f64,
@@ -121,8 +121,8 @@ impl Sweep<Vector3<f64>> for Push<'_> {
     }
 }
 
-/// What viscosity makes of velocities, times `scale`: the sum over particles of what the two of them approach each other, along
-/// the way (Monaghan, *Smoothed particle hydrodynamics*, 2005), but for ten times the viscosity \[1/s/m²\].
+/// Viscous velocity change times `scale`: the sum over particles of the approach velocity along the connecting vector
+/// (Monaghan, *Smoothed particle hydrodynamics*, 2005), except for ten times the viscosity \[1/s/m²\].
 pub(super) struct Drag<'a> {
     pub velocities: &'a [[f32; 4]],
     pub support: f32,
@@ -146,7 +146,7 @@ impl Sweep<Vector3<f64>> for Drag<'_> {
     }
 }
 
-/// How fast rows are being compressed by velocities \[1/s\].
+/// Compression rate of the rows by velocities \[1/s\].
 struct Rate<'a>(&'a [[f32; 4]]);
 
 impl Sweep<f32> for Rate<'_> {
@@ -163,8 +163,8 @@ impl Sweep<f32> for Rate<'_> {
     }
 }
 
-/// What pressures make of velocities in a second, as differences of sums: of each row the pressure times its place, and the
-/// pressure. The fourth number is the velocity times the place.
+/// Velocity change by pressures in a second, as differences of sums: of each row the pressure times its position, and
+/// the pressure. The fourth number is the velocity times the position.
 struct Gradient<'a> {
     rows: &'a Rows,
     lifted: &'a [[f32; 4]],
@@ -187,7 +187,7 @@ impl Sweep<[f32; 4]> for Gradient<'_> {
     }
 }
 
-/// How fast rows are compressed by velocities, as differences of sums, times `factor` and `scale`.
+/// Compression rate by velocities, as differences of sums, times `factor` and `scale`.
 struct Divergence<'a> {
     rows: &'a Rows,
     velocities: &'a [[f32; 4]],
@@ -211,15 +211,15 @@ impl Sweep<f32> for Divergence<'_> {
 }
 
 impl Rows {
-    /// The operator of the pressures, scaled from both sides: the divergence of the gradient, of which each is the other's
-    /// transpose, and walls stand still. `image` is how fast each row is compressed \[1/s\] by what pressures over density of
-    /// `scale` times `of` \[m²/s²\] make of the particles' velocities in a second, times `factor` and `scale`. `velocities` is
-    /// room.
+    /// The pressure operator, scaled symmetrically: the divergence of the gradient, each the transpose of the other,
+    /// with walls at rest. `image` is the compression rate of each row \[1/s\], times `factor` and `scale`, due to the
+    /// velocities produced in a second by pressures over density of `scale` times `of` \[m²/s²\]. `velocities` is a
+    /// buffer.
     ///
-    /// With the places x, the factors f and R for the sum of f (xᵢ - xⱼ) over j, the sum of f (pᵢ + pⱼ) (xᵢ - xⱼ) is
-    /// R pᵢ + xᵢ Σ f pⱼ - Σ f pⱼ xⱼ, and that of f (xᵢ - xⱼ)·(vᵢ - vⱼ) is R·vᵢ - xᵢ·Σ f vⱼ + Σ f xⱼ·vⱼ: of a neighbour no
-    /// more is asked for than four numbers. What is lost by differences of sums is little for a solver; what moves particles
-    /// is computed as it stands.
+    /// With the positions x, the factors f and R for the sum of f (xᵢ - xⱼ) over j, the sum of f (pᵢ + pⱼ) (xᵢ - xⱼ) is
+    /// R pᵢ + xᵢ Σ f pⱼ - Σ f pⱼ xⱼ, and that of f (xᵢ - xⱼ)·(vᵢ - vⱼ) is R·vᵢ - xᵢ·Σ f vⱼ + Σ f xⱼ·vⱼ: only four
+    /// numbers per neighbour are needed. The cancellation error is harmless in a solver; the motion of particles is
+    /// computed directly.
     pub(super) fn product(
         &mut self,
         (scale, factor): (&[f32], f32),
@@ -235,13 +235,13 @@ impl Rows {
         rows.each(image, &Divergence { rows, velocities, scale, factor });
     }
 
-    /// How fast each row is being compressed by velocities \[1/s\].
+    /// Compression rate of each row by velocities \[1/s\].
     pub(super) fn compression_rate(&self, velocities: &[[f32; 4]], out: &mut [f32]) {
         self.each(out, &Rate(velocities));
     }
 }
 
-/// What products of places and pressures of rows come to; the pressures are products.
+/// Computes positions times pressures of rows; the pressures are themselves products.
 struct Lift<'a> {
     centred: &'a [[Lanes; 3]],
     lifted: &'a mut Vec<[f32; 4]>,

@@ -1,7 +1,7 @@
-//! Who is within the support of whom, as flat lists, and how steep the kernel is between them. Particles lie in the order of
-//! their cells, so that lists point to places that are near in memory, and eight of them that follow one another have a list
-//! in common, with a factor for each: what is summed over neighbours is summed for eight at once, as with the clusters of
-//! Páll and Hess, *A flexible algorithm for calculating pair interactions on SIMD architectures*, 2013.
+//! Neighbour lists of SPH as flat arrays, with kernel gradients. Particles are sorted by cell, so that lists refer to
+//! nearby memory, and eight consecutive ones share a list with a factor each: sums over neighbours are computed for
+//! eight at once, as with the clusters of Páll and Hess, *A flexible algorithm for calculating pair interactions on
+//! SIMD architectures*, 2013.
 
 use std::ops::Range;
 
@@ -13,16 +13,17 @@ use super::neighbour_clusters::{Links, Sweep};
 use super::neighbour_search::{DRY, FAR, LANES, Lanes, Near, Packed, Sorted, Sums};
 use crate::simd::f32x8::{Eight, ForEight, with_eight};
 
-/// Rows that are computed together.
+/// Number of rows per parallel block.
 const BLOCK: usize = 64 * LANES;
-/// Fewer rows are not worth a second thread.
+/// Fewer rows are computed sequentially.
 const PARALLEL: usize = 4 * BLOCK;
-/// Most units of a factor: a few less than 16 bits take.
+/// Largest quantised factor: slightly below the 16-bit limit.
 const UNITS: f64 = 65_530.0;
-/// What lies so far from the first of a cluster, in supports, begins another.
+/// Distance from the first of a cluster, in supports, beyond which another cluster begins.
 const APART: f64 = 2.0;
 
-/// Computes a list block by block, on the rayon pool where it is long; what one row becomes does not depend on where.
+/// Computes a list block by block, on the rayon pool where it is long; the result of a row does not depend on the
+/// block.
 fn in_blocks<T: Send>(list: &mut [T], each: impl Fn(usize, &mut [T]) + Sync) {
     if list.len() >= PARALLEL && rayon::current_num_threads() > 1 {
         list.par_chunks_mut(BLOCK).enumerate().for_each(|(index, part)| each(index, part));
@@ -31,68 +32,68 @@ fn in_blocks<T: Send>(list: &mut [T], each: impl Fn(usize, &mut [T]) + Sync) {
     }
 }
 
-/// Samples of walls, sorted by cells.
+/// Wall samples, sorted by cell.
 pub(super) struct Walls<'a> {
     pub cells: &'a CellStarts,
-    /// From the corner of the box \[m\], and what each stands for \[m³\].
+    /// Positions relative to the corner of the box \[m\], and volumes represented \[m³\].
     pub places: &'a [[f32; 4]],
 }
 
-/// A particle and a sample of a wall that is near to it.
+/// A particle and a nearby wall sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WallLink {
     pub particle: u32,
-    /// In the order of the samples' cells.
+    /// Index in the order of the samples' cells.
     pub wall: u32,
-    /// As of the links \[1/m²\].
+    /// Kernel factor as in the links \[1/m²\].
     pub factor: f32,
 }
 
-/// Neighbours of every particle, then of every sample of a wall that a particle is near to. Rows come in clusters of eight,
-/// of which some are no one's.
+/// Neighbours of every particle, then of every wall sample near a particle. Rows come in clusters of eight, padded with
+/// unused rows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rows {
     blocks: Vec<Block>,
-    /// Places of the particles in the order of their cells, from the corner of the box \[m\], and what each stands for \[m³\].
+    /// Particle positions sorted by cell, relative to the corner of the box \[m\], and volumes \[m³\].
     pub liquid: Vec<[f32; 4]>,
-    /// Row of each particle: the later the particle, the later the row.
+    /// Row of each particle, increasing with its index.
     pub row_of: Vec<u32>,
-    /// Rows of particles, with those between; the others are walls.
+    /// Number of particle rows, padding included; the others are walls.
     pub particles: usize,
-    /// Unit of the factors \[1/m²\].
+    /// Quantisation unit of the factors \[1/m²\].
     unit: f32,
-    /// Which samples a particle is near to, in the order of their cells.
+    /// Wall samples near a particle, in the order of their cells.
     pub wet: Vec<u32>,
-    /// Row of each sample, or none.
+    /// Row of each wall sample, if any.
     pub row_of_wall: Vec<u32>,
-    /// Particles and walls that are near to each other.
+    /// Pairs of nearby particles and wall samples.
     pub wall_links: Vec<WallLink>,
-    /// Sums of kernels times volumes: 1 is neither compressed nor thin.
+    /// Relative density: sums of kernels times volumes, 1 at rest.
     pub compression: Vec<f32>,
-    /// Diagonal of the product of divergence and gradient \[1/m²\].
+    /// Diagonal of the divergence of the gradient \[1/m²\].
     pub diagonal: Vec<f32>,
-    /// How many neighbours a row has.
+    /// Number of neighbours of each row.
     pub degree: Vec<f32>,
-    /// Particle or sample of each row, or none.
+    /// Particle or sample of each row, if any.
     owner: Vec<u32>,
-    /// Cells of the first and of the last of each cluster.
+    /// Cells of the first and of the last row of each cluster.
     cells: Vec<(u32, u32)>,
-    /// Places, from the corner of the box \[m\], and what stands there for how much \[m³\].
+    /// Positions relative to the corner of the box \[m\], and volumes \[m³\].
     pub(super) places: Vec<[f32; 4]>,
-    /// The same places, of each cluster, an axis at a time.
+    /// The same positions by cluster and axis.
     pub(super) axes: Vec<[Lanes; 3]>,
-    /// And from the middle of what there is \[m\].
+    /// The same relative to the centre of the rows \[m\].
     pub(super) centred: Vec<[Lanes; 3]>,
     /// Sum of the gradients of each row \[1/m\].
     pub(super) pulls: Vec<[Lanes; 3]>,
-    /// Of each row, the pressure times its place, and the pressure.
+    /// For each row, the pressure times its position, and the pressure.
     pub(super) lifted: Vec<[f32; 4]>,
 }
 
-/// Some clusters that follow one another.
+/// Some consecutive clusters.
 #[derive(Clone, Debug, Default)]
 struct Block {
-    /// Where the list of each cluster begins, and how many particles it has, which come first.
+    /// Start of each cluster's list, and its number of particles, which come first.
     starts: Vec<(u32, u32)>,
     /// Row of each neighbour: particles first, then walls.
     others: Vec<u32>,
@@ -102,7 +103,7 @@ struct Block {
     near: Near,
 }
 
-/// What rows are built from.
+/// Inputs for building rows.
 struct Parts<'a> {
     grid: &'a CellGrid,
     kernel: &'a Kernel,
@@ -118,7 +119,7 @@ struct Parts<'a> {
     beside: f32,
 }
 
-/// What is to be built.
+/// Outputs of building rows.
 struct Filling<'a> {
     parts: &'a Parts<'a>,
     block: &'a mut Block,
@@ -184,13 +185,13 @@ impl Parts<'_> {
 }
 
 impl Rows {
-    /// Number of rows, those that are no one's with them.
+    /// Number of rows, padding included.
     pub(super) fn count(&self) -> usize {
         self.places.len()
     }
 
-    /// Rows of a liquid (filled by the caller, in the order of its cells) and of the walls that it is near to. A wall that
-    /// particles of a `volume` lie beside at rest has `beside` of its volume in kernels of theirs.
+    /// Builds the rows of a liquid (filled in by the caller, in cell order) and of nearby walls. `beside` is a wall's
+    /// kernel sum over adjacent particles of `volume` at rest, in terms of their volume.
     pub(super) fn build(
         &mut self,
         grid: &CellGrid,
@@ -203,7 +204,7 @@ impl Rows {
         self.find_wet(grid, cells, walls, (kernel.support * kernel.support) as f32);
         self.arrange(grid, walls, (APART * kernel.support) as f32);
         let clusters = self.cells.len();
-        // Of the largest factor that there can be.
+        // From the largest possible factor.
         let largest = walls.places.iter().map(|place| place[3]).fold(volume, f32::max);
         self.unit = (kernel.steepest() / UNITS) as f32 * largest;
         let parts = Parts {
@@ -243,7 +244,7 @@ impl Rows {
             for Sums { value, squares, pull, count } in &block.sums {
                 self.compression.extend_from_slice(&value.0);
                 self.diagonal.extend_from_slice(&squares.0);
-                // But for itself.
+                // Except itself.
                 self.degree.extend(count.0.map(|count| count - 1.0));
                 self.pulls.push(*pull);
             }
@@ -251,7 +252,7 @@ impl Rows {
         }
     }
 
-    /// Gives each particle and each wall that is wet a row, in clusters of what follows one another in a row of cells.
+    /// Assigns rows to particles and wet wall samples, in clusters of neighbours in a row of cells.
     fn arrange(&mut self, grid: &CellGrid, walls: &Walls<'_>, apart: f32) {
         self.owner.clear();
         self.places.clear();
@@ -290,7 +291,7 @@ impl Rows {
         }
     }
 
-    /// The next row, in the last cluster if it belongs there.
+    /// The next row, in the last cluster if near enough.
     fn give_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
         let cell = grid.cell_of(&place);
         let begun = self.places.len() % LANES;
@@ -312,14 +313,14 @@ impl Rows {
         self.places.len() as u32 - 1
     }
 
-    /// Fills up the last cluster with rows that are no one's.
+    /// Pads the last cluster with unused rows.
     fn end_cluster(&mut self) {
         let whole = self.places.len().next_multiple_of(LANES);
         self.places.resize(whole, [FAR, FAR, FAR, 0.0]);
         self.owner.resize(whole, DRY);
     }
 
-    /// Finds the samples of walls that have a particle within the support.
+    /// Finds the wall samples with a particle within the support.
     fn find_wet(&mut self, grid: &CellGrid, cells: &CellStarts, walls: &Walls<'_>, square: f32) {
         self.wet.clear();
         self.row_of_wall.clear();
@@ -336,14 +337,14 @@ impl Rows {
         }
     }
 
-    /// Computes something of the first rows, eight at a time, from their links.
+    /// Computes a value for each of the first rows, eight at a time, from their links.
     #[inline]
     pub(super) fn each<T: Send>(&self, out: &mut [T], sweep: &(impl Sweep<T> + Sync)) {
         in_blocks(out, |index, out| with_eight(Sweeping { rows: self, index, out, sweep }));
     }
 }
 
-/// What is to be computed of the rows of a block.
+/// Context of computing a block's rows.
 struct Sweeping<'a, T, S> {
     rows: &'a Rows,
     index: usize,

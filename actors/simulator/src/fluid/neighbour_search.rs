@@ -1,72 +1,71 @@
-//! What is within the support of some rows that lie together, among what lies about their cells, and how steep the kernel is
-//! between. Rows are taken eight at a time, a lane each: who is near to one of them is mostly near to others, and is looked at
-//! once for all.
+//! Neighbour search for eight adjacent rows among the particles in their surrounding cells, with kernel gradients. One
+//! SIMD lane per row: a neighbour of one is mostly a neighbour of others, and is tested once for all.
 
 use super::cell_grid::{CellGrid, CellStarts};
 use super::kernel::Kernel;
 use crate::simd::f32x8::Eight;
 pub(super) use crate::simd::f32x8::LANES;
 
-/// A number of the place of a row that is none \[m\]; its square is a number still.
+/// A coordinate for unused rows \[m\]; its square is finite.
 pub(super) const FAR: f32 = 1e15;
-/// No row.
+/// Marks a missing row.
 pub(super) const DRY: u32 = u32::MAX;
 
-/// A number of each of the rows that lie together.
+/// One number for each of eight adjacent rows.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(align(32))]
 pub(super) struct Lanes(pub [f32; LANES]);
 
-/// A factor of each of the rows that lie together, in 16 bits: so many units.
+/// One factor for each of eight adjacent rows, quantised to 16 bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(align(16))]
 pub(super) struct Packed(pub [u16; LANES]);
 
-/// Places, and what stands there for how much: three coordinates from the corner of the box \[m\], and a volume \[m³\].
+/// Positions and volumes: three coordinates relative to the corner of the box \[m\], and a volume \[m³\].
 #[derive(Clone, Copy)]
 pub(super) struct Sorted<'a> {
     pub cells: &'a CellStarts,
     pub places: &'a [[f32; 4]],
-    /// Row of each, or none.
+    /// Row of each, if any.
     pub rows: &'a [u32],
 }
 
-/// Who is near to any of some rows.
+/// Neighbours of some rows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Near {
-    /// Only so many as were found: particles first.
+    /// Their rows, truncated to the number found: particles first.
     rows: Vec<u32>,
     places: Vec<[f32; 4]>,
     found: usize,
-    /// How many particles.
+    /// Number of particles.
     liquid: usize,
 }
 
-/// Sums over what is near, of each row.
+/// Sums over the neighbours of each row.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Sums {
-    /// Of kernels times volumes; the row itself is one of those.
+    /// Kernels times volumes, the row itself included.
     pub value: Lanes,
-    /// Of the squares of the gradients to particles \[1/m²\].
+    /// Squares of the gradients to particles \[1/m²\].
     pub squares: Lanes,
-    /// Of the gradients \[1/m\].
+    /// Gradients \[1/m\].
     pub pull: [Lanes; 3],
-    /// How many; the row itself is one of those.
+    /// Number, the row itself included.
     pub count: Lanes,
 }
 
 impl Near {
-    /// Rows of what was found: particles first.
+    /// Rows of the neighbours: particles first.
     pub(super) fn rows(&self) -> &[u32] {
         &self.rows[..self.found]
     }
 
-    /// How many particles were found.
+    /// Number of particles among the neighbours.
     pub(super) fn liquid(&self) -> usize {
         self.liquid
     }
 
-    /// Looks for what is within a distance of any of the places, of which the cells are a row from `first` to `last`.
+    /// Finds everything within a distance of any of the positions, whose cells form a row from `first` to `last`.
     #[inline(always)]
     pub(super) fn find<E: Eight>(
         &mut self,
@@ -109,7 +108,7 @@ impl Near {
             let mut found = 0;
             let (rows_found, places_found) =
                 (&mut self.rows[self.found..room], &mut self.places[self.found..room]);
-            // All are written, and the next is written over what does not count: without a branch.
+            // Every candidate is written, and rejected ones overwritten by the next: without a branch.
             for (place, row) in places.iter().zip(rows) {
                 let way: [E::Numbers; 3] =
                     std::array::from_fn(|axis| eight.sub(own[axis], eight.all(place[axis])));
@@ -122,9 +121,9 @@ impl Near {
         }
     }
 
-    /// Weighs what was found, and adds the factor of each in `unit`s \[1/m²\], rounded: volume of what is not a plain particle of
-    /// the two, `own` where that is the row, times the kernel's slope; the way to the row times that is the gradient that the
-    /// two have in common.
+    /// Appends the factor of each neighbour in `unit`s \[1/m²\], rounded: the volume of whichever of the two is not a
+    /// plain particle, `own` for the row, times the kernel's slope; multiplied by the vector to the row, it is the
+    /// pair's common gradient.
     #[inline(always)]
     pub(super) fn weigh<E: Eight>(
         &self,
@@ -138,14 +137,14 @@ impl Near {
         let mut sums = Sums::default();
         factors.reserve(self.found);
         weigh_each(eight, liquid, axes, (kernel, unit), own, factors, &mut sums);
-        // Walls do not give way.
+        // Walls do not move.
         let squares = sums.squares;
         weigh_each(eight, walls, axes, (kernel, unit), own, factors, &mut sums);
         Sums { squares, ..sums }
     }
 }
 
-/// Adds a factor for each of the places, and what it comes to for each row.
+/// Appends a factor for each of the positions, and adds its contribution to each row.
 #[inline(always)]
 fn weigh_each<E: Eight>(
     eight: E,
@@ -173,11 +172,11 @@ fn weigh_each<E: Eight>(
         ];
         let square = eight.dot([x, y, z], [x, y, z]);
         let (its, slope) = kernel.values_and_slopes(eight, eight.sqrt(square));
-        // Where the two are at the same place there is no way.
+        // Coincident points have no direction.
         let exact = eight.choose(eight.less(zero, square), eight.mul(volumes, slope), zero);
         let packed = eight.pack(eight.mul(exact, units));
         factors.push(Packed(packed));
-        // As it is from here on, for everybody.
+        // The rounded factor, as used from here on.
         let factor = eight.mul(eight.unpack(&packed), unit);
         value = eight.add(value, eight.mul(volumes, its));
         count = eight.add(count, eight.choose(eight.less(square, most), one, zero));

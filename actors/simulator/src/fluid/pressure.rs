@@ -1,7 +1,7 @@
-//! Pressures that keep a liquid from being compressed, and pull nowhere: the least p ≥ 0 with A p ≥ b, where A is the product
-//! of the divergence and the gradient of the particles. Solved by conjugate gradients that keep to the bounds: MPRGP
-//! (Dostál and Schöberl, *Minimizing quadratic functions subject to bound constraints with the rate of convergence and finite
-//! termination*, 2005), scaled by the diagonal.
+//! Pressure solver: the least p ≥ 0 with A p ≥ b, where A is the divergence of the gradient on particles; pressures
+//! prevent compression and are never tensile. Solved by bound-constrained conjugate gradients, MPRGP (Dostál and
+//! Schöberl, *Minimizing quadratic functions subject to bound constraints with the rate of convergence and finite
+//! termination*, 2005), with diagonal scaling.
 
 use nalgebra::Vector3;
 
@@ -9,37 +9,37 @@ use super::neighbour_lists::Rows;
 use super::neighbour_search::LANES;
 use crate::simd::f32x8::{Eight, ForEight, with_eight};
 
-/// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
+/// Iterations after which the gradient is recomputed, if rows were clamped to their bounds since.
 const RENEWAL: u32 = 10;
 
-/// All that a row changes of others, in parts of what it changes of its own, at most.
+/// Upper bound of a row's effect on all others, relative to its effect on itself.
 const SPREAD: f64 = 8.0;
 
-/// Lists that a solve needs; kept, so that none is made anew.
+/// Buffers of the solver, reused.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Solver {
-    /// Pressure over density of each row \[m²/s²\]: before, what to begin with; after, what is sought.
+    /// Pressure over density of each row \[m²/s²\]: the initial guess, then the solution.
     pub pressures: Vec<f32>,
-    /// What each row lacks at the beginning, as a share; of a row that has no pressure it does not matter.
+    /// Right-hand side of each row, as a fraction; ignored for rows without pressure.
     pub wanted: Vec<f32>,
     /// Whether each row can have a pressure.
     pub is_active: Vec<bool>,
-    /// Room for velocities.
+    /// Velocity buffer.
     pub velocities: Vec<[f32; 4]>,
     scale: Vec<f32>,
-    /// The other way round; 0 of who has none.
+    /// The inverse scale; 0 for rows without one.
     inverse: Vec<f32>,
     scaled: Vec<f32>,
     slope: Vec<f32>,
     direction: Vec<f32>,
     image: Vec<f32>,
-    /// What rows were held back by at their bounds since the slope was computed from the beginning: how much each would have
-    /// changed of its own, as a share, over all of them.
+    /// Accumulated clamping at the bounds since the gradient was recomputed: the effect of each row on itself, as a
+    /// fraction, summed.
     drift: f64,
 }
 
 impl Solver {
-    /// Makes room for so many rows.
+    /// Resizes for this many rows.
     pub(super) fn resize(&mut self, count: usize) {
         for list in [
             &mut self.pressures,
@@ -60,20 +60,21 @@ impl Solver {
         self.velocities.resize(count, [0.0; 4]);
     }
 
-    /// Puts the velocities of the particles into their rows.
+    /// Copies the particles' velocities to their rows.
     pub(super) fn set_velocities(&mut self, rows: &Rows, velocities: &[Vector3<f64>]) {
         for (velocity, row) in velocities.iter().zip(&rows.row_of) {
             self.velocities[*row as usize] = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
         }
     }
 
-    /// `image` = scaled A times the direction, or what is scaled: in single precision, as what it corrects is small.
+    /// `image` = scaled A times the direction, or times the scaled pressures: in single precision, since it computes a
+    /// small correction.
     fn apply(&mut self, rows: &mut Rows, dt: f32, of_direction: bool) {
         let of = if of_direction { &self.direction } else { &self.scaled };
         rows.product((&self.scale, dt * dt), of, &mut self.velocities, &mut self.image);
     }
 
-    /// Slope at where it is, from the beginning, and the direction of the free rows.
+    /// Recomputes the gradient at the iterate, and the direction of the free rows.
     fn renew_slope(&mut self, rows: &mut Rows, dt: f32) -> Left {
         self.apply(rows, dt, false);
         for ((slope, image), (wanted, scale)) in
@@ -87,7 +88,7 @@ impl Solver {
         left
     }
 
-    /// Solves for a part of a step \[s\] until the mean of what is left is at most `tolerance`. Iterations, and what is left.
+    /// Solves for a substep \[s\] until the mean residual is at most `tolerance`. Returns iterations and residual.
     pub(super) fn solve(&mut self, rows: &mut Rows, dt: f32, tolerance: f64, most: u32) -> (u32, f64) {
         let mut active = 0_usize;
         for row in 0..self.scale.len() {
@@ -109,7 +110,7 @@ impl Solver {
             let mut left = self.renew_slope(rows, dt);
             loop {
                 let mean = left.sum / active as f64;
-                // What is held back changes others, by so much at most.
+                // Clamping affects others by at most this much.
                 let unknown = SPREAD * self.drift / active as f64;
                 let is_done = mean + unknown <= tolerance;
                 if self.drift > 0.0 && !is_done && (mean <= tolerance || since >= RENEWAL) {
@@ -137,7 +138,7 @@ impl Solver {
         (iterations, rest)
     }
 
-    /// Rows at their bound that want to rise do so; what is left then, or none where there is no way to go.
+    /// Releases rows from their bounds; returns the residual, or `None` where there is no descent.
     fn leave_bounds(&mut self, rows: &mut Rows, dt: f32) -> Option<Left> {
         for ((direction, slope), (value, scale)) in
             self.direction.iter_mut().zip(&self.slope).zip(self.scaled.iter().zip(&self.scale))
@@ -153,7 +154,8 @@ impl Solver {
         })
     }
 
-    /// A step of conjugate gradients, or to the first bound and on; what is left then, or none where there is no way to go.
+    /// A conjugate gradient step, or one to the first bound and beyond; returns the residual, or `None` where there is
+    /// no descent.
     fn advance(&mut self, rows: &mut Rows, dt: f32) -> Option<Left> {
         self.apply(rows, dt, true);
         let (curvature, descent) = self.along();
@@ -164,15 +166,15 @@ impl Solver {
         })
     }
 
-    /// The direction times its image, and times the slope.
+    /// The direction times its image, and times the gradient.
     fn along(&self) -> (f64, f64) {
         with_eight(Along { slope: &self.slope, direction: &self.direction, image: &self.image })
     }
 
-    /// Goes so far against the direction, and says what is left.
+    /// Moves against the direction by this length, and returns the residual.
     ///
-    /// Who went past its bound stays at it. What that changes for others is small, and made good when the slope is next computed
-    /// from the beginning: at the latest when it might matter.
+    /// Rows beyond their bound are clamped to it. The effect on others is small, and included when the gradient is next
+    /// recomputed: at the latest when it might matter.
     fn go(&mut self, length: f32) -> Left {
         let left = with_eight(Go {
             scaled: &mut self.scaled,
@@ -186,27 +188,27 @@ impl Solver {
         left
     }
 
-    /// The next direction: the slope of the free rows, less so much of the last one.
+    /// The next direction: the gradient of the free rows minus this multiple of the last direction.
     fn turn(&mut self, share: f32) {
         with_eight(Turn { scaled: &self.scaled, slope: &self.slope, direction: &mut self.direction, share });
     }
 }
 
-/// What is left of what was wanted.
+/// Residual norms.
 #[derive(Clone, Copy)]
 struct Left {
-    /// As a share, over all rows.
+    /// Sum over all rows, as a fraction.
     sum: f64,
-    /// Squares of the slope of the rows that are free to go, and of those that want to leave their bounds.
+    /// Squared gradient of the free rows, and of those about to leave their bounds.
     free: f64,
     bound: f64,
-    /// Slope times image of the free rows.
+    /// Gradient times image of the free rows.
     along: f64,
-    /// How far rows would have gone past their bounds, as shares.
+    /// How far rows would have exceeded their bounds, as fractions.
     past: f64,
 }
 
-/// Eights of a list.
+/// Groups of eight items of a list.
 #[inline(always)]
 fn eights(list: &[f32]) -> &[[f32; LANES]] {
     list.as_chunks().0
@@ -217,7 +219,7 @@ fn eights_mut(list: &mut [f32]) -> &mut [[f32; LANES]] {
     list.as_chunks_mut().0
 }
 
-/// Products of a direction.
+/// Dot products of a direction.
 struct Along<'a> {
     slope: &'a [f32],
     direction: &'a [f32],
@@ -267,7 +269,7 @@ impl ForEight for Go<'_> {
             past = eight.add_to(past, eight.mul(eight.sub(kept, to), inverse));
             let is_free = eight.less(zero, kept);
             let goes = eight.choose(is_free, its, zero);
-            // At its bound one may only rise.
+            // At its bound a row may only rise.
             let rises = eight.choose(is_free, zero, eight.max(eight.sub(zero, its), zero));
             let size = eight.add(eight.max(goes, eight.sub(zero, goes)), rises);
             sum = eight.add_to(sum, eight.mul(size, inverse));
@@ -282,7 +284,7 @@ impl ForEight for Go<'_> {
     }
 }
 
-/// A direction that follows a slope.
+/// A conjugate direction.
 struct Turn<'a> {
     scaled: &'a [f32],
     slope: &'a [f32],
@@ -315,7 +317,7 @@ mod tests {
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
 
-    /// A block of particles that are a little out of order, without walls.
+    /// A slightly disordered block of particles, without walls.
     fn rows() -> Rows {
         let mut random = rand_pcg::Pcg64::seed_from_u64(5);
         let mut points = Vec::new();
@@ -335,12 +337,12 @@ mod tests {
         rows
     }
 
-    /// Of a list by rows, what belongs to the particles.
+    /// The particles' values in a list by rows.
     fn of_particles<T: Copy>(rows: &Rows, list: &[T]) -> Vec<T> {
         rows.row_of.iter().map(|row| list[*row as usize]).collect()
     }
 
-    /// The operator as a matrix of the particles, for a step of a second.
+    /// The operator as a matrix over the particles, for a step of a second.
     fn matrix(rows: &mut Rows) -> DMatrix<f64> {
         let (count, particles) = (rows.count(), rows.row_of.len());
         assert!(count > particles && count.is_multiple_of(LANES), "some rows are no one's: {count}");
@@ -441,7 +443,7 @@ mod tests {
             }
         }
         assert!((5..95).contains(&bound), "{bound} of 100 at their bound");
-        // From where it is there is nothing left to do.
+        // At the solution there is nothing left to do.
         let before = solver.pressures.clone();
         let (iterations, _) = solver.solve(&mut rows, dt, 1e-5, 500);
         assert_eq!(iterations, 0);

@@ -1,29 +1,29 @@
-//! Smoke: puffs that rise by their warmth, spread, and go with age. A puff's warmth and speed relax to those of the gas
-//! about it as a small thermal mixes in air (Morton, Taylor and Turner, *Turbulent gravitational convection*, 1956, in its
-//! simplest form: one time of mixing); what a puff spreads by is told by the diffusivity, and drawn by the viewer. Where a
-//! puff strays is a random walk of that diffusivity, seeded by the puff's number: the same for any order and any restart.
+//! Smoke as puffs that rise by buoyancy, spread and expire. A puff's excess temperature and velocity relax to those of
+//! the surrounding gas, as a thermal mixes with air (Morton, Taylor and Turner, *Turbulent gravitational convection*,
+//! 1956, in its simplest form: one mixing time); its spread follows from the diffusivity and is drawn by the viewer.
+//! Puffs perform a random walk of that diffusivity, seeded by their number: independent of order and restarts.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{FluidError, FluidStepError, parameter};
 
-/// What smoke is.
+/// Smoke settings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SmokeConfig {
-    /// Smoke of a puff \[kg\].
+    /// Mass of smoke in a puff \[kg\].
     pub puff: f64,
-    /// How long a puff is seen \[s\].
+    /// Lifetime of a puff \[s\].
     pub lifetime: f64,
-    /// Time in which a puff takes on the warmth and the speed of the gas about it \[s\].
+    /// Mixing time in which a puff takes on temperature and velocity of the gas \[s\].
     pub mixing: f64,
-    /// How much warmer than the gas it leaves the tissue \[K\].
+    /// Initial temperature excess over the gas \[K\].
     pub warmth: f64,
-    /// Diffusivity of turbulence in the cavity \[m²/s\].
+    /// Turbulent diffusivity in the cavity \[m²/s\].
     pub diffusivity: f64,
-    /// Up, times gravity \[m/s²\].
+    /// Upward vector of the magnitude of gravity \[m/s²\].
     pub up: Vector3<f64>,
-    /// Most puffs; when there are more, the oldest are gone.
+    /// Maximum number of puffs; the oldest are dropped.
     pub puffs_max: usize,
 }
 
@@ -41,24 +41,24 @@ impl Default for SmokeConfig {
     }
 }
 
-/// Puffs in the order in which they came.
+/// State of smoke: puffs in order of emission.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SmokeState {
-    /// Number of the first in the lists; the next one has the next number.
+    /// Number of the first in the lists; the others follow consecutively.
     pub first: u64,
-    /// Where they are \[m\].
+    /// Positions \[m\].
     pub positions: Vec<Point3<f64>>,
-    /// How they move \[m/s\].
+    /// Velocities \[m/s\].
     pub velocities: Vec<Vector3<f64>>,
-    /// How old they are \[s\].
+    /// Ages \[s\].
     pub ages: Vec<f64>,
-    /// How much warmer than the gas \[K\].
+    /// Temperature excess over the gas \[K\].
     pub warmths: Vec<f64>,
-    /// Smoke that does not make a puff yet \[kg\].
+    /// Emitted smoke too little for a puff \[kg\].
     pub waiting: f64,
     /// Smoke emitted since the beginning \[kg\].
     pub emitted: f64,
-    /// Puffs that were gone before their time, for want of room.
+    /// Number of puffs dropped by the limit.
     pub dropped: u64,
 }
 
@@ -69,14 +69,14 @@ pub struct Smoke {
     state: SmokeState,
 }
 
-/// Kelvin of the gas, for its expansion.
+/// Temperature of the gas \[K\], for its thermal expansion.
 const GAS_KELVIN: f64 = 310.0;
 
 impl Smoke {
     /// Clear air.
     ///
     /// # Errors
-    /// A parameter out of its range.
+    /// A parameter out of range.
     pub fn new(config: SmokeConfig) -> Result<Self, FluidError> {
         parameter("puff", config.puff, 1e-15..=1.0, "1e-15 to 1 kg")?;
         parameter("lifetime", config.lifetime, 1e-3..=1e4, "0.001 to 10000 s")?;
@@ -94,10 +94,10 @@ impl Smoke {
         &self.state
     }
 
-    /// Goes on from a state.
+    /// Restores from a state.
     ///
     /// # Errors
-    /// Lists of different lengths, too many puffs, numbers that are not finite.
+    /// Lists of different lengths, too many puffs, non-finite numbers.
     pub fn restore(&mut self, state: &SmokeState) -> Result<(), FluidError> {
         let count = state.positions.len();
         let lengths = [state.velocities.len(), state.ages.len(), state.warmths.len()];
@@ -116,10 +116,10 @@ impl Smoke {
         Ok(())
     }
 
-    /// Emits smoke \[kg\] at places, and moves all on by `dt` \[s\] in gas that moves by `wind` \[m/s\].
+    /// Emits smoke \[kg\] at points, and advances all puffs by `dt` \[s\] in gas that moves by `wind` \[m/s\].
     ///
     /// # Errors
-    /// A step that is no time; less than no smoke, a place or a wind that is not finite (named as the number of the next puff).
+    /// An invalid time step; a negative mass, a non-finite point or wind (reported with the number of the next puff).
     pub fn step(
         &mut self,
         dt: f64,
@@ -136,7 +136,7 @@ impl Smoke {
         if !sources.iter().all(is_source) || !wind.iter().all(|w| w.abs() <= 1e3) {
             return Err(FluidStepError::NotFinite { number: next });
         }
-        // Exact for a speed that relaxes to the wind while warmth, which fades as fast, pushes.
+        // Exact for a velocity that relaxes to the wind under a buoyancy that decays at the same rate.
         let keep = (-dt / self.config.mixing).exp();
         let stray = (6.0 * self.config.diffusivity * dt).sqrt();
         let state = &mut self.state;
@@ -183,7 +183,7 @@ impl Smoke {
     }
 }
 
-/// A unit direction from a puff's number and its age: no generator whose state would have to be kept.
+/// A unit direction from a puff's number and age: no generator state has to be stored.
 fn direction(number: u64, age: f64) -> Vector3<f64> {
     let mut bits = number.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ age.to_bits().rotate_left(23);
     let mut uniform = || {

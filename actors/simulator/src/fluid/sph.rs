@@ -1,17 +1,17 @@
-//! Liquid as smoothed particles that keep their volume: pressures so that nothing is compressed at the end of a part of a
-//! step are solved for implicitly (Ihmsen et al., *Implicit incompressible SPH*, 2014), with what is compressed already let
-//! off slowly in the same solve (Cornelis et al., *An optimized source term formulation for incompressible SPH*, 2019).
+//! Incompressible SPH: pressures that prevent compression at the end of a substep are solved for implicitly (Ihmsen et
+//! al., *Implicit incompressible SPH*, 2014); existing compression is released slowly in the same solve (Cornelis et
+//! al., *An optimized source term formulation for incompressible SPH*, 2019).
 //!
-//! Walls are particles that weigh what they stand for (Akinci et al., *Versatile rigid-fluid coupling for incompressible
-//! SPH*, 2012), scaled so that a flat wall continues the lattice of particles before it, and have pressures of their own,
-//! which are solved for as well (Shao and Lo, *Incompressible SPH method for simulating Newtonian and non-Newtonian flows
-//! with a free surface*, 2003): with the pressure of the particle before it alone, what presses on a floor is not what a
-//! column weighs over its area. Walls push, but do not hold. What slides along samples meets them one after another, as
-//! bumps half a spacing high, and is dragged by them; where it is said which way a sample faces, only what acts that way
-//! is left, and the wall is smooth there.
+//! Walls are boundary particles weighted by the volume they represent (Akinci et al., *Versatile rigid-fluid coupling
+//! for incompressible SPH*, 2012), scaled so that a flat wall continues the particle lattice next to it, with pressures
+//! of their own, also solved for (Shao and Lo, *Incompressible SPH method for simulating Newtonian and non-Newtonian
+//! flows with a free surface*, 2003): with mirrored particle pressures, the pressure on a floor would not equal the
+//! weight of the column over its area. Walls push but do not hold. Liquid sliding along samples would meet them as
+//! bumps half a spacing high, and be dragged; where sample normals are given, only the normal component acts, and the
+//! wall is smooth.
 //!
-//! On the rayon pool, with the same bits for any number of threads. What two particles do to each other is computed alike from both sides, so that momentum is kept to the last
-//! bits.
+//! Runs on the rayon pool, bit-identical for any number of threads. The interaction of two particles is computed
+//! identically from both sides, so that momentum is conserved to rounding.
 
 use nalgebra::{Point3, Vector3};
 
@@ -23,25 +23,25 @@ use super::neighbour_clusters::{Drag, Push};
 use super::neighbour_lists::{Rows, WallLink, Walls};
 use super::pressure::Solver;
 
-/// Support of the kernel in spacings of particles.
+/// Support radius of the kernel in particle spacings.
 const SUPPORT: f64 = 2.0;
-/// Fewer neighbours are spray: it is not kept from parting.
+/// Particles with fewer neighbours are spray: they are not kept from separating.
 const NEIGHBOURS_MIN: f32 = 8.0;
-/// No particle comes nearer to a sample of a wall, in spacings: in the middle of a square of samples, 0.71 away from each, it
-/// would be through.
+/// Least distance of a particle from a wall sample, in spacings: in the middle of a square of samples, 0.71 from each,
+/// a particle would have passed through.
 const NEAREST: f64 = 0.9;
-/// The same of the plane of a smooth wall, which has no gaps; a sample stands for what is so near to it along the plane.
+/// Least distance from the plane of a smooth wall, which has no gaps; a sample covers this radius of its plane.
 const NEAREST_PLANE: f64 = 0.7;
 const BESIDE: f64 = 0.75;
-/// Sum of kernels times volumes in one layer of a lattice, and in the next one: what a flat wall counts of its own samples,
-/// and of the particles before it.
+/// Sum of kernels times volumes over one lattice layer, and the next one: a flat wall's sum over its own samples, and
+/// over the adjacent particles.
 const LAYER: f64 = 0.7006;
 const NEXT_LAYER: f32 = 0.1499;
-/// Compression goes in this share of the time in which a particle falls its own size,
+/// Compression is released in this fraction of the time in which a particle falls its own size,
 const RELIEF: f64 = 2.0;
-/// but not more than this share of it in a part of a step.
+/// but at most this fraction of it per substep.
 const RELIEF_MAX: f64 = 0.1;
-/// One in so many particles may be faster than the rest.
+/// One in this many particles may be faster than the limit.
 const FEW: usize = 100;
 const CELLS_MAX: usize = 8_000_000;
 const CELLS_ALONG: usize = 4_096;
@@ -58,27 +58,27 @@ pub struct Fluid {
     wall_cells: CellStarts,
     walls: Vec<Point3<f64>>,
     wall_velocities: Vec<Vector3<f64>>,
-    /// Which way each faces; zero where nobody said.
+    /// Normal of each wall sample; zero where not given.
     wall_normals: Vec<Vector3<f64>>,
-    /// As they were given: which one it is.
+    /// Forces on the samples, in the order given.
     wall_forces: Vec<Vector3<f64>>,
-    /// From the corner of the box \[m\], and what each stands for \[m³\], in the order of their cells.
+    /// Positions relative to the corner of the box \[m\], and volumes represented \[m³\], in the order of their cells.
     wall_places: Vec<[f32; 4]>,
     rows: Rows,
     solver: Solver,
-    /// Of the velocity of each row.
+    /// Velocity change of each row.
     change: Vec<Vector3<f64>>,
     pressure: Vec<f64>,
     speeds: Vec<f32>,
-    /// Particles that walls have sent back.
+    /// Particles pushed back by walls.
     sent_back: Vec<bool>,
 }
 
 impl Fluid {
-    /// No liquid yet, and no walls.
+    /// An empty box without walls.
     ///
     /// # Errors
-    /// A parameter out of its range.
+    /// A parameter out of range.
     pub fn new(config: FluidConfig) -> Result<Self, FluidError> {
         parameter("spacing", config.spacing, 1e-5..=1.0, "1e-5 to 1 m")?;
         parameter("density", config.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
@@ -98,7 +98,7 @@ impl Fluid {
             (0..3).map(|axis| ((config.max[axis] - config.min[axis]) / kernel.support).ceil()).product();
         parameter("cells of the box", cells, 1.0..=CELLS_MAX as f64, "1 to 8,000,000")?;
         let grid = CellGrid::new(config.min, config.max, kernel.support);
-        // Places are kept in single precision, as seen from a corner.
+        // Positions are stored in single precision, relative to a corner.
         let longest = grid.size.iter().copied().max().unwrap_or(0);
         parameter("cells of the box along an axis", longest as f64, 1.0..=CELLS_ALONG as f64, "1 to 4,096")?;
         let mut wall_cells = CellStarts::default();
@@ -125,10 +125,10 @@ impl Fluid {
         })
     }
 
-    /// Goes on from a state, bit for bit.
+    /// Continues from a state, bit for bit.
     ///
     /// # Errors
-    /// Lists of different lengths, more particles than there may be, numbers that are not finite.
+    /// Lists of different lengths, too many particles, non-finite numbers.
     pub fn restore(&mut self, state: &FluidState) -> Result<(), FluidError> {
         let count = state.positions.len();
         let lengths = [state.numbers.len(), state.velocities.len(), state.pushes.len()];
@@ -155,36 +155,36 @@ impl Fluid {
         &self.state
     }
 
-    /// What it is.
+    /// Its settings.
     #[must_use]
     pub fn config(&self) -> &FluidConfig {
         &self.config
     }
 
-    /// Gravity is another one from now on \[m/s²\], as where its box turns; what is not finite changes nothing.
+    /// Changes gravity \[m/s²\], as where the box rotates; a non-finite value is ignored.
     pub fn set_gravity(&mut self, gravity: Vector3<f64>) {
         if gravity.iter().all(|g| g.abs() <= 1e3) {
             self.config.gravity = gravity;
         }
     }
 
-    /// What a particle stands for \[m³\].
+    /// Volume of a particle \[m³\].
     #[must_use]
     pub fn particle_volume(&self) -> f64 {
         self.config.spacing.powi(3)
     }
 
-    /// Pressure of each particle in the last part of the last step \[Pa\], in the order of the state's lists.
+    /// Pressure of each particle in the last substep of the last step \[Pa\], in the order of the state's lists.
     #[must_use]
     pub fn pressures(&self) -> &[f64] {
         &self.pressure
     }
 
-    /// Samples of walls \[m\], at most a spacing apart, and how they move \[m/s\]; none of the old ones stay. As many as
-    /// before are the same ones elsewhere.
+    /// Replaces the wall samples: positions \[m\], at most a spacing apart, and velocities \[m/s\]. With an unchanged
+    /// number, they are taken to be the same samples, moved.
     ///
     /// # Errors
-    /// Lists of different lengths, more than 1,000,000, numbers that are not finite.
+    /// Lists of different lengths, more than 1,000,000, non-finite numbers.
     pub fn set_walls(
         &mut self,
         samples: &[Point3<f64>],
@@ -223,11 +223,11 @@ impl Fluid {
         Ok(())
     }
 
-    /// Which way the wall faces at each sample, as they were given last, of any length; either side will do. There it is
-    /// smooth: it acts that way only. Of a normal that is zero nothing is known, and until this is told of none.
+    /// Sets the wall normals at the samples last given, of any length and either sign. There the wall is smooth: only
+    /// the normal component acts. A zero normal means unknown, as do all before the first call.
     ///
     /// # Errors
-    /// Another number of normals than of samples, numbers that are not finite.
+    /// A number of normals other than that of samples, non-finite numbers.
     pub fn set_wall_normals(&mut self, normals: &[Vector3<f64>]) -> Result<(), FluidError> {
         if normals.len() != self.walls.len() {
             return Err(FluidError::State { count: normals.len(), most: self.walls.len() });
@@ -241,14 +241,14 @@ impl Fluid {
         Ok(())
     }
 
-    /// Force of the liquid on each sample of the walls, as they were given, over the last step \[N\].
+    /// Force of the liquid on each wall sample in the order given, over the last step \[N\].
     #[must_use]
     pub fn wall_forces(&self) -> &[Vector3<f64>] {
         &self.wall_forces
     }
 
-    /// Adds a particle; when there are too many, the oldest is absorbed. Its number, or none where it is not in the box or
-    /// not finite.
+    /// Adds a particle; beyond the limit, the oldest is removed. Returns its number; `None` outside of the box or for
+    /// non-finite values.
     pub fn add(&mut self, position: Point3<f64>, velocity: Vector3<f64>) -> Option<u64> {
         if !self.is_inside(&position) || !velocity.iter().all(|v| v.is_finite()) {
             return None;
@@ -266,7 +266,8 @@ impl Fluid {
         Some(number)
     }
 
-    /// Takes at most so many particles within a ball away, the nearest first, as a sucker does; how many.
+    /// Removes at most this many particles within a ball, the nearest first, as a suction device does; returns how
+    /// many.
     pub fn suck(&mut self, centre: &Point3<f64>, radius: f64, most: u64) -> u64 {
         if most == 0 {
             return 0;
@@ -279,7 +280,7 @@ impl Fluid {
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         near.truncate(usize::try_from(most).unwrap_or(usize::MAX));
-        // From the end, as the last one takes the place of each that goes.
+        // From the end, since the last one replaces each that is removed.
         near.sort_by_key(|(_, index)| std::cmp::Reverse(*index));
         near.iter().for_each(|(_, index)| self.absorb(*index));
         near.len() as u64
@@ -297,11 +298,11 @@ impl Fluid {
         self.state.absorbed += 1;
     }
 
-    /// Moves the liquid on by `dt` \[s\], in as many parts as its speed asks for.
+    /// Advances the liquid by `dt` \[s\], in as many substeps as its speed requires.
     ///
     /// # Errors
-    /// A step that is no time, or needs more parts than there may be; a particle that came to be nowhere. The liquid is as
-    /// before.
+    /// An invalid time step, or one that needs too many substeps; a particle with a non-finite position. The liquid is
+    /// unchanged then.
     pub fn step(&mut self, dt: f64) -> Result<FluidReport, FluidStepError> {
         if !(1e-9..=1.0).contains(&dt) {
             return Err(FluidStepError::Time(dt));
@@ -349,12 +350,12 @@ impl Fluid {
         Ok(report)
     }
 
-    /// What has left the box is absorbed at once: a drop that flies out of it does not hold up the rest of the step.
+    /// Removes particles that have left the box at once: a drop that flies out does not slow down the rest of the step.
     fn absorb_what_left(&mut self) {
         for index in (0..self.state.numbers.len()).rev() {
             if !self.is_inside(&self.state.positions[index]) {
                 self.absorb(index);
-                // As the state's list: the last takes the place.
+                // As in the state's lists: the last one replaces it.
                 if index < self.pressure.len() {
                     self.pressure.swap_remove(index);
                 }
@@ -362,7 +363,7 @@ impl Fluid {
         }
     }
 
-    /// How long a part may be. A few drops that fly ahead do not hold up the others: they may go a spacing in it.
+    /// Length of the next substep. A few fast drops do not limit it: they may move by a spacing.
     fn part(&mut self, left: f64) -> f64 {
         self.speeds.clear();
         self.speeds.extend(self.state.velocities.iter().map(|velocity| velocity.norm_squared() as f32));
@@ -374,7 +375,7 @@ impl Fluid {
             fastest = f64::from(faster.iter().copied().fold(*fast, f32::max)).sqrt();
         }
         let reach = self.config.cfl * self.config.spacing;
-        // Of what gravity makes in it, too.
+        // Including the velocity that gravity adds.
         let gravity = self.config.gravity.norm();
         let more = (gravity * reach).sqrt().min(gravity * left);
         let viscous = 0.1 * self.kernel.support.powi(2) / self.config.viscosity.max(1e-12);
@@ -384,11 +385,11 @@ impl Fluid {
         if left <= longest { left } else { left / (left / longest).ceil() }
     }
 
-    /// Brings the particles into the order of their cells.
+    /// Sorts the particles by cell.
     fn sort(&mut self) {
         let Self { cells, grid, state, backup: _, .. } = self;
         cells.sort(grid, &state.positions);
-        // In place, by the cycles of the permutation, so that nothing is allocated.
+        // In place, by the cycles of the permutation, without allocation.
         let order = &mut cells.order;
         for first in 0..order.len() {
             let mut to = first;
@@ -407,7 +408,7 @@ impl Fluid {
         }
     }
 
-    /// Neighbours, compression and the solver's diagonal of the positions.
+    /// Neighbours, compression and the solver's diagonal at these positions.
     fn find_neighbours(&mut self) {
         let min = self.config.min;
         let volume = self.particle_volume() as f32;
@@ -437,7 +438,8 @@ impl Fluid {
         }
     }
 
-    /// Finds the pressures of a part of a step, and lets them push. Iterations, and the mean of what is left, as a share.
+    /// Solves for the pressures of a substep and applies them. Returns iterations, and the mean remaining compression
+    /// as a fraction.
     fn press(&mut self, dt: f64) -> (u32, f64) {
         let Self { rows, solver, state, change, config, .. } = self;
         let (particles, count) = (rows.particles, rows.count());
@@ -449,16 +451,16 @@ impl Fluid {
                 [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
         }
         rows.compression_rate(&solver.velocities, &mut solver.wanted);
-        // From here on they are changes, of which walls have none.
+        // From here on these are changes, which are zero for walls.
         solver.velocities[particles..].fill([0.0; 4]);
-        // Compression that is there already is let off slowly: at once it would be a spring, and an explosion where the
-        // liquid was put down too close.
+        // Existing compression is released slowly: at once it would act as a spring, and explode where liquid was
+        // placed too densely.
         let fall = (config.spacing / config.gravity.norm().max(1e-6)).sqrt();
         let relief = (dt / (RELIEF * fall)).min(RELIEF_MAX) as f32;
         let least = 1e-6 / (self.kernel.support * self.kernel.support) as f32;
         for row in 0..count {
             let there = rows.compression[row] - 1.0;
-            // Where there is room it may come together.
+            // Below rest density it may contract.
             let share = if there > 0.0 { there * relief } else { there };
             solver.wanted[row] = solver.wanted[row] * dt as f32 + share;
             let is_spray = row < particles && rows.degree[row] < NEIGHBOURS_MIN;
@@ -498,12 +500,12 @@ impl Fluid {
             let mut push = Vector3::new(x, y, z);
             let normal = &self.wall_normals[wall];
             if *normal != Vector3::zeros() {
-                // What the unevenness of the samples makes of it along the wall is taken back.
+                // Removes the tangential part caused by the unevenness of the samples.
                 let across = normal * push.dot(normal);
                 state.velocities[particle] += (push - across) * dt;
                 push = across;
             }
-            // As an impulse; divided by the step's time at its end.
+            // As an impulse; divided by the time step at its end.
             self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
         }
         self.pressure.clear();
@@ -511,14 +513,14 @@ impl Fluid {
         (iterations, left)
     }
 
-    /// Lets nothing through walls: what pushes there is compression, of which a surface has none where it meets a wall, nor a
-    /// drop. Whoever is near to a sample comes no nearer.
+    /// Keeps particles from passing through walls: pressure needs compression, which a surface at a wall or a drop does
+    /// not have. No particle comes nearer to a sample than the limit.
     fn contain(&mut self, dt: f64) {
         let near = NEAREST * self.config.spacing;
         let near_plane = NEAREST_PLANE * self.config.spacing;
         let beside = (BESIDE * self.config.spacing).powi(2);
         let mass = self.config.density * self.particle_volume();
-        // In a corner the second sample may send back to the first; who was not sent back is where it is.
+        // In a corner the second sample may push back towards the first; particles not pushed back keep their position.
         self.sent_back.clear();
         self.sent_back.resize(self.state.positions.len(), false);
         for is_first in [true, false] {
@@ -531,14 +533,14 @@ impl Fluid {
                 let mut near = near;
                 let facing = &self.wall_normals[b];
                 if *facing != Vector3::zeros() {
-                    // A smooth wall is as far off as its plane, where the sample stands for it.
+                    // The distance from a smooth wall is that from its plane, within the sample's area.
                     let across = facing * apart.dot(facing);
                     if (apart - across).norm_squared() > beside {
                         continue;
                     }
                     (apart, near) = (across, near_plane);
                 }
-                // Whoever does not come that far is not asked which way it goes: (n + w)² is at most 2 (n² + w²).
+                // Particles too far to reach the wall are skipped: (n + w)² is at most 2 (n² + w²).
                 let way = (self.state.velocities[a] - self.wall_velocities[b]).norm_squared() * dt * dt;
                 if apart.norm_squared() > 2.0 * (near * near + way) {
                     continue;
@@ -561,12 +563,12 @@ impl Fluid {
     }
 }
 
-/// Makes a list so long; what is in it does not matter.
+/// Resizes a list; its contents are unspecified.
 fn sized(list: &mut Vec<Vector3<f64>>, count: usize) {
     list.resize(count, Vector3::zeros());
 }
 
-/// A point as seen from a corner, in single precision, and what stands there for how much.
+/// A point relative to a corner in single precision, with its volume.
 fn seen_from(corner: &Point3<f64>, point: &Point3<f64>, volume: f32) -> [f32; 4] {
     let apart = point - corner;
     [apart.x as f32, apart.y as f32, apart.z as f32, volume]

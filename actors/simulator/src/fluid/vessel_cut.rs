@@ -1,9 +1,9 @@
-//! What meets a vessel: blades that sweep through its line, tissue that goes beside it.
+//! Cutting and burning of vessels: blades that cross a vessel's centre line, and tissue near it.
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::tet_mesh::Sweep;
 
-/// Where along a line \[m from its first point\] a swept edge goes through it first; none if it does not.
+/// Where along a line \[m from its first point\] a swept edge crosses it first; `None` if it does not.
 #[must_use]
 pub fn first_crossing(line: &[Point3<f64>], sweep: &Sweep) -> Option<f64> {
     let ([a, b], [c, d]) = (sweep.before, sweep.after);
@@ -19,7 +19,7 @@ pub fn first_crossing(line: &[Point3<f64>], sweep: &Sweep) -> Option<f64> {
     None
 }
 
-/// Share of a segment at which it goes through a triangle (Möller and Trumbore, *Fast, minimum storage ray/triangle
+/// Fraction of a segment at which it intersects a triangle (Möller and Trumbore, *Fast, minimum storage ray/triangle
 /// intersection*, 1997).
 fn crossing([from, to]: [Point3<f64>; 2], [a, b, c]: [Point3<f64>; 3]) -> Option<f64> {
     let (run, ab, ac) = (to - from, b - a, c - a);
@@ -35,7 +35,7 @@ fn crossing([from, to]: [Point3<f64>; 2], [a, b, c]: [Point3<f64>; 3]) -> Option
     (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && (0.0..=1.0).contains(&share)).then_some(share)
 }
 
-/// Distance of a point from a line, and where along the line that is, from its first point \[m\].
+/// Distance of a point from a line, and position of the closest point along it, from its first point \[m\].
 #[must_use]
 pub fn nearest_on_line(line: &[Point3<f64>], point: &Point3<f64>) -> (f64, f64) {
     let (mut nearest, mut behind) = ((f64::INFINITY, 0.0), 0.0);
@@ -52,7 +52,7 @@ pub fn nearest_on_line(line: &[Point3<f64>], point: &Point3<f64>) -> (f64, f64) 
     nearest
 }
 
-/// Middle of a triangle or a tetrahedron, and its area, or the area of the ball of its volume \[m²\].
+/// Centre of a triangle or a tetrahedron, and its area, or the cross-section of the ball of its volume \[m²\].
 #[must_use]
 pub fn middle_and_section(corners: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
     let [a, b, c, rest @ ..] = corners else { return None };

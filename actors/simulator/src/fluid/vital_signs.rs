@@ -1,9 +1,9 @@
-//! What the loss of blood does to the patient: a lumped circulation of an arterial and a venous vessel (the two-element
-//! Windkessel), a heart that gives what it gets (Frank and Starling), and the reflexes of arterial and low-pressure
-//! receptors on rate, resistance, venous tone and contractility. The shape is that of Zenker, Rubin and Clermont (*From
-//! inverse problems in mathematical physiology to quantitative differential diagnoses*, 2007); normal values are those of
-//! an adult of 70 kg; gains of the reflexes are set so that the classes of haemorrhage of *Advanced Trauma Life Support*
-//! come out, which a test holds them to. No prediction for a patient.
+//! Vital signs under blood loss: a lumped circulation of an arterial and a venous compartment (two-element Windkessel),
+//! a Frank–Starling heart, and baroreflexes of arterial and low-pressure receptors on rate, resistance, venous tone and
+//! contractility. The structure is that of Zenker, Rubin and Clermont (*From inverse problems in mathematical
+//! physiology to quantitative differential diagnoses*, 2007); normal values are those of an adult of 70 kg; reflex
+//! gains are tuned to the haemorrhage classes of *Advanced Trauma Life Support*, and a test checks these. Not a
+//! prediction for a patient.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,13 +11,13 @@ use super::error::{FluidError, FluidStepError, parameter};
 
 /// Pa in a millimetre of mercury.
 pub const MMHG: f64 = 133.322;
-/// Longest part of a step \[s\]: a hundredth of the arterial time constant.
+/// Longest substep \[s\]: a hundredth of the arterial time constant.
 const PART: f64 = 0.015;
 
 /// Parameters of a circulation. Volumes \[m³\], pressures \[Pa\].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Circulation {
-    /// Blood at the beginning.
+    /// Initial blood volume.
     pub blood: f64,
     /// Mean arterial pressure at rest.
     pub arterial: f64,
@@ -25,25 +25,25 @@ pub struct Circulation {
     pub venous: f64,
     /// Heart rate at rest \[1/s\].
     pub rate: f64,
-    /// Heart rate of a reflex at its end \[1/s\].
+    /// Heart rate at full reflex activity \[1/s\].
     pub rate_max: f64,
-    /// Blood of a beat at rest.
+    /// Stroke volume at rest.
     pub stroke: f64,
     /// Arterial compliance \[m³/Pa\].
     pub arterial_compliance: f64,
     /// Venous compliance \[m³/Pa\].
     pub venous_compliance: f64,
-    /// Filling pressure at which a beat is half of the most.
+    /// Filling pressure at half of the largest stroke volume.
     pub filling: f64,
-    /// Blood that the veins give when they tighten.
+    /// Venous volume mobilised by venoconstriction.
     pub reserve: f64,
-    /// How much the resistance can grow, as a share.
+    /// Largest increase of the resistance, as a fraction.
     pub constriction: f64,
-    /// How much the heart can beat more strongly, as a share.
+    /// Largest increase of contractility, as a fraction.
     pub contraction: f64,
-    /// Fall of arterial pressure that is one unit of the reflex.
+    /// Fall of arterial pressure per unit of the reflex.
     pub arterial_gain: f64,
-    /// Fall of venous pressure that is one unit of the reflex.
+    /// Fall of venous pressure per unit of the reflex.
     pub venous_gain: f64,
     /// Time constant of the reflex \[s\].
     pub delay: f64,
@@ -72,8 +72,8 @@ impl Default for Circulation {
 }
 
 impl Circulation {
-    /// The same in a body with so much blood \[m³\]: what the heart gives and vessels hold goes with it, pressures and times
-    /// do not (Schmidt-Nielsen, *Scaling: why is animal size so important?*, 1984).
+    /// Scaled to a body with this blood volume \[m³\]: cardiac output and vessel volumes scale with it, pressures and
+    /// times do not (Schmidt-Nielsen, *Scaling: why is animal size so important?*, 1984).
     #[must_use]
     pub fn of_blood(self, blood: f64) -> Self {
         let share = blood / self.blood;
@@ -88,27 +88,27 @@ impl Circulation {
     }
 }
 
-/// Activity of the reflex at rest, of 1.
+/// Reflex activity at rest, out of 1.
 const TONE: f64 = 0.09;
-/// Pulse pressure as a share of a beat over the compliance: the rest flows off during the beat.
+/// Pulse pressure as a fraction of stroke volume over compliance: the rest flows off during the beat.
 const PULSE: f64 = 0.8;
 
 /// State of a circulation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CirculationState {
-    /// Blood that stretches the arteries \[m³\].
+    /// Stressed volume of the arteries \[m³\].
     pub arterial: f64,
-    /// Blood that stretches the veins, without the reflex's \[m³\]; below 0 they are slack.
+    /// Stressed volume of the veins, without the reflex's contribution \[m³\]; below 0 they are slack.
     pub venous: f64,
-    /// Activity of the reflex, 0 to 1.
+    /// Reflex activity, 0 to 1.
     pub reflex: f64,
-    /// Blood in the body \[m³\].
+    /// Blood volume \[m³\].
     pub blood: f64,
     /// Blood lost since the beginning \[m³\].
     pub lost: f64,
 }
 
-/// What a monitor shows.
+/// Vital signs as on a monitor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Signs {
     /// Heart rate \[1/min\].
@@ -123,7 +123,7 @@ pub struct Signs {
     pub venous: f64,
     /// Cardiac output \[m³/s\].
     pub output: f64,
-    /// Blood in the body \[m³\].
+    /// Blood volume \[m³\].
     pub blood: f64,
 }
 
@@ -148,7 +148,7 @@ impl VitalSigns {
     /// A patient at rest.
     ///
     /// # Errors
-    /// A parameter out of its range.
+    /// A parameter out of range.
     pub fn new(circulation: Circulation) -> Result<Self, FluidError> {
         let state = CirculationState {
             arterial: circulation.arterial_compliance * circulation.arterial,
@@ -160,10 +160,10 @@ impl VitalSigns {
         Self::restore(circulation, state)
     }
 
-    /// Goes on from a state.
+    /// Restores from a state.
     ///
     /// # Errors
-    /// A parameter or a number of the state out of its range.
+    /// A parameter or a number of the state out of range.
     pub fn restore(circulation: Circulation, state: CirculationState) -> Result<Self, FluidError> {
         let c = &circulation;
         let ranges = [
@@ -200,7 +200,7 @@ impl VitalSigns {
         &self.state
     }
 
-    /// What it is.
+    /// Its parameters.
     #[must_use]
     pub fn circulation(&self) -> &Circulation {
         &self.circulation
@@ -222,10 +222,10 @@ impl VitalSigns {
         Flow { arterial, venous, rate, stroke, runoff: (arterial - venous).max(0.0) / resistance, reflex }
     }
 
-    /// Lives on for `dt` \[s\] while blood is lost at a rate \[m³/s\]; below 0 it is given.
+    /// Advances by `dt` \[s\] at a rate of blood loss \[m³/s\]; negative for a transfusion.
     ///
     /// # Errors
-    /// A step that is no time, or longer than 60 s; a rate that is not within 0.01 m³/s.
+    /// An invalid time step, or one longer than 60 s; a rate beyond 0.01 m³/s.
     pub fn step(&mut self, dt: f64, loss: f64) -> Result<Signs, FluidStepError> {
         let is_rate = loss.abs() <= 0.01;
         if !(1e-9..=60.0).contains(&dt) || !is_rate {
@@ -234,7 +234,7 @@ impl VitalSigns {
         let parts = (dt / PART).ceil().max(1.0);
         let part = dt / parts;
         for _ in 0..parts as u32 {
-            // What is not there cannot be lost.
+            // The loss cannot exceed the remaining volume.
             let loss = if self.state.blood - loss * part > 0.0 { loss } else { 0.0 };
             let slope = |state: &CirculationState| {
                 let flow = self.flow(state);
@@ -256,7 +256,7 @@ impl VitalSigns {
         Ok(self.signs())
     }
 
-    /// What a monitor shows now.
+    /// The present vital signs.
     #[must_use]
     pub fn signs(&self) -> Signs {
         let flow = self.flow(&self.state);
@@ -277,7 +277,7 @@ impl VitalSigns {
 mod tests {
     use super::*;
 
-    /// After losing a share of all blood in ten minutes, and another ten.
+    /// After losing a fraction of the blood in ten minutes, and another ten minutes.
     fn after_losing(share: f64) -> Signs {
         let mut patient = VitalSigns::new(Circulation::default()).expect("a patient");
         let rate = share * 5e-3 / 600.0;
@@ -306,7 +306,7 @@ mod tests {
 
     #[test]
     fn the_classes_of_haemorrhage_come_out() {
-        // Share lost, heart rate, systolic pressure: ATLS classes I to IV.
+        // Fraction lost, heart rate, systolic pressure: ATLS classes I to IV.
         let classes = [
             (0.10, 60.0..100.0, 105.0..130.0),
             (0.24, 100.0..120.0, 95.0..130.0),
@@ -318,7 +318,7 @@ mod tests {
             let signs = after_losing(share);
             assert!(rates.contains(&signs.heart_rate), "{share}: {signs:?}");
             assert!(pressures.contains(&(signs.systolic / MMHG)), "{share}: {} mmHg", signs.systolic / MMHG);
-            // Pulse pressure falls from the second class on, before the mean does.
+            // From class II on, pulse pressure falls, before the mean does.
             let pulse = |signs: &Signs| signs.systolic - signs.diastolic;
             assert!(pulse(&signs) < pulse(&before) && signs.heart_rate > before.heart_rate);
             before = signs;

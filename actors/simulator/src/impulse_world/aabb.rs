@@ -1,10 +1,10 @@
-//! Boxes along the axes of the world, about what is looked at more closely only where they come near.
+//! Axis-aligned bounding boxes for the broad phase.
 
 use nalgebra::{Isometry3, Vector3};
 
 use super::convex_parts::{Core, Part};
 
-/// Least and largest coordinates \[m\].
+/// Lower and upper corner \[m\].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Bounds {
     pub min: Vector3<f64>,
@@ -12,14 +12,14 @@ pub(super) struct Bounds {
 }
 
 impl Default for Bounds {
-    /// About nothing.
+    /// An empty box.
     fn default() -> Self {
         Self { min: Vector3::repeat(f64::INFINITY), max: Vector3::repeat(f64::NEG_INFINITY) }
     }
 }
 
 impl Bounds {
-    /// About a part that is somewhere in world.
+    /// Box of a part at a pose in world.
     pub fn of(part: &Part, world_from_part: &Isometry3<f64>) -> Self {
         let axes = world_from_part.rotation.to_rotation_matrix();
         let core = match part.core {
@@ -31,17 +31,17 @@ impl Bounds {
         Self { min: middle - half, max: middle + half }
     }
 
-    /// About both.
+    /// Union of both.
     pub fn with(&self, other: &Self) -> Self {
         Self { min: self.min.inf(&other.min), max: self.max.sup(&other.max) }
     }
 
-    /// The same elsewhere.
+    /// The box, translated.
     pub fn moved(&self, by: &Vector3<f64>) -> Self {
         Self { min: self.min + by, max: self.max + by }
     }
 
-    /// Whether nothing of the one is within a distance of anything of the other.
+    /// Whether the boxes are further apart than a distance.
     #[inline]
     pub fn is_apart(&self, other: &Self, distance: f64) -> bool {
         (0..3).any(|axis| {
@@ -49,7 +49,7 @@ impl Bounds {
         })
     }
 
-    /// From corner to corner \[m\]; 0 of nothing.
+    /// Length of the diagonal \[m\]; 0 when empty.
     pub fn diagonal(&self) -> f64 {
         let edges = self.max - self.min;
         if edges.min() < 0.0 { 0.0 } else { edges.norm() }
@@ -63,7 +63,7 @@ mod tests {
     use nalgebra::{Point3, UnitQuaternion};
     use rand::{Rng, SeedableRng};
 
-    /// What would touch within a distance is never told to be farther apart than that.
+    /// Parts within contact distance are never reported as further apart.
     #[test]
     fn who_is_apart_has_no_contact_and_most_that_have_none_are() {
         let mut random = rand_pcg::Pcg64::seed_from_u64(3);

@@ -1,4 +1,4 @@
-//! What is in the world: solids made of parts, where they are now and where they were.
+//! Bodies of the impulse world: solids made of parts, with their present and past poses.
 
 use std::collections::VecDeque;
 
@@ -10,18 +10,18 @@ use super::aabb::Bounds;
 use super::convex_parts::Part;
 use crate::rigid::{RigidMass, RigidState};
 
-/// Steps for which is known where a body was. What was found before that is forgotten.
+/// Number of steps for which past poses are stored. Older detections are dropped.
 const TRAIL_STEPS: usize = 256;
 
 /// Parts that move as one, or nearly so.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Solid {
     pub parts: Vec<Part>,
-    /// What each is called in contacts.
+    /// Name of each part in contacts.
     pub names: Vec<Primitive>,
     /// `world_from_part`.
     pub placed: Vec<Isometry3<f64>>,
-    /// About each part, and about all.
+    /// Bounding box of each part, and of all.
     pub bounds: Vec<Bounds>,
     pub all: Bounds,
 }
@@ -33,7 +33,7 @@ impl Solid {
         Self { parts, names, placed, bounds, all: Bounds::default() }
     }
 
-    /// Puts all parts where the body is.
+    /// Places all parts for a pose of the body.
     pub fn place(&mut self, world_from_body: &Isometry3<f64>) {
         for (part, placed) in self.parts.iter().zip(&mut self.placed) {
             *placed = world_from_body * part.pose;
@@ -50,7 +50,7 @@ impl Solid {
     }
 }
 
-/// Where a body was.
+/// Past poses of a body.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Trail(VecDeque<(SimTime, Isometry3<f64>)>);
 
@@ -62,41 +62,41 @@ impl Trail {
         self.0.push_back((now, pose));
     }
 
-    /// Where it was at a time: what the scene showed then. `None`: too long ago.
+    /// Its pose at a past time, as in the scene then. `None`: too long ago.
     pub fn at(&self, time: SimTime) -> Option<Isometry3<f64>> {
         let after = self.0.partition_point(|(then, _)| *then <= time);
         after.checked_sub(1).map(|index| self.0[index].1)
     }
 }
 
-/// The way of a kinematic body.
+/// Prescribed motion of a kinematic body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Travel {
     pub to: Isometry3<f64>,
-    /// Steps left.
+    /// Remaining steps.
     pub steps: u32,
 }
 
-/// A body besides instruments.
+/// A body that is not an instrument.
 #[derive(Clone, Debug)]
 pub(super) struct Body {
     pub component: RigidBody,
     pub solid: Solid,
-    /// Which of the solver's bodies it is; none where it does not give way.
+    /// Its index in the solver; `None` for a body that is not movable.
     pub slot: Option<usize>,
     /// `body_from_principal`.
     pub principal: Isometry3<f64>,
     /// `world_from_body`.
     pub pose: Isometry3<f64>,
-    /// Of its origin.
+    /// Velocity of its origin.
     pub velocity: Velocity,
     pub travel: Option<Travel>,
-    /// Where others find what touches it, its way so far.
+    /// Its past poses, if external detectors report its contacts.
     pub trail: Option<Trail>,
-    /// For how long it has not moved \[s\].
+    /// How long it has been at rest \[s\].
     pub still_secs: f64,
     pub sleeps: bool,
-    /// What others push it with, its torque about the origin of the world.
+    /// External wrench, with the torque about the origin of the world.
     pub push: Wrench,
 }
 
@@ -105,20 +105,20 @@ impl Body {
         self.component.motion == Motion::Dynamic
     }
 
-    /// Velocity of the body at a place, in world \[m/s\].
+    /// Velocity of the body at a point, in world \[m/s\].
     pub fn velocity_at(&self, point: &Point3<f64>) -> Vector3<f64> {
         let lever = point - Point3::from(self.pose.translation.vector);
         self.velocity.linear + self.velocity.angular.cross(&lever)
     }
 
-    /// Takes over where the solver has it.
+    /// Takes over the solver's state.
     pub fn follow(&mut self, mass: &RigidMass, state: &RigidState) {
         (self.pose, self.velocity) = origin(mass, state, &self.principal);
         self.solid.place(&self.pose);
     }
 }
 
-/// A body's state of motion by those of its origin.
+/// Solver state from pose and velocity of the body's origin.
 pub(super) fn state_of(
     mass: &RigidMass,
     principal: &Isometry3<f64>,
@@ -138,7 +138,7 @@ pub(super) fn state_of(
     state
 }
 
-/// The pose of a body and the velocity of its origin by its state.
+/// Pose and velocity of the body's origin from the solver state.
 pub(super) fn origin(
     mass: &RigidMass,
     state: &RigidState,

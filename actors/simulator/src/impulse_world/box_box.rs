@@ -1,13 +1,14 @@
-//! Two boxes: the direction of least overlap among the fifteen that can part them (Gottschalk, Lin, Manocha, *OBBTree*, 1996),
-//! and there the points at which a face carries what it meets, or the nearest points of two edges.
+//! Box–box contact: the axis of least overlap among the fifteen separating axes (Gottschalk, Lin, Manocha, *OBBTree*,
+//! 1996), with the contact points of a clipped face, or the closest points of two edges.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::closest_features::TouchPoint;
 
-/// An edge has to part by so much more than a face to be preferred \[m\], so that what lies flat stays on faces.
+/// An edge axis needs this much less overlap than a face axis to be preferred \[m\], so that flat contacts stay on
+/// faces.
 const EDGE_HANDICAP: f64 = 1e-5;
-/// Most corners of a face that is clipped by another.
+/// Maximum number of corners of a clipped face.
 const CORNERS_MAX: usize = 8;
 
 #[derive(Clone, Copy)]
@@ -26,7 +27,7 @@ enum Of {
 
 type Side<'a> = (&'a Vector3<f64>, &'a Isometry3<f64>);
 
-/// Where boxes with skins of these radii are nearer than `margin`; appends to `out`. Poses are `world_from_box`.
+/// Contact points of boxes with these skin radii within `margin`; appends to `out`. Poses are `world_from_box`.
 pub(super) fn box_box(a: Side<'_>, b: Side<'_>, skins: [f64; 2], margin: f64, out: &mut Vec<TouchPoint>) {
     let skin = skins[0] + skins[1];
     let turns = [a.1, b.1].map(|pose| pose.rotation.to_rotation_matrix());
@@ -36,7 +37,7 @@ pub(super) fn box_box(a: Side<'_>, b: Side<'_>, skins: [f64; 2], margin: f64, ou
         (0..3).map(|axis| half[axis] * axes[axis].dot(along).abs()).sum::<f64>()
     };
     let mut best: Option<Best> = None;
-    // Whether no direction parts them by more than the margin.
+    // Whether no axis separates them by more than the margin.
     let mut consider = |axis: &Vector3<f64>, of: Of, handicap: f64| {
         let along = apart.dot(axis);
         let normal = if along < 0.0 { -axis } else { *axis };
@@ -75,7 +76,7 @@ pub(super) fn box_box(a: Side<'_>, b: Side<'_>, skins: [f64; 2], margin: f64, ou
             });
         }
         Of::Edges([i, j]) => {
-            // The edges along those axes that are furthest out towards each other.
+            // The edges along those axes that are furthest towards each other.
             let middle =
                 |(half, pose): Side<'_>, axes: &[Vector3<f64>; 3], along: usize, normal: &Vector3<f64>| {
                     let mut at = Point3::from(pose.translation.vector);
@@ -98,7 +99,7 @@ pub(super) fn box_box(a: Side<'_>, b: Side<'_>, skins: [f64; 2], margin: f64, ou
     }
 }
 
-/// What of the face of `other` that looks at a face of `own` lies over it. `normal` leads out of `own`.
+/// The part of the face of `other` that lies above a face of `own`. `normal` points out of `own`.
 #[allow(clippy::too_many_arguments)] // both boxes, and what is known of them
 fn faces(
     own: Side<'_>,
@@ -158,7 +159,7 @@ impl Polygon {
         }
     }
 
-    /// What of it is not beyond a plane (Sutherland, Hodgman, 1974).
+    /// Clips it by a plane (Sutherland, Hodgman, 1974).
     fn below(&self, outwards: &Vector3<f64>, limit: f64) -> Self {
         let mut kept = Self::default();
         for index in 0..self.count {

@@ -1,28 +1,28 @@
-//! Where two parts touch, or soon will: the nearest points of their cores and the skins around them; where an edge lies along
-//! a face or another edge, both of its ends, so that what lies flat rests on more than a point.
+//! Contact points of two parts: the closest points of their cores with the skins around them; where an edge lies along
+//! a face or another edge, both of its ends, so that flat objects rest on more than one point.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use super::box_box::box_box;
 use super::convex_parts::{Core, Part};
 
-/// Edges that meet at less than this angle lie along each other, as its sine squared.
+/// Edges at a smaller angle count as parallel, as its sine squared.
 const ALONG: f64 = 0.01;
-/// Faces count as met flat when the direction apart is this near to their normal.
+/// Faces count as flat on each other when the cosine between separation and normal exceeds this.
 const FLAT: f64 = 0.98;
-/// Cores that are nearer than this cross \[m\].
+/// Cores nearer than this intersect \[m\].
 const CROSSING: f64 = 1e-9;
 
-/// A point at which two parts touch or are near each other, in world.
+/// A contact point of two parts, in world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchPoint {
     /// On the skins of the first and of the second \[m\].
     pub points: [Point3<f64>; 2],
     /// Unit direction from the first to the second.
     pub normal: Vector3<f64>,
-    /// How deep \[m\]; below 0 a gap.
+    /// Penetration depth \[m\]; negative for a gap.
     pub depth: f64,
-    /// Tells it from the others of the same two parts, from step to step.
+    /// Identifies it among those of the same two parts, from step to step.
     pub feature: u32,
 }
 
@@ -32,7 +32,7 @@ impl TouchPoint {
     }
 }
 
-/// Where `first` and `second` are nearer than `margin` \[m\]; appends to `out`. Poses are `world_from_part`.
+/// Contact points of `first` and `second` within `margin` \[m\]; appends to `out`. Poses are `world_from_part`.
 pub fn touch(
     first: (&Part, &Isometry3<f64>),
     second: (&Part, &Isometry3<f64>),
@@ -59,13 +59,13 @@ pub fn touch(
     }
 }
 
-/// The ends of a core that is no box; twice the same for a point.
+/// The ends of a core that is not a box; twice the same for a point.
 fn ends((part, pose): (&Part, &Isometry3<f64>)) -> [Point3<f64>; 2] {
     let half = if let Core::Segment(half) = part.core { half } else { 0.0 };
     [-half, half].map(|z| pose * Point3::new(0.0, 0.0, z))
 }
 
-/// What is at `p` of the first core and at `q` of the second.
+/// The contact at `p` of the first core and `q` of the second.
 fn between(
     [p, q]: [Point3<f64>; 2],
     normal: Vector3<f64>,
@@ -96,7 +96,7 @@ fn segment_segment(
     let normal = if distance > CROSSING {
         apart / distance
     } else {
-        // Cores that cross: out of each other square to both, away from the middles.
+        // Intersecting cores: separate perpendicular to both, away from the centres.
         let square = d.cross(&e).try_normalize(CROSSING * (d.norm() * e.norm()).max(1e-30));
         let square = square.unwrap_or_else(|| across(if d.norm() > e.norm() { &d } else { &e }));
         let middles = nalgebra::center(&b[0], &b[1]) - nalgebra::center(&a[0], &a[1]);
@@ -105,7 +105,7 @@ fn segment_segment(
     let (dd, ee) = (d.norm_squared(), e.norm_squared());
     let is_along = dd > 0.0 && ee > 0.0 && d.cross(&e).norm_squared() < ALONG * dd * ee;
     if is_along {
-        // The stretch of the first along which the second lies, and where the second is there.
+        // The part of the first along which the second lies, and the second's corresponding positions.
         let at = |point: &Point3<f64>| ((point - a[0]).dot(&d) / dd).clamp(0.0, 1.0);
         let (from, to) = (at(&b[0]).min(at(&b[1])), at(&b[0]).max(at(&b[1])));
         if (to - from) * dd.sqrt() > 0.1 * radii[0].max(radii[1]) {
@@ -141,7 +141,7 @@ fn nearest(a: &[Point3<f64>; 2], b: &[Point3<f64>; 2]) -> [f64; 2] {
     [s, share(de * s + f, ee)]
 }
 
-/// A point or segment (the first) and a box.
+/// Contact of a point or segment (the first) with a box.
 fn segment_box(
     first: (&Part, &Isometry3<f64>),
     (half, skin, world_from_box): (&Vector3<f64>, f64, &Isometry3<f64>),
@@ -164,7 +164,7 @@ fn segment_box(
     let begin = out.len();
     let face = normal.iamax();
     if normal[face].abs() > FLAT {
-        // The part of the segment that is over the face.
+        // The part of the segment above the face.
         let mut inside = [0.0_f64, 1.0];
         for axis in (0..3).filter(|axis| *axis != face) {
             for side in [half[axis], -half[axis]] {
@@ -193,7 +193,7 @@ fn segment_box(
         }
     }
     if out.len() == begin {
-        // Cores that cross are as deep as the way out is long.
+        // For intersecting cores, the depth is the distance to exit.
         let mut on_box = on_box;
         if distance <= CROSSING {
             let depth = half.component_mul(&normal.abs()).sum()
@@ -208,8 +208,8 @@ fn segment_box(
     }
 }
 
-/// Where on the segment `p + s·along`, 0 ≤ s ≤ 1, the distance to the box is least: its square is convex and quadratic
-/// between the places at which a coordinate passes a face.
+/// The parameter of `p + s·along`, 0 ≤ s ≤ 1, at the least distance to the box: its square is convex, and quadratic
+/// between the parameters at which a coordinate crosses a face.
 fn nearest_to_box(p: &Point3<f64>, along: &Vector3<f64>, half: &Vector3<f64>) -> f64 {
     // Half of the derivative of the squared distance.
     let slope = |s: f64| -> f64 {
@@ -236,7 +236,8 @@ fn nearest_to_box(p: &Point3<f64>, along: &Vector3<f64>, half: &Vector3<f64>) ->
     places[..count].sort_unstable_by(f64::total_cmp);
     let (mut from, mut before) = (0.0, slope(0.0));
     if before >= 0.0 {
-        // Where it is flat the middle of the stretch is as near as any: what lies along a face is met in its middle.
+        // Where the distance is constant, the middle of the interval: a segment along a face makes contact in its
+        // middle.
         return if before > 0.0 { 0.0 } else { middle_of_flat(&slope, 0.0, &places[..count]) };
     }
     for &to in &places[..count] {
@@ -257,7 +258,7 @@ fn middle_of_flat(slope: &impl Fn(f64) -> f64, from: f64, places: &[f64]) -> f64
     0.5 * (from + until)
 }
 
-/// The way in which a segment that crosses a box comes out of it soonest: direction from the segment to the box.
+/// The shortest exit direction of a segment that intersects a box: from the segment to the box.
 fn out_of_box([p, q]: &[Point3<f64>; 2], half: &Vector3<f64>) -> Vector3<f64> {
     let along = q - p;
     let mut best = (f64::INFINITY, Vector3::z());

@@ -1,10 +1,10 @@
-//! What the world tells of the contacts of its last step.
+//! Contact report of the world's last step.
 
 use trocar_dynamics::instrument::contact::Contact;
 
 use super::narrow_phase::ContactPoint;
 
-/// Contacts in canonical order: those of the same two parts, which are called the same, are one.
+/// Contacts in canonical order; those between the same two named parts are merged.
 pub(super) fn told(meetings: &[ContactPoint], step_secs: f64, contacts: &mut Vec<Contact>) {
     contacts.clear();
     for meeting in meetings.iter().filter(|meeting| !meeting.by_others) {
@@ -34,7 +34,7 @@ fn contact_of(meeting: &ContactPoint, step_secs: f64) -> Contact {
     }
 }
 
-/// Contacts of the same parts with like directions as one each: the mean place, the sum of forces, the largest depth.
+/// Merges contacts of the same parts with similar directions: the mean point, the sum of forces, the largest depth.
 fn merge(contacts: &mut Vec<Contact>) {
     const LIKE: f64 = 0.95;
     let mut kept: Vec<(Contact, f64)> = Vec::with_capacity(contacts.len());

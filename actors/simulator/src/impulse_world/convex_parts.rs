@@ -1,4 +1,4 @@
-//! Shapes as parts whose contacts have closed forms: points, segments and boxes, each with a rounded skin.
+//! Decomposition of shapes into parts with closed-form contacts: points, segments and boxes, each with a rounded skin.
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_dynamics::rigid_world::mass_properties::UnitSolid;
@@ -6,30 +6,31 @@ use trocar_scene::Shape;
 
 use crate::rigid::RigidMass;
 
-/// Rounded segments that make up one ring: their chords leave the circle by at most 77 µm either way for a ring of 8 mm.
+/// Number of rounded segments in a ring: their chords deviate from the circle by at most 77 µm to either side for a
+/// ring of 8 mm.
 const RING_SEGMENTS: usize = 16;
-/// Boxes that make up one cylinder: their corners lie on its circle, 12 degrees apart.
+/// Number of boxes in a cylinder: their corners lie on its circle, 12 degrees apart.
 const CYLINDER_BOXES: usize = 15;
 
-/// What lies within the skin of a part.
+/// The core of a part, inside of its skin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Core {
     /// The origin.
     Point,
     /// Along z, half of its length to either side \[m\].
     Segment(f64),
-    /// Half of its edges \[m\].
+    /// Half extents \[m\].
     Box(Vector3<f64>),
 }
 
-/// A part of a body: everything that is at most `radius` away from its core.
+/// A part of a body: all points within `radius` of its core.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
     /// `body_from_part`.
     pub pose: Isometry3<f64>,
-    /// What it is around.
+    /// Its core.
     pub core: Core,
-    /// Of the skin \[m\].
+    /// Radius of the skin \[m\].
     pub radius: f64,
 }
 
@@ -49,13 +50,13 @@ impl Part {
         }
     }
 
-    /// A box, half of its edges \[m\], around a point of the body.
+    /// A box with these half extents \[m\] at a pose in the body.
     #[must_use]
     pub fn cuboid(pose: Isometry3<f64>, half: Vector3<f64>) -> Self {
         Self { pose, core: Core::Box(half), radius: 0.0 }
     }
 
-    /// How far it reaches from its own origin \[m\].
+    /// Radius of its bounding sphere about its own origin \[m\].
     #[must_use]
     pub fn reach(&self) -> f64 {
         let core = match self.core {
@@ -67,7 +68,7 @@ impl Part {
     }
 }
 
-/// The parts of a shape. A ring is a closed chain of rounded segments, a cylinder a fan of boxes about its axis.
+/// The parts of a shape. A ring is a closed chain of rounded segments, a cylinder a fan of boxes around its axis.
 #[must_use]
 pub fn parts_of(shape: &Shape) -> Vec<Part> {
     let centred = |core, radius| vec![Part { pose: Isometry3::identity(), core, radius }];
@@ -84,7 +85,7 @@ pub fn parts_of(shape: &Shape) -> Vec<Part> {
         Shape::Torus { ring_radius, tube_radius } => ring(*ring_radius, *tube_radius),
         Shape::PegBoard { half_extents: [x, y], thickness, pegs, peg_radius, peg_height } => {
             let board = Isometry3::translation(0.0, 0.0, -thickness / 2.0);
-            // The round top ends at the peg's height, so that a ring finds its way over it.
+            // The round top ends at the peg's height, so that a ring slides over it.
             let top = (peg_height - peg_radius).max(0.0);
             let peg = |[x, y]: &[f64; 2]| {
                 Part::segment(&Point3::new(*x, *y, 0.0), &Point3::new(*x, *y, top), *peg_radius)
@@ -96,10 +97,10 @@ pub fn parts_of(shape: &Shape) -> Vec<Part> {
     }
 }
 
-/// A ring about z whose mean radius is that of the circle.
+/// A ring around z whose mean radius is that of the circle.
 fn ring(ring_radius: f64, tube_radius: f64) -> Vec<Part> {
     let step = std::f64::consts::TAU / RING_SEGMENTS as f64;
-    // Vertices lie outside of the circle by as much as the middles of the chords lie inside.
+    // Vertices lie outside of the circle by as much as chord centres lie inside.
     let radius = 2.0 * ring_radius / (1.0 + (step / 2.0).cos());
     let vertex = |i: usize| {
         let angle = step * ((i % RING_SEGMENTS) as f64 + 0.5);
@@ -108,7 +109,7 @@ fn ring(ring_radius: f64, tube_radius: f64) -> Vec<Part> {
     (0..RING_SEGMENTS).map(|i| Part::segment(&vertex(i), &vertex(i + 1), tube_radius)).collect()
 }
 
-/// Inertia of a solid, homogeneous body of a shape, and where its centre is: `body_from_principal`.
+/// Mass properties of a solid, homogeneous shape, and its principal frame: `body_from_principal`.
 #[must_use]
 pub fn mass_of(shape: &Shape, mass: f64) -> (RigidMass, Isometry3<f64>) {
     let cuboid = |x: f64, y: f64, z: f64| Vector3::new(y * y + z * z, x * x + z * z, x * x + y * y) / 3.0;
@@ -125,7 +126,7 @@ pub fn mass_of(shape: &Shape, mass: f64) -> (RigidMass, Isometry3<f64>) {
             let across = big / 2.0 + 0.625 * small;
             (Vector3::zeros(), Vector3::new(across, across, big + 0.75 * small))
         }
-        // The pegs weigh next to nothing.
+        // The pegs' mass is neglected.
         Shape::PegBoard { half_extents: [x, y], thickness, .. } => {
             (Vector3::new(0.0, 0.0, -thickness / 2.0), cuboid(*x, *y, thickness / 2.0))
         }
@@ -133,7 +134,7 @@ pub fn mass_of(shape: &Shape, mass: f64) -> (RigidMass, Isometry3<f64>) {
     (RigidMass { mass, inertia: per_mass * mass }, Isometry3::translation(centre.x, centre.y, centre.z))
 }
 
-/// The same of what a surface encloses: its principal axes are those of the eigenvectors of its inertia.
+/// The same for the interior of a surface: the principal axes are the eigenvectors of its inertia.
 #[must_use]
 pub fn mass_of_solid(solid: &UnitSolid, mass: f64) -> (RigidMass, Isometry3<f64>) {
     let eigen = solid.inertia.symmetric_eigen();
@@ -146,12 +147,12 @@ pub fn mass_of_solid(solid: &UnitSolid, mass: f64) -> (RigidMass, Isometry3<f64>
     (RigidMass { mass, inertia: eigen.eigenvalues * mass }, pose)
 }
 
-/// A cylinder and two hemispheres, each with its share of the volume; per mass.
+/// Inertia of a capsule per mass: a cylinder and two hemispheres, each with its share of the volume.
 fn capsule(radius: f64, half_height: f64) -> Vector3<f64> {
     let (square, length) = (radius * radius, 2.0 * half_height);
     let cylinder = length / (length + 4.0 / 3.0 * radius);
     let ball = 1.0 - cylinder;
-    // Hemispheres sit with their own centre 3/8 r beyond the cylinder's ends.
+    // The centroids of the hemispheres lie 3/8 r beyond the cylinder's ends.
     let offset = half_height * half_height + 0.75 * half_height * radius;
     let across = cylinder * (square / 4.0 + length * length / 12.0) + ball * (0.4 * square + offset);
     Vector3::new(across, across, cylinder * square / 2.0 + ball * 0.4 * square)

@@ -1,27 +1,28 @@
-//! Contacts that others have found. A detector says where two bodies touched in the scene that it read; since then they have
-//! moved on. So both points are fixed to their bodies at the poses of *that* moment, and each step answers the depth between
-//! them as it is now.
+//! Contacts from external detectors. A detector reports where two bodies touched in the scene that it read; they have
+//! moved since. Both points are therefore fixed to their bodies at the poses of *that* moment, and each step responds
+//! to the present depth.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Collision, Entity};
 
-/// Most contacts that are answered at a time; the deepest ones are.
+/// Maximum number of contacts in a step; the deepest are kept.
 pub(super) const FOUND_MAX: usize = 512;
 
-/// A contact that has been found, fixed to its bodies.
+/// A detected contact, fixed to its bodies.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Found {
     pub entities: [Entity; 2],
-    /// In the frames of the two; in world where there is no such body \[m\].
+    /// Points in the frames of the two bodies; in world without a body \[m\].
     points: [Point3<f64>; 2],
-    /// From the first to the second, in the frame of the second if it is known, else of the first, else in world.
+    /// Direction from the first to the second, in the frame of the second if there is one, else of the first, else in
+    /// world.
     normal: Vector3<f64>,
     is_known: [bool; 2],
 }
 
 impl Found {
-    /// Fixes a collision to the poses that its bodies had then; `None` for a body that is not in this world. No answer: it was
-    /// found too long ago, or says nothing.
+    /// Fixes a collision to the poses that its bodies had then, `None` for a body outside of this world. Returns `None`
+    /// for a detection that is too old or invalid.
     pub fn new(collision: &Collision, then: [Option<Option<Isometry3<f64>>>; 2]) -> Option<Self> {
         let poses = match then {
             [Some(first), Some(second)] => [first, second],
@@ -41,7 +42,7 @@ impl Found {
         })
     }
 
-    /// Where it is now: points, direction and depth in world, for bodies at these poses.
+    /// Its present points, direction and depth in world, for bodies at these poses.
     pub fn now(&self, poses: [Isometry3<f64>; 2]) -> ([Point3<f64>; 2], Vector3<f64>, f64) {
         let place = |side: usize| {
             if self.is_known[side] { poses[side] * self.points[side] } else { self.points[side] }

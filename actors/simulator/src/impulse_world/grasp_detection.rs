@@ -1,4 +1,4 @@
-//! When an instrument holds a body, and the constraint that may help friction then.
+//! Grasp detection of instruments, and the optional constraint that assists friction.
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::instrument::grasp::{PadContact, carry_on, opposed_body};
@@ -11,11 +11,11 @@ use crate::rigid::RigidMass;
 
 /// Stiffness of the grasp constraint \[N/m\]: soft enough that two hands may hold one ring.
 const ASSIST_STIFFNESS: f64 = 2000.0;
-/// Lever that turns its linear stiffness into an angular one \[m\].
+/// Lever arm that converts its linear stiffness to an angular one \[m\].
 const ASSIST_LEVER: f64 = 0.004;
 
-/// What the contacts of the last step, of `step_secs`, make of an instrument's hold. `body` gives the poses of those that can
-/// be lifted.
+/// Updates an instrument's grasp from the contacts of the last step of `step_secs`. `body` gives the poses of those
+/// that can be lifted.
 pub(super) fn update(
     tool: &mut Tool,
     entity: Entity,
@@ -45,7 +45,7 @@ pub(super) fn update(
     for pad in pads.iter() {
         tool.pad_force[pad.jaw] += pad.normal_force_in_instrument.norm();
     }
-    // Only what can be lifted is held; pegs and boards may be squeezed all the same.
+    // Only liftable bodies can be grasped; pegs and boards may be squeezed all the same.
     pads.retain(|pad| body(pad.body).is_some());
     tool.hold = carry_on(tool.hold, opposed_body(pads), step_secs, |held| {
         body(held).map(|pose| instrument_from_world * pose)
@@ -53,7 +53,7 @@ pub(super) fn update(
     assist(tool, &body);
 }
 
-/// Whether the grasp constraint holds, lets go, or forms.
+/// Forms, keeps or releases the grasp constraint.
 fn assist(tool: &mut Tool, body: &impl Fn(Entity) -> Option<Isometry3<f64>>) {
     let squeezes = tool.squeezes();
     let Some(hold) = &mut tool.hold else { return };
@@ -74,8 +74,8 @@ fn assist(tool: &mut Tool, body: &impl Fn(Entity) -> Option<Isometry3<f64>>) {
     }
 }
 
-/// What the grasp constraint does to the body that is held, at its centre, and the force's reaction on the instrument, at its
-/// own. The spring is softened as if it took effect at the end of the step, so that no body is too light for it.
+/// Wrench of the grasp constraint on the held body, at its centre, and the reaction on the instrument, at its own. The
+/// spring is implicit, so that it is stable for any body mass.
 pub(super) fn pull(
     tool: &Tool,
     mass: &RigidMass,

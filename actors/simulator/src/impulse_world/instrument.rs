@@ -1,8 +1,8 @@
-//! An instrument in our own world: the distal shaft with whatever its end is made of, on the spring of the hand that holds it,
-//! and jaws that open and close together.
+//! Instruments of the impulse world: distal shaft and end effector, coupled to the hand by a spring (virtual coupling),
+//! with jaws that open and close together.
 //!
-//! It weighs nothing, as the hand carries it, but it has inertia. Its frame is that of [`Instrument`]: origin at the closed tip,
-//! +z distal, jaws opening along x.
+//! It has no weight, as the hand carries it, but it has inertia. Its frame is that of [`Instrument`]: origin at the
+//! closed tip, +z distal, jaws opening along x.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::instrument::coupling::{VirtualCoupling, Wrench};
@@ -22,9 +22,9 @@ use super::convex_parts::Part;
 use super::settings::RigidSettings;
 use crate::rigid::{Arm, Joint, RigidMass, RigidState};
 
-/// Radii of gyration about its own x, y and z \[m\]: the distal shaft with a little of the hand behind it.
+/// Radii of gyration about its own x, y and z \[m\]: the distal shaft with a part of the hand.
 const GYRATION: [f64; 3] = [0.03, 0.03, 0.008];
-/// Length of the shaft that takes part in collisions, from the hinge backwards \[m\].
+/// Length of the shaft with collisions, from the hinge backwards \[m\].
 const SHAFT_REACH: f64 = 0.1;
 
 /// An instrument.
@@ -32,14 +32,14 @@ const SHAFT_REACH: f64 = 0.1;
 pub(super) struct Tool {
     pub instrument: Instrument,
     pub coupling: VirtualCoupling,
-    /// Which of the solver's bodies it is.
+    /// Index of its body in the solver.
     pub slot: usize,
     pub mass: RigidMass,
-    /// `instrument_from_principal`: its centre is in the hinge.
+    /// `instrument_from_principal`: its centre is at the hinge.
     pub principal: Isometry3<f64>,
     pub state: InstrumentState,
     pub solid: Solid,
-    /// The jaw that each part belongs to.
+    /// The jaw of each part, if any.
     pub jaw_of: Vec<Option<usize>>,
     pub joint: Option<Joint>,
     pub track: TargetTrack,
@@ -47,7 +47,7 @@ pub(super) struct Tool {
     pub hold: Option<Hold>,
     pub pad_force: [f64; 2],
     pub trail: Trail,
-    /// What the coupling does in this step, about the tip.
+    /// Wrench of the coupling in this step, about the tip.
     pub wrench: Wrench,
     wrench_sum: Wrench,
     wrench_steps: u32,
@@ -113,12 +113,12 @@ impl Tool {
         tool
     }
 
-    /// As the solver has it.
+    /// Its state for the solver.
     pub fn motion(&self) -> RigidState {
         state_of(&self.mass, &self.principal, &self.state.tip_in_world, &self.state.velocity)
     }
 
-    /// Takes over where the solver has it.
+    /// Takes over the solver's state.
     pub fn follow(&mut self, state: &RigidState, joint: Option<Joint>) {
         (self.state.tip_in_world, self.state.velocity) = origin(&self.mass, state, &self.principal);
         self.joint = joint;
@@ -142,10 +142,10 @@ impl Tool {
         self.solid.measure();
     }
 
-    /// What hand and drive want in the step that starts at `now`.
+    /// Sets the targets of hand and drive for the step that starts at `now`.
     pub fn prepare(&mut self, settings: &RigidSettings, now: SimTime) {
         let state = self.state;
-        // As long as nobody holds it, it is braked where it is.
+        // Without a hand, it is braked at its position.
         let (target, velocity) = match self.track.at(now, settings.extrapolation_secs_max) {
             Some((wanted, velocity)) => {
                 self.set_point.follow(&wanted, &velocity, &state.tip_in_world, settings.substep_secs)
@@ -170,12 +170,12 @@ impl Tool {
         joint.wanted = [reference, speed];
     }
 
-    /// The centre about which the solver turns it, in world.
+    /// Its centre of mass in the solver, in world.
     pub fn centre(&self) -> Point3<f64> {
         self.state.tip_in_world * Point3::from(self.principal.translation.vector)
     }
 
-    /// How a point of one of its parts moves with the opening.
+    /// Velocity of a point of one of its parts per rate of the opening.
     pub fn arm(&self, part: usize, point: &Point3<f64>, joint: u32) -> Option<Arm> {
         let jaw = self.jaw_of[part]?;
         let axis = self.state.tip_in_world.rotation * Vector3::y();
@@ -187,7 +187,7 @@ impl Tool {
         self.joint.is_some_and(|joint| joint.angle > self.state.drive_reference)
     }
 
-    /// On the hand at the tip, averaged over the steps since the last call.
+    /// Wrench on the hand at the tip, averaged over the steps since the last call.
     pub fn take_wrench_on_hand(&mut self) -> Wrench {
         let steps = f64::from(self.wrench_steps.max(1));
         let mean = Wrench { force: -self.wrench_sum.force / steps, torque: -self.wrench_sum.torque / steps };
@@ -197,11 +197,11 @@ impl Tool {
     }
 }
 
-/// The opening of an instrument's jaws. Of one jaw alone the opening is twice its turn.
+/// The joint of an instrument's jaws. With one moving jaw, the opening is twice its angle.
 fn joint(instrument: &Instrument, jaws: usize, state: &InstrumentState) -> Joint {
     let length = instrument.jaw_length;
     let share = jaws as f64 / 2.0;
-    // Each blade turns by half of the opening.
+    // Each blade rotates by half of the opening.
     let inertia = share * TURNING_MOMENT * JAW_MASS_SHARE * instrument.mass * length * length / 2.0;
     let torque_max = share * instrument.jaw_force_max * length;
     let stiffness = torque_max / SATURATION_ANGLE;

@@ -1,14 +1,14 @@
-//! The world of rigid bodies and instruments of our own, as the controller of rigid bodies steps it.
+//! Impulse world: rigid bodies and instruments, stepped by the rigid-body controller.
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Our own: momenta and impulses | `world.rs`, `world_adapter.rs`, of which `bodies.rs` holds what is in it, and `contact_report.rs` what it tells |
-//! | Instruments in it: shaft, jaws, drive, coupling | `instrument.rs`, `grasp_detection.rs` |
-//! | Shapes as boxes and rounded segments; what they weigh | `convex_parts.rs`, `mass_properties.rs` of `trocar-dynamics` |
-//! | Who meets whom in a step, and who cannot | `narrow_phase.rs`, `aabb.rs` |
-//! | Where two parts touch | `closest_features.rs`, `box_box.rs` |
-//! | Contacts that others have found | `detected_contact.rs` |
-//! | What an instrument is about to touch | `obstacle_prediction.rs` |
+//! | The world, its bodies, its contact report | `world.rs`, `world_adapter.rs`, `bodies.rs`, `contact_report.rs` |
+//! | Instruments: shaft, jaws, drive, coupling, grasps | `instrument.rs`, `grasp_detection.rs` |
+//! | Shapes as boxes and rounded segments; mass properties | `convex_parts.rs`, `mass_properties.rs` of `trocar-dynamics` |
+//! | Narrow phase and bounding boxes | `narrow_phase.rs`, `aabb.rs` |
+//! | Contact points of two parts | `closest_features.rs`, `box_box.rs` |
+//! | Contacts from external detectors | `detected_contact.rs` |
+//! | Obstacles ahead of an instrument | `obstacle_prediction.rs` |
 
 pub(crate) mod aabb;
 mod bodies;

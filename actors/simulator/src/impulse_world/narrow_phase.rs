@@ -1,4 +1,4 @@
-//! What meets what in a step: solids that are near each other, where they touch, and who of them gives way.
+//! Narrow phase of the impulse world: pairs of nearby solids, their contact points, and which of them are movable.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +11,27 @@ use super::closest_features::{TouchPoint, touch};
 use super::detected_contact::Found;
 use super::instrument::Tool;
 
-/// Solids this near have contacts, so that they exist before there is any penetration \[m\].
+/// Contact margin: contacts exist before there is any penetration \[m\].
 const MARGIN: f64 = 1e-3;
-/// Points of contact in a step at most; the deepest ones count.
+/// Maximum contact points in a step; the deepest are kept.
 const MEETINGS_MAX: usize = 4096;
-/// Points of the same two bodies that are nearer than this, with like directions, are one \[m\].
+/// Points of the same two bodies nearer than this, with similar directions, are merged \[m\].
 const SAME_POINT: f64 = 1e-4;
 const SAME_DIRECTION: f64 = 0.95;
-/// What moves faster wakes what it touches \[m/s\].
+/// Anything faster wakes what it touches \[m/s\].
 const WAKING_SPEED: f64 = 2e-3;
-/// And touches it when it is so near \[m\].
+/// It touches within this gap \[m\].
 const WAKING_GAP: f64 = 2e-4;
 
-/// One of the two of a meeting.
+/// One of the two sides of a contact.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ContactSide {
     pub entity: Entity,
     pub name: Primitive,
     pub part: usize,
-    /// Which of the solver's bodies gives way.
+    /// Its movable body in the solver, if any.
     pub slot: Option<usize>,
-    /// Whether it never does.
+    /// Whether it is fixed.
     pub is_fixed: bool,
     /// The point, in the frame of the part \[m\].
     pub local: Point3<f64>,
@@ -46,13 +46,13 @@ pub(super) struct ContactPoint {
     pub point: TouchPoint,
     pub friction: f64,
     pub restitution: f64,
-    /// Whether another one found it: nobody tells of it again.
+    /// Whether it was detected externally, and is not reported again.
     pub by_others: bool,
-    /// What it came to: impulse on the second, in world \[N·s\].
+    /// Its result: impulse on the second, in world \[N·s\].
     pub impulse: Vector3<f64>,
 }
 
-/// Tells a point of contact from the others, from step to step.
+/// Identifies a contact point from step to step.
 pub(super) type Key = (Entity, Entity, u64, u64, u64);
 
 impl ContactPoint {
@@ -63,7 +63,7 @@ impl ContactPoint {
     }
 }
 
-/// Something that may meet something else.
+/// A body or a tool that may collide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Collider {
     Body(Entity),
@@ -78,13 +78,13 @@ pub(super) struct WorldView<'a> {
     pub step_secs: f64,
 }
 
-/// Room for a step.
+/// Buffers of a step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Meetings {
     pub all: Vec<ContactPoint>,
     order: Vec<(f64, f64, Collider)>,
     points: Vec<TouchPoint>,
-    /// Of a pair, with the numbers of their parts.
+    /// Contact points of a pair, with the numbers of their parts.
     near: Vec<(usize, usize, TouchPoint)>,
 }
 
@@ -96,7 +96,7 @@ impl WorldView<'_> {
         }
     }
 
-    /// Whether it moves by itself now.
+    /// Whether it may be moving now.
     fn is_awake(&self, thing: Collider) -> bool {
         match thing {
             Collider::Body(entity) => self
@@ -114,7 +114,7 @@ impl WorldView<'_> {
         }
     }
 
-    /// How fast it is at most \[m/s\], roughly.
+    /// Rough upper bound of its velocity \[m/s\].
     fn speed(&self, thing: Collider) -> f64 {
         let (velocity, size) = match thing {
             Collider::Body(entity) => self.bodies.get(&entity).map(|body| (body.velocity, &body.solid)),
@@ -167,7 +167,7 @@ impl WorldView<'_> {
 }
 
 impl Meetings {
-    /// Everything that is near enough to something else.
+    /// Finds all contacts.
     pub fn meet(&mut self, mut everything: WorldView<'_>) {
         self.all.clear();
         self.order.clear();
@@ -203,7 +203,7 @@ impl Meetings {
     }
 
     fn pair(&mut self, everything: &mut WorldView<'_>, first: Collider, second: Collider, margin: f64) {
-        // Canonical: what a thing is called does not depend on where it is.
+        // Canonical: names of parts do not depend on position.
         let rank = |thing: Collider| match thing {
             Collider::Body(entity) | Collider::Tool(entity) => entity,
         };
@@ -238,7 +238,7 @@ impl Meetings {
                 if point.depth <= same.point.depth {
                     continue;
                 }
-                // The deeper one counts, under the name of the first.
+                // The deeper one is kept, under the key of the first.
                 same.point.depth = point.depth;
                 continue;
             }
@@ -261,7 +261,7 @@ impl Meetings {
         }
     }
 
-    /// A body that rests until something that moves touches it gives way from then on.
+    /// Wakes a sleeping body that something moving touches.
     fn wake(&mut self, everything: &mut WorldView<'_>, things: [Collider; 2], begin: usize) {
         for (side, other) in [(0, 1), (1, 0)] {
             let Collider::Body(entity) = things[side] else { continue };
@@ -280,7 +280,7 @@ impl Meetings {
         }
     }
 
-    /// What others have found, where it is by now.
+    /// Adds externally detected contacts at their present position.
     fn others(&mut self, everything: &WorldView<'_>) {
         for (index, found) in everything.found.iter().enumerate() {
             let pose = |entity: Entity| everything.pose(entity).unwrap_or_else(Isometry3::identity);
@@ -299,7 +299,7 @@ impl Meetings {
                     slot: body.and_then(|body| body.slot).or(tool.map(|tool| tool.slot)),
                     is_fixed: body.is_none_or(|body| !body.is_dynamic()) && tool.is_none(),
                     local: points[side],
-                    // Who has none takes the other's.
+                    // A side without a value takes the other's.
                     friction: body.map_or(f64::NAN, |body| body.component.friction),
                     restitution: body.map_or(0.0, |body| body.component.restitution),
                 }

@@ -1,5 +1,5 @@
-//! What an instrument may touch before the next tick of a slow world: the fixed surface that is nearest to it, or else what its
-//! parts meet on their way.
+//! Obstacle prediction for an instrument until the next tick of a slow world: the nearest fixed surface, or else what
+//! its parts will hit.
 
 use nalgebra::{Isometry3, Translation3, Vector3};
 use trocar_dynamics::instrument::local_model::Obstacle;
@@ -10,17 +10,17 @@ use super::closest_features::{TouchPoint, touch};
 use super::convex_parts::Part;
 use super::instrument::Tool;
 
-/// A path shorter than this is covered by the contacts of a step \[m\].
+/// A shorter path is covered by the contacts of a step \[m\].
 const PATH_MIN: f64 = 0.0004;
-/// Longest path that is looked along \[m\].
+/// Longest path examined \[m\].
 const PATH_MAX: f64 = 0.03;
-/// Speed that a hand may reach before the next tick \[m/s\].
+/// Velocity that a hand may reach before the next tick \[m/s\].
 const START_SPEED: f64 = 0.3;
-/// Steps of the way along a path at most, and what counts as there \[m\].
+/// Maximum advancement steps along a path, and distance that counts as contact \[m\].
 const ADVANCES_MAX: usize = 32;
 const THERE: f64 = 1e-5;
 
-/// The first of the `fixed` bodies that a tool meets within `horizon_secs` if its tip keeps its velocity and its rotation.
+/// The first of the `fixed` bodies that a tool hits within `horizon_secs` at constant tip velocity and rotation.
 pub(super) fn first_obstacle<'a>(
     tool: &Tool,
     fixed: impl Iterator<Item = &'a Body> + Clone,
@@ -36,7 +36,7 @@ pub(super) fn first_obstacle<'a>(
     if path < PATH_MIN {
         return None;
     }
-    // Conservative advancement: nobody meets anything before having gone as far as it is away.
+    // Conservative advancement: nothing can be hit before covering the distance to it.
     let mut gone = 0.0;
     for _ in 0..ADVANCES_MAX {
         let on_the_way = velocity * (gone / speed);
@@ -53,7 +53,7 @@ pub(super) fn first_obstacle<'a>(
     None
 }
 
-/// The nearest fixed surface within `reach` of the tool, moved by `by` \[m\], and how far it is.
+/// The nearest fixed surface within `reach` of the tool, displaced by `by` \[m\], and its distance.
 fn nearest<'a>(
     tool: &Tool,
     fixed: impl Iterator<Item = &'a Body>,

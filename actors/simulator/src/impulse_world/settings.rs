@@ -1,4 +1,4 @@
-//! How our own world of rigid bodies is stepped.
+//! Settings of the impulse world.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -6,32 +6,32 @@ use trocar_dynamics::rigid_world::WorldError;
 
 use crate::rigid::{ContactConfig, Integrator};
 
-/// The defaults are those under which grasping a 5 g ring by friction was measured.
+/// Settings; the defaults are those of the measured grasp of a 5 g ring by friction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigidSettings {
     /// Length of one step \[s\].
     pub substep_secs: f64,
-    /// How bodies are moved on.
+    /// Time integrator.
     pub integrator: Integrator,
-    /// Rounds over contacts that have to do with each other in a step at most: with 30 a held ring creeps out of the jaws.
+    /// Maximum solver iterations per island and step: with 30 a held ring creeps out of the jaws.
     pub iterations: u32,
-    /// A round that changes no speed by more than this is the last one \[m/s\].
+    /// Convergence: the iteration ends when no velocity changes by more than this \[m/s\].
     pub tolerance: f64,
     /// Acceleration of gravity in world \[m/s²\].
     pub gravity_in_world: Vector3<f64>,
-    /// Height of the floor that catches what falls off the boards \[m\]; none when absent.
+    /// Height of the floor that catches objects falling off the boards \[m\]; no floor when absent.
     pub floor_height: Option<f64>,
-    /// Largest force of the coupling between a hand and its instrument \[N\].
+    /// Force limit of the coupling between a hand and its instrument \[N\].
     pub coupling_force_max: f64,
-    /// Largest rate at which the drive of the jaws opens or closes them \[rad/s\].
+    /// Largest opening or closing rate of the jaw drive \[rad/s\].
     pub jaw_rate_max: f64,
-    /// How far a target is carried on along its velocity when no newer one arrives \[s\].
+    /// How long a target is extrapolated at its velocity when no newer one arrives \[s\].
     pub extrapolation_secs_max: f64,
-    /// Whether it claims the poses of all entities rather than of those that are dynamic at its start, so that bodies may be
-    /// spawned while it runs.
+    /// Whether it claims the poses of all entities instead of those that are dynamic at its start, so that bodies may
+    /// be spawned at run time.
     pub claims_all_poses: bool,
-    /// Names of instruments whose [`LocalContactModel`](trocar_scene::LocalContactModel) somebody else writes.
+    /// Names of instruments whose [`LocalContactModel`](trocar_scene::LocalContactModel) another actor writes.
     pub contact_models_by_others: Vec<String>,
 }
 
@@ -54,7 +54,7 @@ impl Default for RigidSettings {
 }
 
 impl RigidSettings {
-    /// Refuses what the solver cannot work with.
+    /// Rejects invalid settings.
     ///
     /// # Errors
     /// [`WorldError::InvalidSetting`] names the first setting that is out of range.

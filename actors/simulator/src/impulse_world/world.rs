@@ -1,6 +1,6 @@
-//! Rigid bodies and instruments of our own: contacts found within the step, by others too, and answered by impulses.
+//! World of rigid bodies and instruments: contacts, detected within the step or externally, are solved by impulses.
 //!
-//! A body that has not moved for a while sleeps until something that moves touches it.
+//! A body at rest for a while sleeps until something that moves touches it.
 
 use std::collections::BTreeMap;
 
@@ -19,11 +19,11 @@ use crate::rigid::{
     Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
 };
 
-/// Most bodies besides instruments.
+/// Maximum number of bodies besides instruments.
 pub const BODIES_MAX: usize = 4096;
-/// Most instruments.
+/// Maximum number of instruments.
 pub const TOOLS_MAX: usize = 64;
-/// A body that moves slower for so long goes to sleep \[m/s, s\].
+/// A body slower than this for this long falls asleep \[m/s, s\].
 const SLEEP_SPEED: f64 = 5e-4;
 const SLEEP_AFTER_SECS: f64 = 0.3;
 
@@ -36,7 +36,7 @@ pub struct ImpulseWorld {
     pub(super) now: SimTime,
     pub(super) found: Vec<Found>,
     pub(super) meetings: Meetings,
-    /// What contacts came to in the last step, by their keys.
+    /// Contact impulses of the last step, by key.
     pub(super) former: Vec<(Key, Vector3<f64>)>,
     pub(super) penetration_max: f64,
     pub(super) contacts: Vec<Contact>,
@@ -46,7 +46,7 @@ pub struct ImpulseWorld {
 #[derive(Default)]
 struct Scratch {
     rows: Vec<RigidContact>,
-    /// Which meeting each row is, and whether its impulse is on the second.
+    /// Contact of each row, and the sign of its impulse on the second body.
     of: Vec<(usize, f64)>,
     arms: Vec<[Option<Arm>; 2]>,
     joints: Vec<Joint>,
@@ -56,19 +56,19 @@ struct Scratch {
 }
 
 impl ImpulseWorld {
-    /// The settings it was made with.
+    /// Its settings.
     #[must_use]
     pub fn settings(&self) -> &RigidSettings {
         &self.settings
     }
 
-    /// How often the last step solved a contact, all of them together.
+    /// Number of contact solves in the last step.
     #[must_use]
     pub fn effort(&self) -> u64 {
         self.solver.visits()
     }
 
-    /// One with nothing in it.
+    /// An empty world.
     pub(super) fn empty(settings: RigidSettings, solver: RigidBodies, now: SimTime) -> Self {
         Self {
             solver,
@@ -85,7 +85,7 @@ impl ImpulseWorld {
         }
     }
 
-    /// Bodies of the solver, another one at the end, or one less.
+    /// Rebuilds the solver's bodies, with one appended or removed.
     pub(super) fn rebuild(&mut self, add: Option<(RigidMass, RigidState)>, remove: Option<usize>) -> usize {
         let (mut masses, mut states) = (self.solver.masses().to_vec(), self.solver.states().to_vec());
         if let Some(gone) = remove {
@@ -101,7 +101,7 @@ impl ImpulseWorld {
             states.push(state);
         }
         let settings = &self.settings;
-        // Masses and states have been checked one by one.
+        // Masses and states have been validated one by one.
         if let Ok(solver) = RigidBodies::new(
             &masses,
             &states,
@@ -182,7 +182,7 @@ impl ImpulseWorld {
         }
     }
 
-    /// Something has gone: nobody knows who lay on it.
+    /// Something was removed: bodies may have rested on it.
     pub(super) fn wake_all(&mut self) {
         for body in self.bodies.values_mut() {
             body.sleeps = false;
@@ -190,7 +190,7 @@ impl ImpulseWorld {
         }
     }
 
-    /// Rows of the solver out of what meets, and what else pushes.
+    /// Builds the solver's rows from contacts and external forces.
     fn rows(&mut self) {
         let Scratch { rows, of, arms, joints, begin, wrenches, .. } = &mut self.scratch;
         rows.clear();
@@ -252,7 +252,7 @@ impl ImpulseWorld {
             wrenches[slot].torque += torque - state.position.coords.cross(&force);
         }
         for tool in tools.values() {
-            // The hand carries it.
+            // The hand carries its weight.
             let lever = tool.state.tip_in_world.translation.vector - tool.centre().coords;
             let wrench = &mut wrenches[tool.slot];
             wrench.force += tool.wrench.force - gravity * tool.mass.mass;
@@ -276,7 +276,7 @@ impl ImpulseWorld {
         }
     }
 
-    /// Where everything is after the step, what contacts came to, what is held, and who sleeps.
+    /// Copies poses, contact impulses, grasps and sleep states from the solver after the step.
     fn take_over(&mut self) {
         let step_secs = self.settings.substep_secs;
         let Scratch { of, joints, .. } = &mut self.scratch;
@@ -363,9 +363,9 @@ impl ImpulseWorld {
             let Some(slot) = body.slot.filter(|_| !body.sleeps) else { continue };
             let state = self.solver.states()[slot];
             let mass = self.solver.masses()[slot];
-            // As fast as its energy would make all of it.
+            // The velocity if all of its kinetic energy were translation.
             let speed = (2.0 * mass.kinetic_energy(&state) / mass.mass).sqrt();
-            // What others find is gone without a word when they are.
+            // External detections vanish without notice when their detector stops.
             let is_pushed = body.push != Wrench::default();
             let may_sleep = speed < SLEEP_SPEED && body.trail.is_none() && !is_pushed && !is_touched(*entity);
             body.still_secs = if may_sleep { body.still_secs + step_secs } else { 0.0 };
@@ -374,13 +374,13 @@ impl ImpulseWorld {
                 body.velocity = Velocity::default();
                 let still =
                     RigidState { momentum: Vector3::zeros(), angular_momentum: Vector3::zeros(), ..state };
-                // Where it is, it has been.
+                // Placed at its present pose.
                 let _ = self.solver.place(slot, still);
             }
         }
     }
 
-    /// Who a body of the solver is.
+    /// The entity of a solver body.
     fn entity_of(&self, slot: usize) -> Option<Entity> {
         let body = self.bodies.iter().find(|(_, body)| body.slot == Some(slot));
         let tool = || self.tools.iter().find(|(_, tool)| tool.slot == slot).map(|(entity, _)| *entity);

@@ -1,4 +1,4 @@
-//! Our own world as the controller of rigid bodies schedules it.
+//! The impulse world behind the interface of the rigid-body controller.
 
 use nalgebra::{Matrix3, Point3};
 use trocar_dynamics::instrument::contact::Contact;
@@ -81,7 +81,7 @@ impl World for ImpulseWorld {
         check(entity, shape)?;
         check(entity, body)?;
         let parts = parts_of(shape);
-        // Of a board each part has a name of its own; a ring and a cylinder are one.
+        // Each part of a board has its own name; a ring and a cylinder have one.
         let is_whole = !matches!(shape, Shape::PegBoard { .. });
         let name = |index: usize| Primitive::Shape(if is_whole { 0 } else { index as u32 });
         let names = (0..parts.len()).map(name).collect();

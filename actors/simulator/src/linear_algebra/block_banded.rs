@@ -1,22 +1,22 @@
-//! A matrix of 4 × 4 blocks in which a block row touches two block rows to each side, as a rod's does whose bending
-//! couples three neighbouring nodes: factorised and solved directly in O(n) (block `LDU`; Golub, Van Loan, *Matrix
-//! Computations*, 2013, §4.3 and §4.5). The rod's own part is symmetric and positive definite; contacts that slide add
-//! what is not symmetric, for friction follows the push and the push does not follow friction.
-// One index walks several arrays.
+//! Block-banded solver: 4 × 4 blocks with two neighbours to each side, as for a rod, whose bending couples three
+//! neighbouring nodes; factorised and solved directly in O(n) (block `LDU`; Golub, Van Loan, *Matrix Computations*,
+//! 2013, §4.3 and §4.5). The rod's own part is symmetric and positive definite; sliding contacts make it unsymmetric,
+//! since friction depends on the normal force but not the reverse.
+// One index runs over several arrays.
 #![allow(clippy::needless_range_loop)]
 
 use nalgebra::{SMatrix, SVector};
 
 use crate::simd::dispatch::wide;
 
-/// One block: the position of a node and the turn of the edge that begins in it.
+/// One block: the position of a node and the turn angle of the edge that begins at it.
 pub(crate) type Block = SMatrix<f64, 4, 4>;
-/// What belongs to one block row: a displacement and an angle, or a force and a torque.
+/// One block row of a vector: displacement and angle, or force and torque.
 pub(crate) type Cell = SVector<f64, 4>;
 
-/// Right-hand sides that are solved together.
+/// Number of right-hand sides solved together.
 pub(crate) const LANES: usize = 8;
-/// One block row of as many right-hand sides as are solved together.
+/// One block row of that many right-hand sides.
 pub(crate) type LaneCell = [[f64; LANES]; 4];
 
 /// A block, column by column.
@@ -33,7 +33,7 @@ pub(crate) struct BlockBand {
 }
 
 impl BlockBand {
-    /// All zero, of `rows` block rows.
+    /// A zero matrix of `rows` block rows.
     pub fn clear(&mut self, rows: usize) {
         for blocks in [&mut self.diagonal, &mut self.first, &mut self.second] {
             blocks.clear();
@@ -42,7 +42,7 @@ impl BlockBand {
     }
 }
 
-/// What is added to a matrix between neighbouring block rows; it need not be symmetric.
+/// A tridiagonal block matrix to be added; it need not be symmetric.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Added {
     pub diagonal: Vec<Block>,
@@ -50,12 +50,12 @@ pub(crate) struct Added {
     pub below: Vec<Block>,
     /// Block row `i − 1`, block column `i`.
     pub above: Vec<Block>,
-    /// Whether it is not symmetric.
+    /// Whether it is unsymmetric.
     pub slanted: bool,
 }
 
 impl Added {
-    /// Nothing, of `rows` block rows.
+    /// A zero matrix of `rows` block rows.
     pub fn clear(&mut self, rows: usize) {
         for blocks in [&mut self.diagonal, &mut self.below, &mut self.above] {
             blocks.clear();
@@ -68,7 +68,7 @@ impl Added {
 /// The factors of a matrix.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Factors {
-    /// Of the pivots.
+    /// Inverses of the pivots.
     inverse: Vec<Columns>,
     /// Block row `i` of the lower factor, block columns `i − 1` and `i − 2`.
     lower: Vec<[Columns; 2]>,
@@ -77,8 +77,8 @@ pub(crate) struct Factors {
 }
 
 impl Factors {
-    /// Finds the factors of a matrix and what is added to it, or names the block row at which there are none: where a
-    /// symmetric one is not positive definite, or another one has no pivot.
+    /// Factorises the sum of a matrix and `added`, or returns the block row at which it fails: where a symmetric matrix
+    /// is not positive definite, or an unsymmetric one is singular.
     pub fn find(&mut self, matrix: &BlockBand, added: Option<&Added>) -> Result<(), usize> {
         let rows = matrix.diagonal.len();
         let slanted = added.is_some_and(|added| added.slanted);
@@ -89,7 +89,7 @@ impl Factors {
         for list in [&mut self.lower, &mut self.upper] {
             list.resize(rows, [[[0.0; 4]; 4]; 2]);
         }
-        // Block row i − 1, block column i of the upper factor before it is divided by its pivot.
+        // Block row i − 1, block column i of the upper factor before division by its pivot.
         let mut above_before = [[0.0; 4]; 4];
         for i in 0..rows {
             let mut pivot = with(&matrix.diagonal[i], |added| &added.diagonal, i);
@@ -157,8 +157,8 @@ impl Factors {
         }
     }
 
-    /// Solves for [`LANES`] right-hand sides in place that are zero in block rows before `from`; what is found in block
-    /// rows before `until` is not meant to be read.
+    /// Solves in place for [`LANES`] right-hand sides that are zero in block rows before `from`; the results in block
+    /// rows before `until` are not valid.
     pub fn solve_lanes(&self, x: &mut [LaneCell], from: usize, until: usize) {
         wide(
             #[inline(always)]
@@ -276,7 +276,7 @@ pub(crate) fn inverse(of: &Columns, slanted: bool) -> Option<Columns> {
     if slanted { inverse_slanted(of) } else { inverse_symmetric(of) }
 }
 
-/// By `LDLᵀ`, whose accuracy, as Cholesky's, does not suffer from rows of different units.
+/// By `LDLᵀ`, whose accuracy, like Cholesky's, is independent of row scaling.
 #[inline]
 fn inverse_symmetric(of: &Columns) -> Option<Columns> {
     let mut lower = [[0.0; 4]; 4];
@@ -323,10 +323,10 @@ fn inverse_symmetric(of: &Columns) -> Option<Columns> {
     Some(inverse)
 }
 
-/// By elimination in order: of rows of different units none is to be preferred for its size. A pivot may be negative: where
-/// sliding on presses harder than what yields takes back, friction jams (Klarbring, *Examples of non-uniqueness and
-/// non-existence of solutions to quasistatic contact problems with friction*, 1990). Newton's method then finds that such a
-/// place sticks; were it refused instead, steps would be divided for nothing.
+/// By elimination without pivoting: with rows of different units, size is no criterion. A pivot may be negative: where
+/// sliding increases the normal force faster than compliance reduces it, friction jams (Klarbring, *Examples of
+/// non-uniqueness and non-existence of solutions to quasistatic contact problems with friction*, 1990). Newton's method
+/// then finds that such a contact sticks; rejecting it would divide steps unnecessarily.
 #[inline]
 fn inverse_slanted(of: &Columns) -> Option<Columns> {
     let mut left = *of;
@@ -362,7 +362,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
-    /// A random positive definite one and the same as a dense matrix.
+    /// A random positive definite matrix, and the same as a dense one.
     fn random(rows: usize, seed: u64) -> (BlockBand, DMatrix<f64>) {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let mut band = BlockBand::default();
@@ -474,7 +474,7 @@ mod tests {
         let (band, dense) = random(6, 3);
         let mut added = Added::default();
         added.clear(6);
-        // What presses harder the further it slides, at one node: a pivot is negative.
+        // A normal force that grows with sliding, at one node: a pivot is negative.
         added.diagonal[2][(0, 0)] = -4.0 * dense[(8, 8)];
         added.diagonal[2][(1, 0)] = 0.3;
         added.slanted = true;
@@ -492,7 +492,7 @@ mod tests {
                 assert!((cell[k] - expected[4 * i + k]).abs() < 1e-9 * expected.amax());
             }
         }
-        // Without a pivot there are none.
+        // A singular matrix has no factors.
         let mut none = BlockBand::default();
         none.clear(3);
         assert_eq!(

@@ -1,9 +1,9 @@
-//! The pattern of a symmetric matrix with a 3×3 block wherever two nodes share an element, and its lower triangle by
+//! Symmetric block matrix: a 3×3 block wherever two nodes share an element, with its lower triangle in compressed
 //! columns, as a Cholesky factorisation reads it.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Which blocks of the lower triangle there are.
+/// Sparsity pattern of the lower triangle's blocks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BlockPattern {
     /// Block column `c` is `rows[starts[c]..starts[c + 1]]`, the diagonal first.
@@ -15,7 +15,7 @@ pub struct BlockPattern {
 }
 
 impl BlockPattern {
-    /// The pattern for `nodes` block rows with these pairs of neighbours, in any order and as often as they come.
+    /// The pattern for `nodes` block rows with these pairs of neighbours, in any order, with repetitions.
     #[must_use]
     pub fn new(nodes: usize, pairs: impl Iterator<Item = (u32, u32)>) -> Self {
         let mut entries: Vec<(u32, u32)> = (0..nodes as u32).map(|node| (node, node)).collect();
@@ -69,12 +69,12 @@ impl BlockPattern {
         &self.row_idx
     }
 
-    /// Where block (row, column), row ≥ column, begins in each of its three scalar columns: its entry of row r and column
-    /// c is at `slot[c] + r`, on the diagonal for r ≥ c only. `None` where there is no such block.
+    /// Positions of block (row, column), row ≥ column, in each of its three scalar columns: its entry of row r and
+    /// column c is at `slot[c] + r`, on the diagonal for r ≥ c only. `None` where there is no such block.
     #[must_use]
     pub fn slot(&self, row: u32, column: u32) -> Option<[usize; 3]> {
         let at = self.column(column as usize).binary_search(&row).ok()?;
-        // Above the diagonal nothing is stored: what follows it stands one and two entries nearer to the beginning.
+        // Nothing is stored above the diagonal: later entries are one and two positions nearer to the beginning.
         Some([0, 1, 2].map(|axis| self.col_ptr[3 * column as usize + axis] + 3 * at - axis))
     }
 }
@@ -94,7 +94,7 @@ impl BlockMatrix {
         Self { pattern, values }
     }
 
-    /// Where there are blocks.
+    /// Its pattern.
     #[must_use]
     pub fn pattern(&self) -> &BlockPattern {
         &self.pattern
@@ -106,13 +106,13 @@ impl BlockMatrix {
         &self.values
     }
 
-    /// The same, to be written.
+    /// The same, mutable.
     pub fn values_mut(&mut self) -> &mut [f64] {
         &mut self.values
     }
 
-    /// Adds a block where `row` ≥ `column`; of a diagonal block only its lower triangle is read. Nothing happens where
-    /// the pattern has no such block.
+    /// Adds a block where `row` ≥ `column`; of a diagonal block only its lower triangle is read. A block outside the
+    /// pattern is ignored.
     pub fn add(&mut self, row: u32, column: u32, block: &Matrix3<f64>) {
         let Some(slot) = self.pattern.slot(row, column) else { return };
         for c in 0..3 {
@@ -125,7 +125,7 @@ impl BlockMatrix {
     /// y = A x.
     ///
     /// # Panics
-    /// When a slice has not one vector per block row.
+    /// When a slice does not have one vector per block row.
     pub fn multiply(&self, x: &[Vector3<f64>], y: &mut [Vector3<f64>]) {
         assert!(x.len() == self.pattern.nodes() && y.len() == x.len(), "one vector per block row");
         y.fill(Vector3::zeros());
@@ -186,7 +186,7 @@ mod tests {
         for (node, v) in y.iter().enumerate() {
             assert!((v - expected.fixed_rows::<3>(3 * node)).norm() < 1e-13, "{node}: {v}");
         }
-        // No such block: nothing happens.
+        // A block outside the pattern is ignored.
         let before = matrix.clone();
         matrix.add(1, 0, &Matrix3::identity());
         assert_eq!(matrix, before);

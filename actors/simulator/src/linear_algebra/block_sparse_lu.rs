@@ -1,13 +1,12 @@
-//! The matrix of a rod whose strands push each other: 4 × 4 blocks near the diagonal, as `block_banded.rs` has them, and those
-//! of nodes that are far apart along the rod and touch. Block rows are eliminated in an order in which few others are
-//! touched: always the one next that touches the fewest (minimum degree: Tinney, Walker 1967; George, Liu, *The Evolution
-//! of the Minimum Degree Ordering Algorithm*, 1989). A knot is long and thin: of one of 257 nodes and 165 contacts none
-//! touches more than 19 others when its turn comes, and the factors take 3 million operations where the dense problem of the
-//! contacts takes 47.
+//! Sparse block LU of a rod with strand contacts: the 4 × 4 blocks near the diagonal of `block_banded.rs`, and those of
+//! touching nodes that are far apart along the rod. Block rows are eliminated in minimum-degree order (Tinney, Walker
+//! 1967; George, Liu, *The Evolution of the Minimum Degree Ordering Algorithm*, 1989). A knot is long and thin: in one
+//! of 257 nodes and 165 contacts no block row has more than 19 neighbours when it is eliminated, and the factorisation
+//! takes 3 million operations, where the dense contact problem takes 47.
 //!
-//! Blocks are not exchanged for their size. The rod's own part is positive definite; a contact that slides adds `p nᵀ`, its
-//! push against its normal, with `p·n = 1`: elimination takes that back as it would what is symmetric.
-// One index walks several arrays.
+//! There is no pivoting. The rod's own part is positive definite; a sliding contact adds `p nᵀ`, its force against its
+//! normal, with `p·n = 1`, which elimination handles like a symmetric term.
+// One index runs over several arrays.
 #![allow(clippy::needless_range_loop)]
 
 use std::cmp::Reverse;
@@ -18,7 +17,7 @@ use super::block_banded::{
 };
 use crate::simd::dispatch::wide;
 
-/// Where a block is: its slot, and whether its block row is eliminated after its block column.
+/// Position of a block: its slot, and whether its block row is eliminated after its block column.
 #[derive(Clone, Copy, Debug, Default)]
 struct Place {
     slot: u32,
@@ -29,21 +28,21 @@ struct Place {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BlockSparse {
     rows: usize,
-    /// Edges that touch each other, as the pattern has them.
+    /// Touching edges in the pattern.
     couples: Vec<[u32; 2]>,
-    /// Block rows in the order of elimination, and the place of each of them in it.
+    /// Block rows in elimination order, and the position of each.
     order: Vec<u32>,
     places: Vec<u32>,
-    /// Where the column of each place in the order begins, and what it touches: places after its own, ascending.
+    /// Start of each eliminated column, and its neighbours: later positions, ascending.
     begins: Vec<u32>,
     below: Vec<u32>,
-    /// For every column and every two that it touches, the slot of these.
+    /// For every column and every pair of its neighbours, the slot of their block.
     targets: Vec<u32>,
-    /// Of the blocks left of the diagonal, and of the next ones.
+    /// Positions of the blocks left of the diagonal, and of the next ones.
     band: Vec<[Place; 2]>,
-    /// Of the blocks of two edges: either node of the first with either of the second.
+    /// Positions of the blocks of two edges: either node of the first with either of the second.
     far: Vec<[Place; 4]>,
-    /// Pivots, then their inverses, in the order of elimination.
+    /// Pivots, then their inverses, in elimination order.
     pivots: Vec<Columns>,
     /// Below the diagonal, divided by the pivot, and above it.
     lower: Vec<Columns>,
@@ -56,7 +55,7 @@ pub(crate) struct BlockSparse {
 }
 
 impl BlockSparse {
-    /// Finds an order of elimination for so many block rows of which edges touch each other; nothing where that is known.
+    /// Computes an elimination order for this many block rows and touching edges; skipped where it is known.
     pub fn analyse(&mut self, rows: usize, couples: impl Iterator<Item = [u32; 2]> + Clone) {
         if rows == self.rows && couples.clone().eq(self.couples.iter().copied()) {
             return;
@@ -91,7 +90,7 @@ impl BlockSparse {
         }
     }
 
-    /// The order, and what each column touches, by block rows.
+    /// The order, and the neighbours of each column, by block rows.
     fn eliminate(&mut self) {
         let rows = self.rows;
         let Self { neighbours, marks, heap, order, places, begins, below, .. } = self;
@@ -115,7 +114,7 @@ impl BlockSparse {
             begins.push(below.len() as u32);
             let touched = std::mem::take(&mut neighbours[own]);
             below.extend_from_slice(&touched);
-            // Those that it touches touch each other from now on.
+            // Its neighbours become neighbours of each other.
             for &other in &touched {
                 let list = &mut neighbours[other as usize];
                 list.retain(|of| *of != row);
@@ -141,7 +140,7 @@ impl BlockSparse {
         for column in 0..self.rows {
             let touched = &self.below[self.column(column)];
             for (index, &first) in touched.iter().enumerate() {
-                // The column of the first touches all of the rest as well.
+                // The first neighbour's column contains all the others as well.
                 let mut slot = self.begins[first as usize];
                 for &second in &touched[index + 1..] {
                     while self.below[slot as usize] != second {
@@ -169,7 +168,7 @@ impl BlockSparse {
         self.begins[column] as usize..self.begins[column + 1] as usize
     }
 
-    /// Of a block off the diagonal.
+    /// Position of an off-diagonal block.
     fn place(&self, row: usize, column: usize) -> Place {
         let [row, column] = [row, column].map(|of| self.places[of]);
         let range = self.column(row.min(column) as usize);
@@ -177,7 +176,7 @@ impl BlockSparse {
         Place { slot: (range.start + within) as u32, below: row > column }
     }
 
-    /// The values of a matrix near the diagonal, and of what is added to it; nothing of what touches far away.
+    /// Loads the values near the diagonal and those added to them, without far contacts.
     pub fn begin(&mut self, matrix: &BlockBand, added: Option<&Added>) {
         self.slanted = added.is_some_and(|added| added.slanted);
         let slots = self.below.len();
@@ -204,7 +203,7 @@ impl BlockSparse {
         }
     }
 
-    /// Adds a block and the one across the diagonal from it.
+    /// Adds a block and its transpose partner.
     fn put_pair(&mut self, place: Place, [block, across]: &[Block; 2]) {
         let slot = place.slot as usize;
         let (below, above) = if place.below { (block, across) } else { (across, block) };
@@ -212,7 +211,7 @@ impl BlockSparse {
         sum(&mut self.upper[slot], above);
     }
 
-    /// Adds what one couple of edges does to each other: the blocks of their four nodes, row by row.
+    /// Adds the contact of one pair of edges: the blocks of their four nodes, row by row.
     pub fn add_couple(&mut self, number: usize, blocks: &[[Block; 4]; 4], slanted: bool) {
         self.slanted |= slanted;
         let [first, second] = self.couples[number].map(|edge| edge as usize);
@@ -227,7 +226,7 @@ impl BlockSparse {
         }
     }
 
-    /// Finds the factors, or names the block row at which there are none.
+    /// Factorises, or returns the block row at which it fails.
     pub fn factorise(&mut self) -> Result<(), usize> {
         wide(
             #[inline(always)]
@@ -306,7 +305,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 
-    /// A rod of so many block rows with edges that touch, near and far, and the same as a dense matrix.
+    /// A rod with this many block rows and edges in contact, near and far, and the same as a dense matrix.
     fn random(rows: usize, couples: &[[u32; 2]], slanted: bool) -> (BlockSparse, DMatrix<f64>) {
         let mut random = Pcg64Mcg::seed_from_u64(rows as u64);
         let mut any = |size: f64| Block::from_fn(|_, _| random.random_range(-size..size));
@@ -389,7 +388,7 @@ mod tests {
 
     #[test]
     fn the_factors_of_a_knot_are_as_sparse_as_it_is_long_and_thin() {
-        // Two strands side by side, which is one rod that comes back: a band of four would have 2 × 200 block columns of 400.
+        // Two strands side by side, which is one rod that returns: a band would have 2 × 200 block columns of 400.
         let rows = 400;
         let couples: Vec<_> = (0..198).map(|k| [k, 398 - k]).collect();
         let mut sparse = BlockSparse::default();
@@ -397,7 +396,7 @@ mod tests {
         let touched = (0..rows).map(|column| sparse.column(column).len()).max().expect("columns");
         assert!(touched <= 8, "{touched} block rows are touched at once");
         assert!(sparse.below.len() < 8 * rows);
-        // What is known is not sought again.
+        // A known order is not recomputed.
         let order = sparse.order.clone();
         sparse.order.reverse();
         sparse.analyse(rows, couples.iter().copied());

@@ -1,5 +1,5 @@
-//! The Cholesky factor of a sparse matrix whose rows already stand in the order of elimination (faer's, supernodal where
-//! that pays): the pattern is analysed once, the numbers are factored as often as they change.
+//! Sparse Cholesky factorisation (faer's, supernodal where that pays) of a matrix whose rows are already in elimination
+//! order: symbolic once, numeric whenever the values change.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::linalg::SupernodalThreshold;
@@ -14,23 +14,23 @@ use thiserror::Error;
 use super::BlockPattern;
 use super::selected_inverse::inverse_between;
 
-/// Why there is no factor.
+/// Why a factorisation failed.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum FactorError {
-    /// The matrix is not positive definite: a part of the body is held by nothing, or a number is not one.
+    /// The matrix is not positive definite: a part of the body is not supported, or a value is not finite.
     #[error(
         "the matrix is not positive definite at row {row} of {rows}: a part of the body may be held by nothing"
     )]
     Indefinite {
-        /// Row of the first pivot that is not positive, in the order of elimination.
+        /// Row of the first non-positive pivot, in elimination order.
         row: usize,
-        /// Rows of the matrix.
+        /// Number of rows.
         rows: usize,
     },
-    /// No room for the factor.
+    /// Not enough memory for the factor.
     #[error("there is no room for the factor of a matrix of {rows} rows")]
     OutOfMemory {
-        /// Rows of the matrix.
+        /// Number of rows.
         rows: usize,
     },
 }
@@ -44,14 +44,15 @@ pub struct SparseCholesky {
 }
 
 impl SparseCholesky {
-    /// Analyses a pattern; rows are eliminated as they stand. Solves take up to `columns` right hand sides at once.
+    /// Symbolic factorisation of a pattern, rows in the given order. Solves take up to `columns` right-hand sides at
+    /// once.
     ///
     /// # Errors
-    /// No room.
+    /// Not enough memory.
     pub fn new(pattern: &BlockPattern, columns: usize) -> Result<Self, FactorError> {
         let rows = 3 * pattern.nodes();
         let room = |_| FactorError::OutOfMemory { rows };
-        // The analysis reads the upper triangle, the factorisation the lower one.
+        // The symbolic part reads the upper triangle, the numeric part the lower one.
         let (col_ptr, row_idx) = transposed(rows, pattern.col_ptr(), pattern.row_idx());
         let upper = SymbolicSparseColMatRef::new_checked(rows, rows, &col_ptr, None, &row_idx);
         let params = CholeskySymbolicParams {
@@ -70,10 +71,10 @@ impl SparseCholesky {
         Ok(Self { symbolic, values, scratch, columns: columns.max(1) })
     }
 
-    /// Factors a matrix: the values of its lower triangle by columns.
+    /// Numeric factorisation: the values of the lower triangle by columns.
     ///
     /// # Errors
-    /// The matrix is not positive definite; the factor is of no use then.
+    /// The matrix is not positive definite; the factor is invalid then.
     ///
     /// # Panics
     /// When the pattern is another one.
@@ -101,22 +102,22 @@ impl SparseCholesky {
         }
     }
 
-    /// Rows of the matrix.
+    /// Number of rows.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.symbolic.nrows()
     }
 
-    /// Entries of the factor that are stored.
+    /// Number of stored entries of the factor.
     #[must_use]
     pub fn entries(&self) -> usize {
         self.values.len()
     }
 
-    /// Solves A x = b in place, for right hand sides that stand one after the other.
+    /// Solves A x = b in place, for consecutive right-hand sides.
     ///
     /// # Panics
-    /// When there are not whole columns, or more than were asked for.
+    /// With incomplete columns, or more than allocated.
     pub fn solve(&mut self, columns: &mut [f64]) {
         let rows = self.rows();
         if rows == 0 {
@@ -133,9 +134,9 @@ impl SparseCholesky {
         factor.solve_in_place_with_conj(Conj::No, right, Par::Seq, stack);
     }
 
-    /// Visits the entries of the inverse between some rows, all distinct: the indices of row and column among `rows`, and
-    /// the entry, each pair in both orders. `progress` is told the share that is done, and stops it by `false`; then the
-    /// answer is `false`.
+    /// Visits the entries of the inverse between distinct rows: the indices of row and column among `rows`, and the
+    /// entry, each pair in both orders. `progress` receives the completed fraction and may cancel by `false`; then the
+    /// result is `false`.
     pub(crate) fn inverse_between(
         &self,
         rows: &[usize],

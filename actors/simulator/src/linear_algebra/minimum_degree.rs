@@ -1,11 +1,11 @@
-//! In which order nodes are eliminated.
+//! Minimum-degree ordering.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::SymbolicSparseColMatRef;
 use faer::sparse::linalg::amd;
 
-/// An order of little fill for a graph of nodes, given by its edges (Amestoy, Davis, Duff 1996): the nodes in the order
-/// in which they are to be eliminated. The nodes themselves in their order where there is no room to think.
+/// A fill-reducing ordering of a graph given by its edges (approximate minimum degree: Amestoy, Davis, Duff 1996): the
+/// nodes in elimination order. The identity where there is not enough memory.
 #[must_use]
 pub fn minimum_degree(nodes: usize, edges: impl Iterator<Item = (u32, u32)>) -> Vec<u32> {
     let natural = || (0..nodes as u32).collect();

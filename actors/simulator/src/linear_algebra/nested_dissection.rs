@@ -1,15 +1,14 @@
-//! In which order the nodes of a mesh are eliminated, from where they are: nested dissection (George 1973) by planes
-//! across the longest side. Of meshes that fill space it leaves less to fill than the order of minimum degree, and
-//! separators that hang together, which is what dense blocks are made of. What is not joined to each other at all stands
-//! apart, so that its columns do too.
+//! Nested dissection ordering (George 1973) of a mesh's nodes from their positions, by planes perpendicular to the
+//! longest side. On solid meshes it gives less fill than minimum degree, and contiguous separators, which form dense
+//! blocks. Unconnected components are kept apart, so that their columns are, too.
 
 use nalgebra::Point3;
 
-/// Parts of up to this many nodes are left as they are.
+/// Parts of up to this many nodes are not divided.
 const LEAF: usize = 24;
 
-/// The nodes in the order in which they are to be eliminated, for a graph of nodes at these places given by its edges.
-/// Any places give a right order; those where neighbours are near give a good one.
+/// The nodes in elimination order, for a graph given by its edges and node positions. Any positions give a valid order;
+/// those with neighbours close together give a good one.
 #[must_use]
 pub fn nested_dissection(places: &[Point3<f64>], edges: impl Iterator<Item = (u32, u32)>) -> Vec<u32> {
     let mut both: Vec<(u32, u32)> =
@@ -27,7 +26,7 @@ pub fn nested_dissection(places: &[Point3<f64>], edges: impl Iterator<Item = (u3
     let pieces = graph.pieces();
     let mut order: Vec<u32> = (0..places.len() as u32).collect();
     order.sort_by_key(|&node| pieces[node as usize]);
-    // Parts by their place in the order; the separator of a part stands at its end.
+    // Parts by position in the order; a part's separator is at its end.
     let mut parts = Vec::new();
     let mut start = 0;
     for piece in order.chunk_by(|&a, &b| pieces[a as usize] == pieces[b as usize]) {
@@ -59,7 +58,7 @@ enum Side {
     Below,
     Above,
     Between,
-    /// Of another part.
+    /// In another part.
     Out,
 }
 
@@ -68,7 +67,7 @@ impl Graph<'_> {
         &self.neighbours[self.starts[node as usize]..self.starts[node as usize + 1]]
     }
 
-    /// Of each node, the first node that it is joined to, over however many edges.
+    /// Component of each node, as its first node.
     fn pieces(&self) -> Vec<u32> {
         let none = u32::MAX;
         let mut piece = vec![none; self.places.len()];
@@ -91,7 +90,7 @@ impl Graph<'_> {
         piece
     }
 
-    /// Sorts a part into what is below a plane, what is above it, and what separates them; `None` where no plane does.
+    /// Sorts a part into below a plane, above it, and separator; `None` where no plane separates.
     fn split(&self, part: &mut [u32], side: &mut [Side]) -> Option<[usize; 2]> {
         let at = |node: u32| self.places[node as usize];
         let mut low = at(part[0]);
@@ -102,7 +101,7 @@ impl Graph<'_> {
         }
         let axis = (high - low).imax();
         part.sort_unstable_by(|&a, &b| at(a)[axis].total_cmp(&at(b)[axis]).then(a.cmp(&b)));
-        // A whole layer of a grid falls to one side.
+        // A whole layer of a grid falls on one side.
         let middle = at(part[part.len() / 2])[axis] - 1e-9 * (high - low)[axis];
         let mut first = part.partition_point(|&node| at(node)[axis] < middle);
         if first == 0 {
@@ -122,7 +121,7 @@ impl Graph<'_> {
         let count = |which: Side| part.iter().filter(|&&node| side[node as usize] == which).count();
         let counts = [count(Side::Below), count(Side::Above)];
         part.iter().for_each(|&node| side[node as usize] = Side::Out);
-        // All of one side touches the other: nothing is won any more.
+        // All of one side touches the other: no gain.
         (counts[0] > 0 && counts[1] > 0).then_some(counts)
     }
 }
@@ -131,7 +130,7 @@ impl Graph<'_> {
 mod tests {
     use super::*;
 
-    /// Nodes of a cube of so many to a side, and the edges of a grid.
+    /// Nodes of a cube with this many to a side, and the edges of a grid.
     fn grid(side: u32) -> (Vec<Point3<f64>>, Vec<(u32, u32)>) {
         let number = |i: u32, j: u32, k: u32| (i * side + j) * side + k;
         let mut places = Vec::new();
@@ -183,7 +182,7 @@ mod tests {
 
     #[test]
     fn what_is_not_joined_stands_apart() {
-        // Two grids in one another, their nodes in turns.
+        // Two interleaved grids, with alternating node numbers.
         let (places, edges) = grid(6);
         let both: Vec<_> = places.iter().flat_map(|place| [*place; 2]).collect();
         let joined = edges.iter().flat_map(|&(a, b)| [(2 * a, 2 * b), (2 * a + 1, 2 * b + 1)]);

@@ -1,6 +1,6 @@
-//! The part of an inverse that lies between some rows, from a sparse Cholesky factor: with the columns Z = L⁻¹ E of those
-//! rows it is Zᵀ Z, which is symmetric, and a column of Z reaches no further than its row's ancestors in the tree of
-//! elimination. Nothing else of the inverse is formed, and both parts are products of dense blocks.
+//! Selected inverse: its entries between some rows, from a sparse Cholesky factor. With the columns Z = L⁻¹ E of those
+//! rows it is Zᵀ Z, which is symmetric; the non-zeros of a column of Z are its row's ancestors in the elimination tree.
+//! No other entries are computed, and both parts are products of dense blocks.
 
 use std::ops::Range;
 
@@ -9,20 +9,21 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
 use faer::{Accum, Mat, Par};
 
-/// Columns that are solved for at once.
+/// Number of columns solved at once.
 const GROUP: usize = 96;
 
-/// Columns of Z for neighbouring rows, between the supernodes that any of them reaches.
+/// Columns of Z for neighbouring rows, over the union of their supernodes.
 struct Group {
-    /// Which of the sorted rows.
+    /// Range among the sorted rows.
     members: Range<usize>,
-    /// The supernodes, ascending, each with the first of its rows in `z`.
+    /// The supernodes, ascending, each with its first row in `z`.
     reach: Vec<(usize, usize)>,
     z: Mat<f64>,
 }
 
-/// Visits the entries of A⁻¹ between rows, all distinct: the indices of row and column among `rows`, and the entry; each
-/// pair in both orders. `progress` is told the share that is done, and stops it by `false`; then the answer is `false`.
+/// Visits the entries of A⁻¹ between distinct rows: the indices of row and column among `rows`, and the entry; each
+/// pair in both orders. `progress` receives the completed fraction and may cancel by `false`; then the result is
+/// `false`.
 pub(super) fn inverse_between(
     factor: &SupernodalLltRef<'_, usize, f64>,
     rows: &[usize],
@@ -80,7 +81,7 @@ pub(super) fn inverse_between(
     true
 }
 
-/// Z for some rows, ascending, and the supernodes that it is between.
+/// Z for some rows, ascending, and its supernodes.
 fn solve_group(
     factor: &SupernodalLltRef<'_, usize, f64>,
     rows: &[usize],
@@ -138,7 +139,7 @@ fn solve_group(
     (reach, z)
 }
 
-/// Rows that two groups share: where they begin in each, and how many follow.
+/// Common rows of two groups: their starts in each, and their number.
 fn common(one: &Group, other: &Group) -> Vec<(usize, usize, usize)> {
     let end = |group: &Group, at: usize| group.reach.get(at + 1).map_or(group.z.nrows(), |next| next.1);
     let mut runs: Vec<(usize, usize, usize)> = Vec::new();

@@ -1,5 +1,5 @@
-//! A sparse Cholesky factor in single precision, laid out for being solved with many times: neighbouring columns that
-//! share their rows stand together, so that the inner loops run over plain slices.
+//! Supernodal sparse Cholesky factor for preconditioning, stored in bf16, laid out for many solves: neighbouring
+//! columns with common rows are stored together, so that the inner loops run over contiguous slices.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
@@ -16,15 +16,14 @@ use nalgebra::Point3;
 use super::nested_dissection;
 use crate::simd::dispatch::wide;
 
-/// Columns that are taken at once, and lanes of a sum; rows are filled up to a multiple of these.
+/// Columns processed at once, and lanes of a sum; rows are padded to a multiple of these.
 const WIDE: usize = 4;
 const LANES: usize = 8;
 
-/// The upper half of a number, with eight bits of mantissa: what holds a solve back is what it reads, and a
-/// preconditioner needs no more.
+/// Rounds to bf16, eight bits of mantissa: a solve is limited by memory bandwidth, and a preconditioner needs no more.
 fn short(value: f64) -> u16 {
     let bits = (value as f32).to_bits();
-    // To the nearest, the even one of two.
+    // Round to nearest, ties to even.
     (bits.wrapping_add(0x7FFF + ((bits >> 16) & 1)) >> 16) as u16
 }
 
@@ -33,40 +32,40 @@ fn long(value: u16) -> f32 {
     f32::from_bits(u32::from(value) << 16)
 }
 
-/// Columns with the same rows below them. With S their square and B what is below it, it holds S⁻¹ on top of −B S⁻¹: one
-/// product with what stands at its columns solves for them and says what rows further down get of it, and one with the
-/// transposed is the way back, neither with a number that waits for the one before (Raghavan 1998).
+/// A supernode: columns with the same rows below them. With S their diagonal square and B the rows below it, it stores
+/// S⁻¹ on top of −B S⁻¹: one product with the entries at its columns solves for them and updates the rows below, and
+/// one with the transpose is the backward solve, without sequential dependencies (Raghavan 1998).
 #[derive(Clone, Debug)]
 struct Panel {
-    /// First of its columns, and how many there are.
+    /// Its first column, and their number.
     start: usize,
     columns: usize,
-    /// Where the rows below the square begin, and how many there are.
+    /// Start and number of the rows below the square.
     rows_from: usize,
     rows: usize,
-    /// Where its numbers begin, by columns, and how long a column is, filled up.
+    /// Start of its values, by columns, and the padded length of a column.
     values_from: usize,
     height: usize,
 }
 
-/// L of a matrix L Lᵀ, its rows in an order of little fill.
+/// L of a matrix L Lᵀ in a fill-reducing order.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Triangles {
     panels: Vec<Panel>,
     rows: Vec<u32>,
     values: Vec<u16>,
-    /// Which row of the matrix stands at each place of the factor.
+    /// Row of the matrix at each position of the factor.
     order: Vec<u32>,
     solved: Vec<f32>,
-    /// Of one panel: what stands at its columns and at its rows.
+    /// Vector entries at a panel's columns and at its rows.
     column: Vec<f32>,
-    /// And of each of its columns the lanes of a product.
+    /// Lane sums of the products of its columns.
     products: Vec<[f32; LANES]>,
 }
 
 impl Triangles {
-    /// Factors a symmetric matrix with a row for each of these `places`, given by the entries (row, column, value) of its lower
-    /// triangle, each at most once. `None` where it is not definite or there is no room.
+    /// Factorises a symmetric matrix with one row per point in `places`, given by the entries (row, column, value) of
+    /// its lower triangle, each at most once. `None` where it is not positive definite or there is not enough memory.
     pub fn factor(places: &[Point3<f64>], mut entries: Vec<(u32, u32, f64)>) -> Option<Self> {
         let size = places.len();
         let edges = entries.iter().map(|&(row, column, _)| (row, column));
@@ -149,7 +148,7 @@ impl Triangles {
         triangles.values.iter().all(|&value| long(value).is_finite()).then_some(triangles)
     }
 
-    /// Numbers that a solve reads, there and back once each.
+    /// Number of entries, each read twice in a solve.
     pub fn entries(&self) -> usize {
         self.values.len()
     }
@@ -224,10 +223,10 @@ fn backward(
     for (slot, &row) in below.iter_mut().zip(rows) {
         *slot = solved[row as usize];
     }
-    // What fills a column up is times nothing, but has to be a number.
+    // Padding is multiplied by zero, but has to be finite.
     below[rows.len()..].fill(0.0);
     let own = &mut solved[panel.start..panel.start + columns];
-    // All lanes are kept before any are added up: compiled into one loop, both would run two lanes at a time.
+    // All lanes are stored before any are summed: fused into one loop, both would use only two lanes at a time.
     let products = &mut products[..columns];
     for (product, entries) in products.iter_mut().zip(values.chunks_exact(height)) {
         *product = dot(entries, column);
@@ -237,7 +236,8 @@ fn backward(
     }
 }
 
-/// Lanes of the product of slices whose length is a multiple of them: a sum in one order would run one number at a time.
+/// Lane sums of the dot product of slices whose length is a multiple of the lanes: a sequential sum would not
+/// vectorise.
 #[inline(always)]
 fn dot(column: &[u16], vector: &[f32]) -> [f32; LANES] {
     let mut lanes = [0.0_f32; LANES];
@@ -249,7 +249,7 @@ fn dot(column: &[u16], vector: &[f32]) -> [f32; LANES] {
     lanes
 }
 
-/// By halves, as registers are.
+/// Pairwise, by halves of a register.
 #[inline(always)]
 fn sum([a, b, c, d, e, f, g, h]: [f32; LANES]) -> f32 {
     ((a + e) + (c + g)) + ((b + f) + (d + h))
@@ -261,7 +261,7 @@ mod tests {
 
     #[test]
     fn what_is_solved_fulfils_the_equations() {
-        // A grid of springs, each node held a little.
+        // A grid of springs with a weak support at each node.
         let side = 23_u32;
         let mut entries = Vec::new();
         let mut diagonal = vec![0.1; (side * side) as usize];
@@ -293,7 +293,7 @@ mod tests {
         let mut factor = Triangles::factor(&places, entries.clone()).expect("definite");
         factor.solve(&mut right);
         for (found, wanted) in right.iter().zip(&wanted) {
-            // As near as numbers of eight bits, each wrong by up to 1/512, say it.
+            // Within the accuracy of eight-bit mantissas, with relative errors up to 1/512.
             assert!((found - wanted).abs() < 0.02, "{found}, not {wanted}");
         }
         entries[0].2 = -100.0;

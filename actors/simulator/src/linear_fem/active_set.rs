@@ -1,12 +1,12 @@
-//! The Cholesky factor of those rows and columns of W that act, followed as constraints come and go: a row that comes is
-//! appended (a triangular solve), one that goes is deleted (a rank-one update of what stands below it: Golub, Van Loan
-//! 2013, §6.5.4). Both are O(k²).
+//! Active set: the Cholesky factor of the active rows and columns of W, updated as constraints are added and removed.
+//! Appending a row is a triangular solve; deleting one is a rank-one update of the rows below it (Golub, Van Loan 2013,
+//! §6.5.4). Both are O(k²).
 
-/// A pivot below this share of its diagonal means that a constraint says what others already say. The compliance is
-/// known to 1.2e-7 of it, so that what is let through is known to 0.2 % and better.
+/// A pivot below this fraction of its diagonal means a redundant constraint. The compliance is accurate to 1.2e-7 of
+/// it, so that accepted pivots are accurate to 0.2 % and better.
 const PIVOT_MIN: f64 = 1e-4;
 
-/// A symmetric matrix of a size that changes, its lower triangle by rows.
+/// A symmetric matrix of variable size, its lower triangle by rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Packed {
     pub values: Vec<f64>,
@@ -27,7 +27,7 @@ impl Packed {
         &self.values[start(row)..start(row + 1)]
     }
 
-    /// Takes row and column `out` away.
+    /// Removes row and column `out`.
     pub fn remove(&mut self, out: usize) {
         let mut to = start(out);
         for row in out + 1..self.size {
@@ -41,7 +41,7 @@ impl Packed {
     }
 }
 
-/// Rows that act, in the order in which they came, and the factor of W between them.
+/// Active rows, in the order in which they were added, and the factor of W between them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct ActiveSet {
     pub rows: Vec<u32>,
@@ -50,12 +50,12 @@ pub(super) struct ActiveSet {
 }
 
 impl ActiveSet {
-    /// Lets a row of W act; `false`, and nothing changed, where it says what the others already say.
+    /// Activates a row of W; `false`, with nothing changed, where it is linearly dependent.
     pub fn append(&mut self, row: usize, w: &Packed) -> bool {
         self.append_above(row, w, PIVOT_MIN)
     }
 
-    /// The same where its pivot is to be above another share of its diagonal.
+    /// The same with another pivot threshold.
     pub fn append_above(&mut self, row: usize, w: &Packed, share: f64) -> bool {
         let size = self.factor.size;
         let begin = self.factor.values.len();
@@ -79,7 +79,7 @@ impl ActiveSet {
         true
     }
 
-    /// Lets the row at a place of the order act no longer.
+    /// Deactivates the row at this position.
     pub fn delete(&mut self, place: usize) {
         self.update.clear();
         for row in place + 1..self.factor.size {
@@ -87,7 +87,7 @@ impl ActiveSet {
         }
         self.factor.remove(place);
         self.rows.remove(place);
-        // What the deleted column explained goes back into the rows below: L Lᵀ + x xᵀ, by plane rotations.
+        // The deleted column is added back to the rows below: L Lᵀ + x xᵀ, by Givens rotations.
         for column in place..self.factor.size {
             let x = self.update[column - place];
             let at = start(column) + column;
@@ -105,7 +105,7 @@ impl ActiveSet {
         }
     }
 
-    /// Solves W x = b between the rows that act, in place, in their order.
+    /// Solves W x = b between the active rows, in place, in their order.
     pub fn solve(&self, b: &mut [f64]) {
         let size = self.factor.size;
         for row in 0..size {
@@ -137,7 +137,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
-        /// After any coming and going: the solution of a fresh factorisation.
+        /// After any additions and removals: the solution equals that of a new factorisation.
         #[test]
         fn the_factor_follows_what_comes_and_goes(
             numbers in prop::collection::vec(-1.0..1.0_f64, 144),

@@ -1,5 +1,5 @@
-//! A body that is no longer what it was: elements that are gone, elements that heat has stiffened and shrunk. Its inverse is
-//! computed as that of any body, over the same nodes, with what touches the new surface.
+//! Altered bodies: removed elements, and elements stiffened and shrunk by heat. Their inverse is computed as for any
+//! body, over the same nodes, for the new surface.
 
 use nalgebra::Vector3;
 use trocar_dynamics::elasticity::{Alteration, Elastic};
@@ -13,11 +13,11 @@ use super::solver::LinearFem;
 use crate::stiffness::Bonds;
 
 impl LinearFem {
-    /// Precomputes a body of which each element is as `alterations` says, one per element, and begins at rest, pulled
-    /// together by what has shrunk. What is gone leaves as little behind as [`LinearFem::remove`] does.
+    /// Precomputes a body with one alteration per element, which begins at rest, contracted by the shrunk elements.
+    /// Removed elements keep a remnant stiffness as in [`LinearFem::remove`].
     ///
     /// # Errors
-    /// As [`Compliance::precompute`]; another number of alterations than of elements, or one out of range.
+    /// As [`Compliance::precompute`]; a number of alterations other than that of elements, or one out of range.
     pub fn altered(
         mesh: TetMesh,
         material: &Elastic,
@@ -29,11 +29,11 @@ impl LinearFem {
         Self::parted(mesh, material, alterations, &[], fixed, limits, progress)
     }
 
-    /// The same of a body whose last nodes were others, those of `parents`, before it came apart: bonds to these, of a
-    /// millionth of its stiffness, hold what hangs by nothing else.
+    /// The same for a body with split nodes: its last nodes are copies of those in `parents`. Bonds to these, of a
+    /// millionth of its stiffness, hold parts that are otherwise free.
     ///
     /// # Errors
-    /// As [`Self::altered`]; a node that was none before it.
+    /// As [`Self::altered`]; a parent that is no earlier node.
     pub fn parted(
         mesh: TetMesh,
         material: &Elastic,
@@ -67,7 +67,7 @@ impl LinearFem {
         let weights: Vec<f64> = alterations.iter().map(|of| of.stiffness.max(REMNANT)).collect();
         let boundary = Boundary::touched(&mesh, fixed, &outside, &between)?;
         let factor = factor(&mesh, material, &weights, &bonds, &boundary, limits)?;
-        // Of no file's: what burns today does not burn tomorrow.
+        // Not for a cache file: alterations differ from run to run.
         let compliance = Compliance::from_factor(0, &boundary, &factor, progress)?;
         let mut body = Self::assembled(mesh, *material, boundary, factor, compliance);
         body.correction.weights = weights;
@@ -75,11 +75,11 @@ impl LinearFem {
         Ok(body)
     }
 
-    /// Pulls the body together by what has shrunk, one alteration per element, with the stiffness that its inverse has of
-    /// them: what a new inverse changes is little then. Replaces the dead load; one sparse solve.
+    /// Contracts the body by its shrunk elements, one alteration per element, with the element stiffness in its
+    /// inverse, so that a new inverse changes little. Replaces the dead load; one sparse solve.
     ///
     /// # Errors
-    /// Another number of alterations than of elements.
+    /// A number of alterations other than that of elements.
     pub fn shrink(&mut self, alterations: &[Alteration]) -> Result<(), LinearFemError> {
         let count = self.mesh.tets().len();
         if alterations.len() != count {
@@ -91,7 +91,7 @@ impl LinearFem {
             if of.length == 1.0 || self.correction.is_out(tet as u32) {
                 continue;
             }
-            // The stress of the missing strain, (3λ + 2μ)(l − 1).
+            // The stress of the shrinkage strain, (3λ + 2μ)(l − 1).
             let stress = modulus * self.correction.weight(tet as u32) * (of.length - 1.0);
             let pull = stress * self.mesh.volumes()[tet];
             for (node, gradient) in self.mesh.tets()[tet].iter().zip(self.mesh.gradients(tet)) {

@@ -1,29 +1,29 @@
-//! What a constraint holds: a weighted mean of nodes.
+//! Attachments: the weighted means of nodes that constraints hold.
 
 use nalgebra::{Unit, Vector3};
 use thiserror::Error;
 
-/// Names a constraint for as long as it is held.
+/// Handle of a constraint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Handle(pub u64);
 
-/// Most nodes that one attachment is spread over.
+/// Maximum number of nodes in one attachment.
 pub const WEIGHTS_MAX: usize = 512;
 
-/// What is held of the mean displacement of an attachment's nodes.
+/// Constrained part of an attachment's mean displacement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Hold {
-    /// All of it, as in a grasp or at a needle.
+    /// All of it, as for a grasp or a needle.
     Point,
-    /// Its part along a direction; it slides across.
+    /// Its component along a direction; it slides perpendicular to it.
     Along(Unit<Vector3<f64>>),
-    /// Its part along a direction is kept from falling below the target, as by a tool that may leave: force only along
-    /// the direction, never against it.
+    /// Unilateral: its component along a direction is kept from falling below the target, as by a tool that may lift
+    /// off; the force acts along the direction only, never against it.
     AtLeast(Unit<Vector3<f64>>),
 }
 
 impl Hold {
-    /// Directions that are held: how many, and which.
+    /// The constrained directions and their number.
     pub(super) fn directions(&self) -> ([Vector3<f64>; 3], usize) {
         match self {
             Self::Point => ([Vector3::x(), Vector3::y(), Vector3::z()], 3),
@@ -32,43 +32,43 @@ impl Hold {
     }
 }
 
-/// Nodes with weights whose mean displacement is held: one node, a point in an element by its barycentric weights, or a
-/// patch of the surface.
+/// Nodes with weights whose mean displacement is constrained: one node, a point in an element by its barycentric
+/// weights, or a surface patch.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attachment {
     /// Nodes and their weights, which add up to 1.
     pub weights: Vec<(u32, f64)>,
-    /// What of their mean is held.
+    /// Constrained part of their mean.
     pub hold: Hold,
 }
 
-/// Why something cannot be attached to.
+/// Why an attachment was rejected.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum AttachmentError {
     /// Too few or too many nodes.
     #[error("an attachment to {0} nodes: 1 to {WEIGHTS_MAX} are valid")]
     Count(usize),
-    /// A node that there is none of.
+    /// A node that does not exist.
     #[error("an attachment to node {node}, but there are {nodes}: 0 to {nodes} - 1 are valid")]
     NoNode {
-        /// What was named.
+        /// The node.
         node: u32,
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// Weights that are no mean.
+    /// Weights that do not add up to 1.
     #[error("the weights of an attachment add up to {0}, not to 1")]
     Sum(f64),
 }
 
 impl Attachment {
-    /// Of one node.
+    /// A single node.
     #[must_use]
     pub fn node(node: u32, hold: Hold) -> Self {
         Self { weights: vec![(node, 1.0)], hold }
     }
 
-    /// Of a point in an element, by its corners and barycentric weights.
+    /// A point in an element, by its corners and barycentric weights.
     #[must_use]
     pub fn barycentric(corners: [u32; 4], weights: [f64; 4], hold: Hold) -> Self {
         Self {
@@ -82,7 +82,7 @@ impl Attachment {
     }
 }
 
-/// Whether weights are those of a mean of existing nodes.
+/// Whether weights define a mean of existing nodes.
 pub(super) fn check_weights(weights: &[(u32, f64)], nodes: usize) -> Result<(), AttachmentError> {
     if weights.is_empty() || weights.len() > WEIGHTS_MAX {
         return Err(AttachmentError::Count(weights.len()));

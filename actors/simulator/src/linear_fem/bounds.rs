@@ -1,15 +1,15 @@
-//! How much an inverse can serve, and how much it can be corrected by.
+//! Limits of an inverse and of its corrections.
 
-/// Directions that can be held at once: 128 grasped points.
+/// Maximum number of constrained directions: 128 grasped points.
 pub(super) const ROWS_MAX: usize = 384;
-/// Elements that can be taken out until a new inverse is due.
+/// Maximum number of removed elements before a new inverse is required.
 pub const REMOVED_MAX: usize = 64;
-/// Share of its stiffness that an element leaves behind, so that nodes that lose their last element, and parts that hang
-/// by one node, stay somewhere.
+/// Remnant stiffness of a removed element, as a fraction, so that nodes without elements and parts that hang by one
+/// node keep a position.
 pub(super) const REMNANT: f64 = 1e-6;
 /// Rank of an element's stiffness.
 pub(super) const RANK: usize = 6;
-/// Unknowns that an inverse is corrected by at most.
+/// Maximum number of correction unknowns.
 pub(super) const UNKNOWNS_MAX: usize = RANK * REMOVED_MAX;
-/// Unknowns that are added at once at most: reading the factor for many columns takes hardly longer than for one.
+/// Maximum number of unknowns added at once: reading the factor for many columns takes hardly longer than for one.
 pub(super) const BATCH: usize = 48;

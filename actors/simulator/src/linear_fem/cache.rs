@@ -1,8 +1,8 @@
-//! A folder of precomputed inverses, so that a body is computed once and read from then on: one file for each mesh,
-//! material and boundary, named by its fingerprint, checksummed, written beside its place and renamed into it.
+//! Cache of precomputed inverses in a folder, so that each is computed once: one file for each mesh, material and
+//! boundary, named by its fingerprint, checksummed, and written to a temporary file that is renamed.
 //!
-//! A file that cannot be read or is another's is computed anew, one that cannot be written is done without: a cache is
-//! never why there is no body.
+//! An unreadable or mismatched file is recomputed; one that cannot be written is skipped: the cache never causes a
+//! failure.
 
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Write};
@@ -15,25 +15,25 @@ use super::error::LinearFemError;
 use super::serialization::fingerprint;
 use super::solver::LinearFem;
 
-/// Where inverses are kept.
+/// A folder of inverses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cache {
     folder: PathBuf,
 }
 
-/// Where a body's inverse came from.
+/// Origin of a body's inverse.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// It was read.
+    /// Read from the cache.
     Read,
-    /// It was computed, and is kept.
+    /// Computed and written to the cache.
     Kept,
-    /// It was computed, and could not be kept: why.
+    /// Computed, but not written: the reason.
     NotKept(String),
 }
 
 impl Cache {
-    /// In a folder, which is made with the first file.
+    /// In a folder, which is created with the first file.
     #[must_use]
     pub fn new(folder: &Path) -> Self {
         Self { folder: folder.to_owned() }
@@ -45,7 +45,7 @@ impl Cache {
         self.folder.join(format!("{:016x}.compliance", fingerprint(mesh, material, fixed)))
     }
 
-    /// A body at rest, as [`LinearFem::new`], from the file if there is a good one.
+    /// A body at rest, as [`LinearFem::new`], from the file if there is a valid one.
     ///
     /// # Errors
     /// As [`LinearFem::new`].
@@ -90,10 +90,10 @@ impl Cache {
     }
 }
 
-/// How many may write the same at once, those that died over it included.
+/// Maximum number of concurrent writers of one file, including crashed ones.
 const WRITERS_MAX: u32 = 16;
 
-/// A new file beside the one that it is to become, of another name than that of anybody who computes the same.
+/// A new temporary file next to the final one, with a name unique among concurrent writers.
 fn part_of(file: &Path) -> io::Result<(PathBuf, File)> {
     let mut taken = None;
     for number in 0..WRITERS_MAX {

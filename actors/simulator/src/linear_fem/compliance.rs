@@ -1,7 +1,7 @@
-//! The precomputed inverse: displacements of all free surface nodes per unit force at each of them.
+//! Precomputed compliance: displacements of all free surface nodes per unit force at each of them.
 //!
-//! With K = L Lᵀ in an order of little fill it is Zᵀ Z, where Z = L⁻¹ E are the columns of the surface: only the part of
-//! K⁻¹ between surface nodes is ever formed, and only half of it, being symmetric, is computed.
+//! With K = L Lᵀ in a fill-reducing order, the compliance is Zᵀ Z, where Z = L⁻¹ E are the columns of the surface: only
+//! the part of K⁻¹ between surface nodes is formed, and only half of it, being symmetric, is computed.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -12,7 +12,7 @@ use super::bounds::BATCH;
 use crate::linear_algebra::{FactorError, SparseCholesky, nested_dissection};
 use crate::stiffness::{Bonds, bound_stiffness};
 
-/// How much a precomputation may take.
+/// Limits of a precomputation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Bytes of the stored compliance: 36 per pair of free surface nodes.
@@ -22,7 +22,7 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// 1 GiB, some 5,400 free surface nodes (while it is computed some four times as much is needed), and 100,000 nodes.
+    /// 1 GiB, some 5,400 free surface nodes (the computation needs some four times as much), and 100,000 nodes.
     fn default() -> Self {
         Self { bytes_max: 1 << 30, nodes_max: 100_000 }
     }
@@ -31,12 +31,12 @@ impl Default for Limits {
 /// Why there is no compliance.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum PrecomputeError {
-    /// A fixed node that there is none of.
+    /// A fixed node that does not exist.
     #[error("node {node} is to be fixed, but there are {nodes}: 0 to {nodes} - 1 are valid")]
     NoNode {
-        /// What was named.
+        /// The node.
         node: u32,
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
     },
     /// The dense part would be too large.
@@ -45,22 +45,22 @@ pub enum PrecomputeError {
          coarsen the surface, fix more of it, or raise the limit"
     )]
     TooLarge {
-        /// Free nodes of the surface.
+        /// Number of free surface nodes.
         surface_nodes: usize,
-        /// What they take.
+        /// Bytes required.
         bytes: u64,
-        /// What is allowed.
+        /// Bytes allowed.
         bytes_max: u64,
     },
     /// The sparse part would be too large.
     #[error("the mesh has {nodes} nodes, but at most {nodes_max} are allowed")]
     TooManyNodes {
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
-        /// How many are allowed.
+        /// Number allowed.
         nodes_max: usize,
     },
-    /// A part of the body could move as a whole.
+    /// A part of the body is not constrained against rigid motion.
     #[error(
         "the part of the body that node {node} belongs to has no three fixed nodes that span a triangle: it could move \
          as a whole"
@@ -69,13 +69,13 @@ pub enum PrecomputeError {
         /// The smallest node of that part.
         node: u32,
     },
-    /// Every node of the surface is fixed.
+    /// No surface node is free.
     #[error("no node of the surface is free: nothing could be touched")]
     NothingFree,
-    /// The body is not held, or there is no room.
+    /// The stiffness matrix is not positive definite, or there is not enough memory.
     #[error(transparent)]
     Factor(#[from] FactorError),
-    /// No room for the dense part.
+    /// Not enough memory for the dense part.
     #[error("there is no room for the dense inverse of {0} rows")]
     OutOfMemory(usize),
     /// The caller asked to stop.
@@ -83,12 +83,12 @@ pub enum PrecomputeError {
     Cancelled,
 }
 
-/// Which nodes stand where: free ones in the order of elimination, fixed ones nowhere.
+/// Node numbering: free nodes in elimination order; fixed nodes have none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Boundary {
-    /// Row of each node in the order of elimination.
+    /// Row of each node in elimination order.
     pub(super) numbers: Vec<Option<u32>>,
-    /// Free nodes.
+    /// Number of free nodes.
     pub(super) free: usize,
     /// Free surface nodes, ascending.
     pub(super) surface: Vec<u32>,
@@ -97,16 +97,16 @@ pub struct Boundary {
 }
 
 impl Boundary {
-    /// Of a mesh with these nodes fixed.
+    /// For a mesh with these nodes fixed.
     ///
     /// # Errors
-    /// A node that does not exist; nothing left free on the surface.
+    /// A node that does not exist; no free node on the surface.
     pub fn new(mesh: &TetMesh, fixed: &[u32]) -> Result<Self, PrecomputeError> {
         Self::touched(mesh, fixed, mesh.surface_nodes(), &[])
     }
 
-    /// The same where another surface is touched than that of the whole mesh: nodes of it, ascending; and where there are bonds
-    /// between nodes besides.
+    /// The same with a touchable surface other than that of the whole mesh (its nodes, ascending), and with additional
+    /// bonds between nodes.
     pub(super) fn touched(
         mesh: &TetMesh,
         fixed: &[u32],
@@ -148,7 +148,7 @@ impl Boundary {
         Ok(Self { numbers, free: members.len(), surface, on_surface })
     }
 
-    /// A new node, which stands where another one does; whether that is a free one of the surface.
+    /// Adds a copy of a node; returns whether it is a free surface node.
     pub(super) fn bear(&mut self, parent: u32) -> bool {
         self.numbers.push(self.numbers[parent as usize]);
         let on_surface = self.on_surface[parent as usize];
@@ -156,18 +156,18 @@ impl Boundary {
         on_surface.is_some()
     }
 
-    /// Of the nodes there are only so many first ones again.
+    /// Removes all nodes after the first `known`.
     pub(super) fn forget(&mut self, known: usize) {
         self.numbers.truncate(known);
         self.on_surface.truncate(known);
     }
 
-    /// All free nodes.
+    /// Number of free nodes.
     pub(super) fn free(&self) -> usize {
         self.free
     }
 
-    /// Rows of the free surface nodes in the order of elimination.
+    /// Rows of the free surface nodes in elimination order.
     pub(super) fn rows_of_surface(&self) -> impl Iterator<Item = usize> {
         self.surface.iter().filter_map(|&node| Some(self.numbers[node as usize]? as usize))
     }
@@ -178,8 +178,8 @@ impl Boundary {
     }
 }
 
-/// The smallest node of a part that is not held against every motion as a whole, if there is one: hanging together by
-/// common nodes or bonds, it needs three fixed nodes that span a triangle.
+/// The smallest node of a part that is not constrained against rigid motion, if any: a part, connected by common nodes
+/// or bonds, needs three fixed nodes that span a triangle.
 fn loose(mesh: &TetMesh, free: &[bool], bonds: &[[u32; 2]]) -> Option<u32> {
     let mut parent: Vec<u32> = (0..free.len() as u32).collect();
     fn root(parent: &mut [u32], mut node: u32) -> u32 {
@@ -197,7 +197,7 @@ fn loose(mesh: &TetMesh, free: &[bool], bonds: &[[u32; 2]]) -> Option<u32> {
         others.iter().for_each(|other| join(*first, *other));
     }
     bonds.iter().for_each(|&[one, other]| join(one, other));
-    // Per part: a fixed node, the way from it to the farthest one, and whether one lies beside that way.
+    // Per part: a fixed node, the vector from it to the farthest one, and whether another lies off that line.
     let mut first: Vec<Option<u32>> = vec![None; free.len()];
     let mut along = vec![Vector3::zeros(); free.len()];
     let mut spans = vec![false; free.len()];
@@ -220,22 +220,23 @@ fn loose(mesh: &TetMesh, free: &[bool], bonds: &[[u32; 2]]) -> Option<u32> {
     (0..free.len() as u32).find(|&node| parent[node as usize] == node && !spans[node as usize])
 }
 
-/// Displacements of the free surface nodes per force on them \[m/N\], as f32: its rounding moves a force that is read
-/// back by far less than the mesh does, and halves what has to be read in every cycle.
+/// Displacements of the free surface nodes per force on them \[m/N\], as f32: the rounding error is far below the
+/// discretisation error, and half as much memory is read in every cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compliance {
-    /// Row i, column j, both three to a node of `nodes`.
+    /// Row i, column j, three of each per node of `nodes`.
     pub(super) entries: Vec<f32>,
     pub(super) nodes: Vec<u32>,
-    /// Of the mesh, the material and the fixed nodes.
+    /// Fingerprint of mesh, material and fixed nodes.
     pub(super) fingerprint: u64,
 }
 
 impl Compliance {
-    /// Computes it, and tells `progress` the share that is done, in \[0, 1\]; where that answers `false`, it stops.
+    /// Computes the compliance, and reports the completed fraction in \[0, 1\] to `progress`; it stops when `progress`
+    /// returns `false`.
     ///
     /// # Errors
-    /// What is out of range or too large, a body that is held by nothing, cancelled.
+    /// A parameter out of range or too large, an insufficiently fixed body, cancelled.
     pub fn precompute(
         mesh: &TetMesh,
         material: &Elastic,
@@ -276,20 +277,20 @@ impl Compliance {
         Ok(Self { entries, nodes, fingerprint })
     }
 
-    /// The free surface nodes that it is between, ascending.
+    /// Its free surface nodes, ascending.
     #[must_use]
     pub fn nodes(&self) -> &[u32] {
         &self.nodes
     }
 
-    /// What it was computed from: a hash of the mesh, the material and the fixed nodes.
+    /// Fingerprint: a hash of mesh, material and fixed nodes.
     #[must_use]
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
 
-    /// Displacements of all free surface nodes, three to a node, per unit force along one axis of the `index`-th of
-    /// them \[m/N\].
+    /// Displacements of all free surface nodes, three per node, per unit force along one axis at the `index`-th of them
+    /// \[m/N\].
     #[must_use]
     pub fn row(&self, index: usize, axis: usize) -> &[f32] {
         let rows = 3 * self.nodes.len();
@@ -297,8 +298,8 @@ impl Compliance {
     }
 }
 
-/// The sparse factor of the whole, free nodes in the order of the boundary; weights of elements and bonds as
-/// [`bound_stiffness`] takes them.
+/// The sparse factor of the whole stiffness matrix, free nodes in the order of the boundary; weights of elements and
+/// bonds as in [`bound_stiffness`].
 pub(super) fn factor(
     mesh: &TetMesh,
     material: &Elastic,

@@ -1,8 +1,8 @@
-//! The inverse where it is needed: displacements of all nodes per force at those nodes, on the surface or inside, that
-//! have been asked for. A node costs a sparse solve when it is first named and a sum of a few numbers from then on.
+//! Compliance on demand: displacements of all nodes per force at requested nodes, on the surface or inside. A node
+//! costs a sparse solve when it is first requested; later evaluations are a sum of a few numbers.
 //!
-//! Where a needle goes cannot be known beforehand, and the way of one passes by a few hundred nodes at most: so nothing
-//! is precomputed but the factor, and all of it stays in f64.
+//! The path of a needle cannot be known beforehand and touches a few hundred nodes at most: so nothing is precomputed
+//! but the factor, and everything stays in f64.
 
 use nalgebra::{Matrix3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -12,18 +12,18 @@ use super::compliance::{Boundary, Limits, PrecomputeError, factor};
 use crate::linear_algebra::SparseCholesky;
 use crate::stiffness::Bonds;
 
-/// Columns of the inverse, found as they are asked for.
+/// Columns of the inverse, computed on demand.
 pub struct Columns {
     boundary: Boundary,
     factor: SparseCholesky,
-    /// Where the three columns of each node begin, if they are known.
+    /// Start of the three columns of each node, if computed.
     of: Vec<Option<u32>>,
     values: Vec<f64>,
     nodes_max: usize,
 }
 
 impl Columns {
-    /// Factors the stiffness of a mesh of which some nodes are fixed. At most `nodes_max` nodes can be named.
+    /// Factorises the stiffness of a mesh with fixed nodes, for at most `nodes_max` requested nodes.
     ///
     /// # Errors
     /// As [`Compliance::precompute`](super::Compliance::precompute).
@@ -34,7 +34,7 @@ impl Columns {
         nodes_max: usize,
     ) -> Result<Self, PrecomputeError> {
         let boundary = Boundary::new(mesh, fixed)?;
-        // Of the surface nothing dense is kept.
+        // No dense surface part is stored.
         let limits = Limits { bytes_max: u64::MAX, ..Limits::default() };
         let factor = factor(mesh, material, &[], &Bonds::default(), &boundary, &limits)?;
         Ok(Self { of: vec![None; mesh.rest().len()], values: Vec::new(), boundary, factor, nodes_max })
@@ -46,13 +46,13 @@ impl Columns {
         self.boundary.numbers[node as usize].is_some()
     }
 
-    /// How many nodes have been named.
+    /// Number of nodes with columns.
     #[must_use]
     pub fn known(&self) -> usize {
         self.values.len() / (9 * self.boundary.free()).max(1)
     }
 
-    /// Finds the columns of a node, if they are not known yet; `false` when there is no room for more.
+    /// Computes the columns of a node unless they exist; `false` when there is no room for more.
     ///
     /// # Panics
     /// When there is no such node.
@@ -75,7 +75,7 @@ impl Columns {
         true
     }
 
-    /// Displacement of `node` per force on `by`, which has been named \[m/N\]; nothing for nodes that are fixed.
+    /// Displacement of `node` per force on the named node `by` \[m/N\]; zero for fixed nodes.
     #[must_use]
     pub fn between(&self, node: u32, by: u32) -> Matrix3<f64> {
         let (Some(row), Some(index)) = (self.boundary.numbers[node as usize], self.of[by as usize]) else {
@@ -89,13 +89,13 @@ impl Columns {
         Matrix3::from_columns(&[column(0), column(1), column(2)])
     }
 
-    /// Displacement of a node under forces \[N\] on nodes that have been named \[m\].
+    /// Displacement of a node under forces \[N\] on named nodes \[m\].
     #[must_use]
     pub fn displacement(&self, node: u32, forces: &[(u32, Vector3<f64>)]) -> Vector3<f64> {
         forces.iter().map(|(by, force)| self.between(node, *by) * force).sum()
     }
 
-    /// Displacements of all nodes under forces \[N\] on nodes that have been named \[m\].
+    /// Displacements of all nodes under forces \[N\] on named nodes \[m\].
     pub fn displacements(
         &self,
         forces: &[(u32, Vector3<f64>)],

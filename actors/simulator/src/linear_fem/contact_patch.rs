@@ -1,5 +1,5 @@
-//! Loads and grasps on a finite patch: the displacement under a single node grows without limit as the mesh is refined,
-//! the mean displacement of a patch of given size does not.
+//! Contact patches: loads and grasps on a finite area. The displacement under a point load diverges as the mesh is
+//! refined; the mean displacement of a patch of given size converges.
 
 use nalgebra::Point3;
 use thiserror::Error;
@@ -10,41 +10,41 @@ use super::attachment::WEIGHTS_MAX;
 /// Why there is no patch.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum PatchError {
-    /// Not a place or not a size.
+    /// A non-finite point or radius.
     #[error("a patch at {center} of radius {radius} m: finite coordinates and a radius above 0 are valid")]
     NotFinite {
-        /// Where \[m\].
+        /// Centre \[m\].
         center: Point3<f64>,
-        /// How large \[m\].
+        /// Radius \[m\].
         radius: f64,
     },
-    /// No surface that near.
+    /// No surface within the radius.
     #[error("the surface is {distance} m from the middle of a patch of radius {radius} m: it is to be less")]
     TooFar {
-        /// How far \[m\].
+        /// Distance to the surface \[m\].
         distance: f64,
-        /// How large the patch is \[m\].
+        /// Radius of the patch \[m\].
         radius: f64,
     },
-    /// More nodes than an attachment takes.
+    /// More nodes than an attachment can have.
     #[error("a patch of radius {radius} m covers {nodes} nodes: at most {WEIGHTS_MAX} are valid")]
     TooLarge {
-        /// How large the patch is \[m\].
+        /// Radius of the patch \[m\].
         radius: f64,
-        /// Nodes under it.
+        /// Its number of nodes.
         nodes: usize,
     },
 }
 
-/// Pieces along an edge of a triangle that it is cut into at most.
+/// Maximum number of pieces per triangle edge for the integration.
 const CUTS_MAX: usize = 24;
 
-/// The nodes of a surface under a patch about a point of the rest shape \[m\], with weights that add up to 1: those of a
-/// pressure 1 − (r/R)² at the distance r from the middle (and of the mean displacement weighted so), integrated over
-/// the triangles that hang together with the nearest one. Ascending by node.
+/// Surface nodes of a patch around a point of the rest shape \[m\], with weights that add up to 1: those of a pressure
+/// 1 − (r/R)² at distance r from the centre (and of the mean displacement weighted by it), integrated over the
+/// triangles connected to the nearest one. Sorted by node.
 ///
 /// # Errors
-/// Numbers that are none, no surface there, too many nodes.
+/// Non-finite numbers, no surface there, too many nodes.
 pub fn patch(
     rest: &[Point3<f64>],
     surface: &[[u32; 3]],
@@ -69,7 +69,7 @@ pub fn patch(
     let Some(first) = nearest.filter(|_| least < radius) else {
         return Err(PatchError::TooFar { distance: least, radius });
     };
-    // The other side of something thin is near, but no part of the patch.
+    // The far side of a thin part is near, but not part of the patch.
     let mut joined = vec![false; near.len()];
     joined[first] = true;
     let mut open = vec![first];
@@ -105,13 +105,13 @@ pub fn patch(
     if weights.len() > WEIGHTS_MAX {
         return Err(PatchError::TooLarge { radius, nodes: weights.len() });
     }
-    // So small, or so near to grazing, that every sample missed it: the point itself.
+    // Too small, or too near to grazing, for any sample to hit: use the point itself.
     let hit = closest_on_triangle(center, &corners(&near[first]));
     let alone = near[first].into_iter().zip(hit.weights);
     Ok(alone.filter(|(_, weight)| *weight > 0.0).collect())
 }
 
-/// The integrals of the pressure times each shape function over a triangle, by pieces far smaller than the patch.
+/// Integrals of the pressure times each shape function over a triangle, by pieces far smaller than the patch.
 fn integrate([a, b, c]: &[Point3<f64>; 3], center: &Point3<f64>, radius: f64) -> [f64; 3] {
     let area = (b - a).cross(&(c - a)).norm() / 2.0;
     let longest = (b - a).norm().max((c - a).norm()).max((c - b).norm());

@@ -1,4 +1,5 @@
-//! Where a body is: the surface from the precomputed inverse, in every cycle; the inside by a sparse solve.
+//! Displacements of a linear body: at the surface from the precomputed inverse, in every cycle; inside by a sparse
+//! solve.
 
 use nalgebra::Vector3;
 
@@ -6,7 +7,7 @@ use super::solver::{LinearFem, add, spread};
 use super::strain_check::Deformation;
 
 impl LinearFem {
-    /// Displacements of the free surface nodes \[m\], in the order of [`Self::nodes`], as the last cycle left them.
+    /// Displacements of the free surface nodes \[m\], in the order of [`Self::nodes`], after the last cycle.
     pub fn surface_displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
         self.single.fill(0.0);
         for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
@@ -42,8 +43,8 @@ impl LinearFem {
         }
     }
 
-    /// Displacements of all nodes \[m\], interior and fixed ones too, by a sparse solve in f64: for those who look at the
-    /// inside, not for every cycle.
+    /// Displacements of all nodes \[m\], interior and fixed ones too, by a sparse solve in f64; too slow for every
+    /// cycle.
     pub fn displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
         let mut full = vec![0.0; 3 * self.boundary.free()];
         let mut pulls = self.correction.pulls(self.loads.iter().copied());
@@ -69,8 +70,8 @@ impl LinearFem {
         }));
     }
 
-    /// How far from small the deformation is, over all elements; costs as much as [`Self::displacements`] and a pass
-    /// over the elements.
+    /// Largest rotation and strain over all elements; costs as much as [`Self::displacements`] and a pass over the
+    /// elements.
     pub fn deformation(&mut self) -> Deformation {
         let mut displacements = Vec::new();
         self.displacements(&mut displacements);

@@ -1,5 +1,5 @@
-//! Elements that are taken out of a body whose inverse was precomputed: until there is a new inverse, the old one is
-//! corrected (`low_rank_update.rs`) by the six modes of each that are no motion as a whole.
+//! Removal of elements from a body with a precomputed inverse: until there is a new inverse, the old one is corrected
+//! (`low_rank_update.rs`) by the six deformation modes of each element.
 
 use nalgebra::SMatrix;
 use trocar_dynamics::elasticity::Elastic;
@@ -10,7 +10,7 @@ use super::error::LinearFemError;
 use super::solver::LinearFem;
 use crate::stiffness::stiffness_block;
 
-/// U of one element: its six modes that are no motion as a whole, times the roots of their stiffness.
+/// U of one element: its six deformation modes, scaled by the square roots of their stiffness.
 pub(super) fn root_of_stiffness(mesh: &TetMesh, material: &Elastic, tet: usize) -> SMatrix<f64, 12, RANK> {
     let (gradients, volume) = (mesh.gradients(tet), mesh.volumes()[tet]);
     let mut whole = SMatrix::<f64, 12, 12>::zeros();
@@ -32,30 +32,30 @@ pub(super) fn root_of_stiffness(mesh: &TetMesh, material: &Elastic, tet: usize) 
 }
 
 impl LinearFem {
-    /// Elements that have been taken out, in the order in which they went.
+    /// Removed elements, in order of removal.
     #[must_use]
     pub fn removed(&self) -> &[u32] {
         &self.correction.tets
     }
 
-    /// Whether an element has been taken out, or was gone when the inverse was computed.
+    /// Whether an element has been removed, before or after the inverse was computed.
     #[must_use]
     pub fn is_out(&self, tet: u32) -> bool {
         self.correction.is_out(tet)
     }
 
-    /// How many elements can still be taken out until a new inverse is due.
+    /// How many elements can still be removed until a new inverse is required.
     #[must_use]
     pub fn removable(&self) -> usize {
         (UNKNOWNS_MAX - self.correction.unknowns()) / RANK
     }
 
-    /// Takes elements out of the body, as a burn does; what is held stays held. Each costs six sparse solves, and
-    /// makes what follows a little dearer: precompute a new body meanwhile, and swap.
+    /// Removes elements, as a burn does; constraints are kept. Each element costs six sparse solves and slows later
+    /// steps slightly: precompute a new body meanwhile, and swap.
     ///
     /// # Errors
-    /// Elements that there are none of or that are gone already, more than [`REMOVED_MAX`](super::REMOVED_MAX), or one without which the body
-    /// would fall apart in a way that rounding decides; those before it in the list are out then.
+    /// Missing or already removed elements, more than [`REMOVED_MAX`](super::REMOVED_MAX), or an element whose removal
+    /// makes the correction numerically singular; the elements before it in the list are removed then.
     pub fn remove(&mut self, tets: &[u32]) -> Result<(), LinearFemError> {
         let state = self.state();
         let count = self.mesh.tets().len();

@@ -1,4 +1,4 @@
-//! Why a linear body did not do what it was asked for.
+//! Errors of a linear elastic body.
 
 use thiserror::Error;
 
@@ -6,7 +6,7 @@ use super::attachment::{AttachmentError, Handle};
 use super::bounds::{REMOVED_MAX, ROWS_MAX};
 use super::compliance::PrecomputeError;
 
-/// Why something was not done; what was before, still is.
+/// Why a call failed; the body is unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum LinearFemError {
     /// The precomputation failed.
@@ -15,83 +15,83 @@ pub enum LinearFemError {
     /// A compliance of another mesh, material or boundary.
     #[error("the compliance belongs to another mesh, material or boundary")]
     OtherCompliance,
-    /// Weights that are no mean of nodes.
+    /// Weights that do not define a mean of nodes.
     #[error(transparent)]
     Attachment(#[from] AttachmentError),
-    /// What is to be held is fixed, or is held already by what is there.
+    /// A redundant constraint: its nodes are fixed or already constrained.
     #[error("the attachment at node {node} is fixed, or says what others that are held already say")]
     Dependent {
-        /// The first of its nodes.
+        /// Its first node.
         node: u32,
     },
-    /// No more can be held.
+    /// Too many constraints.
     #[error("{ROWS_MAX} directions are held already: let go of some")]
     Full,
-    /// Nothing of that name is held.
+    /// An unknown handle.
     #[error("nothing is held under the handle {}", .0.0)]
     NoHandle(Handle),
-    /// A load on a node that is no free node of the surface.
+    /// A load on a node that is not a free surface node.
     #[error("a load on node {node}, which is no free node of the surface")]
     NotOnSurface {
-        /// Which node.
+        /// The node.
         node: u32,
     },
-    /// A mesh that the body does not become by coming apart.
+    /// A mesh that is no split of this body's mesh.
     #[error("the mesh is not one that this body becomes: its elements with new nodes behind all others")]
     OtherMesh,
-    /// A number that is none.
+    /// A non-finite number.
     #[error("{what} is not a finite number")]
     NotFinite {
-        /// What it is.
+        /// Its name.
         what: &'static str,
     },
-    /// One force per node was asked for.
+    /// A number of forces other than that of nodes.
     #[error("{found} forces for {nodes} nodes")]
     Forces {
-        /// Forces that came.
+        /// Number of forces.
         found: usize,
-        /// Nodes of the mesh.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// An element that there is none of, or that is gone.
+    /// A missing or removed element.
     #[error("element {tet} of {tets} is to be taken out: there is none, or it is out already")]
     NoElement {
-        /// Which.
+        /// The element.
         tet: u32,
-        /// Elements of the mesh.
+        /// Number of elements.
         tets: usize,
     },
-    /// One alteration per element was asked for.
+    /// A number of alterations other than that of elements.
     #[error("{found} alterations for {tets} elements")]
     Alterations {
-        /// Alterations that came.
+        /// Number of alterations.
         found: usize,
-        /// Elements of the mesh.
+        /// Number of elements.
         tets: usize,
     },
-    /// An alteration that none can be.
+    /// An alteration out of range.
     #[error(
         "element {tet} is to be altered beyond 0 to 1e6 times its stiffness or 0.01 to 100 times its length"
     )]
     Alteration {
-        /// Of which.
+        /// The element.
         tet: u32,
     },
-    /// The old inverse does not serve any longer.
+    /// The inverse allows no more corrections.
     #[error(
         "its inverse is corrected for as much as it bears, {REMOVED_MAX} elements or twice as many nodes: a new one is due"
     )]
     TooManyRemoved,
-    /// What is left would hang by nothing.
+    /// The removal would make the body numerically singular.
     #[error("without element {tet} a part of the body would be held by nothing")]
     Apart {
-        /// Which.
+        /// The element.
         tet: u32,
     },
-    /// One-sided constraints went back and forth.
+    /// The active set did not converge.
     #[error("which of the one-sided constraints act was not found in {0} rounds")]
     NotSettled(usize),
-    /// A state that is not one of this solver's.
+    /// A state that does not belong to this solver.
     #[error("the state does not fit this body: {0}")]
     State(&'static str),
 }

@@ -1,18 +1,18 @@
-//! What an inverse is corrected by that serves a body which has become another: elements that are gone, nodes that came
-//! apart. Each adds unknowns w to the displacements u that the inverse knows, in a system
+//! Low-rank correction of an inverse for a body that has changed: removed elements, split nodes. Each change adds
+//! unknowns w to the displacements u of the inverse, in a system
 //!
 //! ```text
 //! K   G     u     f
 //! Gᵀ  H  ·  w  =  p
 //! ```
 //!
-//! of which K⁻¹ is known, so that with Y = K⁻¹ G and T = H − Gᵀ Y first T w = p − Yᵀ f and then u = K⁻¹ f − Y w. This is no
-//! approximation (the bordering method; the formula of Woodbury 1950 is its case of elements that go); it only becomes
-//! dearer with every unknown.
+//! with known K⁻¹, so that with Y = K⁻¹ G and T = H − Gᵀ Y, first T w = p − Yᵀ f and then u = K⁻¹ f − Y w. This is
+//! exact (the bordering method; the formula of Woodbury 1950 is its case of removed elements); it only becomes slower
+//! with every unknown.
 //!
-//! Of an element that is gone, with a stiffness U Uᵀ of rank six, w = −Uᵀ u, G = U, H = 1 and p = 0. Of a node that came apart w
-//! is how far it is from the one that it was, G and H are the forces that this takes of the elements that hang on it, and p is
-//! what pulls on it.
+//! For a removed element with stiffness U Uᵀ of rank six, w = −Uᵀ u, G = U, H = 1 and p = 0. For a split node, w is its
+//! displacement relative to the original node, G and H are the stiffness of the elements attached to the copy, and p is
+//! the force on it.
 
 use nalgebra::{DVector, SMatrix, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -25,66 +25,66 @@ use super::element_removal::root_of_stiffness;
 use crate::linear_algebra::SparseCholesky;
 use crate::stiffness::stiffness_block;
 
-/// Share of its diagonal that a pivot of T has at least: below, rounding decides.
+/// Least pivot of T as a fraction of its diagonal: below, it is dominated by rounding.
 const PIVOT_MIN: f64 = 1e-14;
 
-/// One thing that has changed of the body of an inverse.
+/// One change of a body with respect to its inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// An element that is gone.
+    /// A removed element.
     Gone(u32),
-    /// A node that has come apart from the one that it was.
+    /// A split node, released from its original.
     Apart(u32),
 }
 
-/// Three rows.
+/// Three rows of G.
 type Block = SMatrix<f64, 3, RANK>;
 
 /// The unknowns of one change.
 struct Border {
     change: Change,
-    /// Number of the first, and how many: six or three.
+    /// Index of the first one, and their number: six or three.
     first: usize,
     count: usize,
-    /// Of an element: its root.
+    /// Square root of an element's stiffness.
     root: Option<SMatrix<f64, 12, RANK>>,
-    /// Rows of G that are not zero, by the rows of nodes; of a node the first three columns.
+    /// Non-zero rows of G, by node rows; for a node, the first three columns.
     g: Vec<(u32, Block)>,
 }
 
-/// All of them.
+/// All corrections of an inverse.
 #[derive(Default)]
 pub(super) struct Correction {
-    /// Stiffness of each element in the factor, of what its material has; empty for all of it.
+    /// Stiffness factor of each element in the factorisation; empty for 1 everywhere.
     pub weights: Vec<f64>,
-    /// Elements that are gone, in the order in which they went.
+    /// Removed elements, in order of removal.
     pub tets: Vec<u32>,
-    /// Nodes that the factor has.
+    /// Number of nodes in the factor.
     pub known: usize,
-    /// Which node each of those behind them was.
+    /// Original node of each copy.
     pub parents: Vec<u32>,
-    /// How many of these have come apart; the others still go with the ones that they were.
+    /// Number of released copies; the others still move with their originals.
     pub released: usize,
-    /// Of each of these the first unknowns that its displacement has more than that of the node it comes from at last.
+    /// For each copy, the first unknowns that its displacement adds to that of its root node.
     homes: Vec<Vec<usize>>,
     borders: Vec<Border>,
-    /// How many of them each time.
+    /// Number of changes in each batch.
     batches: Vec<usize>,
-    /// Y, over all free nodes, column after column.
+    /// Y, over all free nodes, column by column.
     y: Vec<Vec<f64>>,
     t: Packed,
     factored: ActiveSet,
 }
 
-/// A force as the correction sees it: p − Yᵀ f, and T⁻¹ of that. Between two forces the correction of the compliance is the
-/// product of the one's parts and the other's shares.
+/// A force in terms of the correction: p − Yᵀ f, and T⁻¹ times that. The correction of the compliance between two
+/// forces is the product of the first of one and the second of the other.
 #[derive(Clone, Debug)]
 pub(super) struct Through {
     pub parts: DVector<f64>,
     pub shares: DVector<f64>,
 }
 
-/// What a correction is computed from.
+/// Inputs of a correction.
 pub(super) struct Serving<'a> {
     pub mesh: &'a TetMesh,
     pub material: &'a Elastic,
@@ -93,17 +93,17 @@ pub(super) struct Serving<'a> {
 }
 
 impl Correction {
-    /// None yet, of an inverse that has so many nodes.
+    /// No correction, for an inverse with this many nodes.
     pub fn of(known: usize) -> Self {
         Self { known, ..Self::default() }
     }
 
-    /// How many unknowns there are.
+    /// Number of unknowns.
     pub fn unknowns(&self) -> usize {
         self.y.len()
     }
 
-    /// What has changed, in order, and what of it at once.
+    /// The changes in order, grouped by batch.
     pub fn changes(&self) -> Vec<Vec<Change>> {
         let mut all = self.borders.iter().map(|border| border.change);
         self.batches.iter().map(|count| all.by_ref().take(*count).collect()).collect()
@@ -113,18 +113,18 @@ impl Correction {
         self.weights.get(tet as usize).copied().unwrap_or(1.0)
     }
 
-    /// Whether an element is out, or was never in.
+    /// Whether an element is removed, or never was in the factor.
     pub fn is_out(&self, tet: u32) -> bool {
         self.weight(tet) <= REMNANT || self.tets.contains(&tet)
     }
 
-    /// Puts back and together what the factor has whole and as one.
+    /// Undoes all changes, back to the body of the factor.
     pub fn put_back(&mut self) {
         let (weights, known) = (std::mem::take(&mut self.weights), self.known);
         *self = Self { weights, known, ..Self::default() };
     }
 
-    /// New nodes, which go with the ones that they were until they are released.
+    /// Adds split nodes, which move with their originals until they are released.
     pub fn bear(&mut self, parents: &[u32]) {
         for &parent in parents {
             self.homes.push(self.home(parent).to_vec());
@@ -132,7 +132,7 @@ impl Correction {
         }
     }
 
-    /// The node that one comes from at last.
+    /// The root node that a copy descends from.
     pub fn root(&self, mut node: u32) -> u32 {
         while let Some(born) = (node as usize).checked_sub(self.known) {
             node = self.parents[born];
@@ -140,18 +140,18 @@ impl Correction {
         node
     }
 
-    /// First unknowns of what the displacement of a node is more than the factor says of it.
+    /// First unknowns that a node's displacement adds to that of the factor.
     fn home(&self, node: u32) -> &[usize] {
         (node as usize).checked_sub(self.known).map_or(&[], |born| &self.homes[born])
     }
 
-    /// What unknowns add to the displacement of a node \[m\].
+    /// The unknowns' contribution to a node's displacement \[m\].
     pub fn own(&self, node: u32, unknowns: &[f64]) -> Vector3<f64> {
         self.home(node).iter().map(|&first| Vector3::from_column_slice(&unknowns[first..first + 3])).sum()
     }
 
-    /// Takes elements out, up to [`BATCH`] unknowns at once; how many it did: all before one without which the body would fall
-    /// apart.
+    /// Removes elements, up to [`BATCH`] unknowns at once; returns how many: all before one that makes the correction
+    /// singular.
     pub fn take(&mut self, tets: &[u32], of: &mut Serving<'_>) -> usize {
         let mut borders = Vec::new();
         for (&tet, first) in tets.iter().zip((self.unknowns()..).step_by(RANK)) {
@@ -174,17 +174,17 @@ impl Correction {
         done
     }
 
-    /// Lets the next nodes come apart from the ones that they were, each with those that came of it since, so many and up to
-    /// [`BATCH`] unknowns at once; how many it did. Fewer where there are no more, no room, or rounding would decide.
+    /// Releases the next split nodes, each with its later copies, at most `most` and up to [`BATCH`] unknowns at once;
+    /// returns how many. Fewer where there are no more, no room, or a singular pivot.
     pub fn release(&mut self, most: usize, bond: f64, of: &mut Serving<'_>) -> usize {
         let (before, mut next) = (self.released, self.unknowns());
         let mut borders = Vec::new();
-        // Of each that moves, which of all released it is.
+        // Index among all released nodes, for each that moves.
         let mut going = Vec::new();
         for born in before..self.parents.len().min(before.saturating_add(most)) {
             let node = (self.known + born) as u32;
             if of.boundary.numbers[node as usize].is_none() {
-                // It stays where it is, as the one that it was does.
+                // A copy of a fixed node is fixed too.
                 continue;
             }
             if next + 3 > UNKNOWNS_MAX || borders.len() == BATCH / 3 {
@@ -201,7 +201,7 @@ impl Correction {
             let least = going[done].1;
             self.homes.iter_mut().for_each(|home| home.retain(|at| *at < least));
         }
-        // Those that stay are released with what comes before them.
+        // Fixed copies are released together with the ones before them.
         let stays = |born: &usize| of.boundary.numbers[self.known + born].is_none();
         let mut end = going.get(done.wrapping_sub(1)).map_or(before, |(born, _)| born + 1);
         while end < self.parents.len() && stays(&end) {
@@ -211,7 +211,7 @@ impl Correction {
         end - before
     }
 
-    /// A node, and those that came of it since, have three unknowns more.
+    /// Adds three unknowns to a node and its later copies.
     fn leave_home(&mut self, first_born: usize, unknown: usize) {
         let mut descends = vec![false; self.parents.len()];
         for born in first_born..self.parents.len() {
@@ -223,12 +223,12 @@ impl Correction {
         }
     }
 
-    /// Nodes that have not come apart yet.
+    /// Number of copies not yet released.
     pub fn waiting(&self) -> usize {
         self.parents.len() - self.released
     }
 
-    /// What a node takes to come apart, of the elements that hang on it and on those that still go with it.
+    /// G and H for releasing a node, from the elements attached to it and to copies still moving with it.
     fn border(&self, node: u32, first: usize, bond: f64, of: &Serving<'_>) -> (Border, Rows) {
         let mut g: Vec<(u32, Block)> = Vec::new();
         let mut h = Rows::new(first, 3);
@@ -266,8 +266,8 @@ impl Correction {
         (Border { change: Change::Apart(node), first, count: 3, root: None, g }, h)
     }
 
-    /// Adds the unknowns of changes, all of whose columns are solved for at once; how many: all before one for which there is
-    /// no pivot.
+    /// Adds the unknowns of changes, solving for all columns at once; returns how many: all before one with a singular
+    /// pivot.
     fn append(&mut self, borders: Vec<(Border, Rows)>, factor: &mut SparseCholesky) -> usize {
         let rows = factor.rows();
         let columns: usize = borders.iter().map(|(border, _)| border.count).sum();
@@ -298,7 +298,7 @@ impl Correction {
         done
     }
 
-    /// Adds the unknowns of one change with its columns of Y; `false`, and nothing has changed, where there is no pivot for one.
+    /// Adds the unknowns of one change with its columns of Y; `false`, with nothing changed, where a pivot is singular.
     fn extend(&mut self, border: Border, h: &Rows, y: Vec<Vec<f64>>) -> bool {
         let (first, count) = (border.first, border.count);
         self.y.extend(y);
@@ -321,7 +321,7 @@ impl Correction {
         true
     }
 
-    /// Takes the unknowns from one on away again, which are those of the last change.
+    /// Removes the unknowns from `first` on, those of the last change.
     fn forget(&mut self, first: usize) {
         while self.factored.rows.len() > first {
             self.factored.delete(self.factored.rows.len() - 1);
@@ -333,7 +333,7 @@ impl Correction {
         self.borders.pop();
     }
 
-    /// What a force does through what has changed, by nodes. `None` where nothing has.
+    /// A force, given by nodes, in terms of the correction. `None` without changes.
     pub fn through(
         &self,
         boundary: &Boundary,
@@ -355,7 +355,7 @@ impl Correction {
         Some(Through { parts, shares })
     }
 
-    /// What forces on nodes pull at the unknowns: p.
+    /// Forces on the unknowns: p.
     pub fn pulls(&self, forces: impl Iterator<Item = (u32, Vector3<f64>)>) -> DVector<f64> {
         let mut pulls = DVector::zeros(self.y.len());
         for (node, force) in forces {
@@ -366,7 +366,7 @@ impl Correction {
         pulls
     }
 
-    /// Corrects what the factor has solved for, over all free nodes, where forces pull at the unknowns; what these are then.
+    /// Corrects a solution of the factor over all free nodes for forces on the unknowns; returns the unknowns.
     pub fn correct(&self, x: &mut [f64], pulls: DVector<f64>) -> DVector<f64> {
         let mut unknowns = pulls;
         for border in &self.borders {
@@ -379,7 +379,7 @@ impl Correction {
         unknowns
     }
 
-    /// Adds what unknowns do to the free surface nodes of the inverse.
+    /// Adds the unknowns' contribution to the free surface nodes of the inverse.
     pub fn add_to_surface(&self, boundary: &Boundary, unknowns: &DVector<f64>, to: &mut [f32]) {
         for (y, own) in self.y.iter().zip(unknowns.iter()) {
             for (to, row) in to.chunks_exact_mut(3).zip(boundary.rows_of_surface()) {
@@ -390,7 +390,7 @@ impl Correction {
 }
 
 impl Border {
-    /// One column of G times a vector of the free nodes.
+    /// Product of one column of G with a vector of the free nodes.
     fn against(&self, of: usize, x: &[f64]) -> f64 {
         let rows = self.g.iter().map(|(row, block)| {
             (0..3).map(|axis| block[(axis, of)] * x[3 * *row as usize + axis]).sum::<f64>()
@@ -399,7 +399,7 @@ impl Border {
     }
 }
 
-/// Rows of H, of the unknowns of one change with all before them and with themselves.
+/// Rows of H: the unknowns of one change with all earlier ones and with themselves.
 struct Rows {
     first: usize,
     count: usize,
@@ -415,7 +415,7 @@ impl Rows {
         self.values[own * (self.first + self.count) + other]
     }
 
-    /// Three unknowns from `at` on, with each of these.
+    /// Adds a block of three unknowns starting at `at`.
     fn add(&mut self, at: usize, block: &Block) {
         let stride = self.first + self.count;
         for own in 0..self.count {
@@ -423,7 +423,7 @@ impl Rows {
         }
     }
 
-    /// The unknowns of an element from `at` on, with these three.
+    /// Adds the transposed block with an element's unknowns starting at `at`.
     fn add_turned(&mut self, at: usize, block: &Block) {
         let stride = self.first + self.count;
         for own in 0..self.count {

@@ -1,14 +1,13 @@
-//! Linear quasi-static finite elements with a precomputed inverse: what a hand does to a few points of the surface is
-//! answered from the compliance between surface nodes alone (Bro-Nielsen, Cotin 1996; capacitance matrices: James, Pai
-//! 1999).
+//! Linear quasi-static finite elements with a precomputed inverse: the response to a few contact points is computed
+//! from the compliance between surface nodes alone (Bro-Nielsen, Cotin 1996; capacitance matrices: James, Pai 1999).
 //!
-//! [`Compliance`] is computed once for a mesh, a material and a fixed boundary, and can be written and read back. At run
-//! time [`LinearFem`] holds points of the body at displacements (bilateral, weighted over nodes, also of the interior)
-//! or keeps them on one side of a plane, and answers with the forces that this takes: W λ = d − C K⁻¹ f with
-//! W = C K⁻¹ Cᵀ. The Cholesky factor of W follows each constraint that comes or goes.
+//! [`Compliance`] is computed once for a mesh, a material and a fixed boundary, and can be saved. At run time
+//! [`LinearFem`] holds points of the body at displacements (bilateral, weighted over nodes, interior ones too) or keeps
+//! them on one side of a plane, and computes the constraint forces: W λ = d − C K⁻¹ f with W = C K⁻¹ Cᵀ. The Cholesky
+//! factor of W is updated with each added or removed constraint.
 //!
-//! Linear: exact for small displacements only. [`LinearFem::deformation`] says how far from small they are; beyond
-//! [`ROTATION_LIMIT`] or [`STRAIN_LIMIT`] a corotational method is due.
+//! Linear: exact for small displacements only. [`LinearFem::deformation`] measures the rotations and strains; beyond
+//! [`ROTATION_LIMIT`] or [`STRAIN_LIMIT`] use a corotational method.
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 

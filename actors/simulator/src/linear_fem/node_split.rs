@@ -1,8 +1,8 @@
-//! A body that comes apart at nodes while an inverse serves that was computed when they were one: until there is a new
-//! inverse, the old one is corrected (`low_rank_update.rs`), by three unknowns for each node.
+//! Splitting nodes of a body with a precomputed inverse: until there is a new inverse, the old one is corrected
+//! (`low_rank_update.rs`), by three unknowns for each split node.
 //!
-//! What hangs by nothing else keeps to where it was by bonds from each node to the one that it was, of a millionth of the
-//! stiffness of an element, in a corrected inverse and in a new one alike: a body without inertia cannot fall.
+//! Parts without other support are held in place by bonds from each copy to its original node, of a millionth of an
+//! element's stiffness, in corrected and new inverses alike: a body without inertia cannot fall.
 
 use nalgebra::Vector3;
 use trocar_dynamics::elasticity::Elastic;
@@ -14,56 +14,57 @@ use super::error::LinearFemError;
 use super::low_rank_update::{Change, Correction, Serving};
 use super::solver::LinearFem;
 
-/// Stiffness of a bond \[N/m\]: of a share of Young's modulus over an edge, which no change of the topology changes.
+/// Stiffness of a bond \[N/m\]: a fraction of Young's modulus times an edge length that topology changes do not affect.
 pub(super) fn bond(mesh: &TetMesh, material: &Elastic) -> f64 {
     let mean = mesh.volume() / mesh.tets().len().max(1) as f64;
     REMNANT * material.young_modulus() * mean.cbrt()
 }
 
 impl LinearFem {
-    /// Runs a change of the correction on what serves.
+    /// Runs a change of the correction with the current inverse.
     pub(super) fn corrected<T>(&mut self, change: impl FnOnce(&mut Correction, &mut Serving<'_>) -> T) -> T {
         let Self { mesh, material, boundary, factor, correction, .. } = self;
         change(correction, &mut Serving { mesh, material, boundary, factor })
     }
 
-    /// The free nodes of its surface, ascending: those that its inverse is between, and what has come apart from them. What
-    /// a cut has brought to light of the inside is not among them before the next inverse.
+    /// The free surface nodes, ascending: those of its inverse, and their copies. Interior nodes exposed by a cut are
+    /// included only in the next inverse.
     #[must_use]
     pub fn nodes(&self) -> &[u32] {
         &self.touched
     }
 
-    /// Numbers of its factor: what a sparse solve reads twice.
+    /// Number of entries of its factor: a sparse solve reads each twice.
     #[must_use]
     pub fn factor_entries(&self) -> usize {
         self.factor.entries()
     }
 
-    /// Whether its inverse is that of another body, and corrected.
+    /// Whether its inverse is that of an earlier body, corrected.
     #[must_use]
     pub fn is_corrected(&self) -> bool {
         !self.correction.parents.is_empty() || self.correction.unknowns() > 0
     }
 
-    /// Nodes that have come apart in the mesh, and go with the ones that they were still.
+    /// Number of split nodes in the mesh that still move with their originals.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.correction.waiting()
     }
 
-    /// Whether there is room for another of them to be released.
+    /// Whether another of them can be released.
     #[must_use]
     pub fn can_release(&self) -> bool {
         self.waiting() > 0 && self.correction.unknowns() + 3 <= UNKNOWNS_MAX
     }
 
-    /// The body has come apart: it has this mesh now, whose new nodes, behind all others, were those nodes of `parents`, each one
-    /// before itself, at the same place. They go with these until [`Self::release_nodes`]; nothing moves and nothing is felt of it yet.
-    /// A dead load stays on the nodes that it was on: set it anew.
+    /// Replaces the mesh by one with split nodes: the new nodes come after all others, are copies of the nodes in
+    /// `parents`, each an earlier one, and lie at the same positions. They move with these until
+    /// [`Self::release_nodes`], so that the response is unchanged at first. A dead load stays on its former nodes: set
+    /// it anew.
     ///
     /// # Errors
-    /// A mesh that this body does not become so.
+    /// A mesh that is no such split of this body.
     pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32]) -> Result<(), LinearFemError> {
         let before = self.mesh.rest().len();
         let fits = mesh.rest().len() == before + parents.len()
@@ -85,12 +86,12 @@ impl LinearFem {
         Ok(())
     }
 
-    /// Lets nodes come apart that the mesh says have, so many at most, in the order in which they were born; what is held stays
-    /// held. Each costs three sparse solves, and makes what follows a little dearer. Answers how many did: none when the inverse
-    /// bears no more, and the next one is due.
+    /// Releases at most `most` split nodes, in the order in which they were added; constraints are kept. Each node
+    /// costs three sparse solves and slows later steps slightly. Returns the number released: 0 when the inverse allows
+    /// no more corrections and a new one is required.
     ///
     /// # Errors
-    /// None but those of what is held, which it was held with before.
+    /// Only those of re-adding the existing constraints.
     pub fn release_nodes(&mut self, most: usize) -> Result<usize, LinearFemError> {
         if !self.can_release() {
             return Ok(0);
@@ -108,11 +109,11 @@ impl LinearFem {
         Ok(done)
     }
 
-    /// Holds something at a target \[m\]; a point that others hold in part already, in the axes in which they do not. So a piece
-    /// that is cut off goes with what holds it at three points. None at all where others hold all of it.
+    /// Adds a constraint with a target \[m\]; where others already constrain the point partly, only in the remaining
+    /// axes. Thus a detached piece follows a grasp at three points. No constraint is added where it would be redundant.
     ///
     /// # Errors
-    /// As [`Self::hold`] and [`Self::set_target`], but for what is held already.
+    /// As [`Self::hold`] and [`Self::set_target`], except redundancy.
     pub fn hold_at(
         &mut self,
         attachment: &Attachment,
@@ -138,7 +139,7 @@ impl LinearFem {
         Ok(handles)
     }
 
-    /// Does again what has been done to a body: from the mesh that its inverse was computed of to this one.
+    /// Repeats the recorded changes of a body: from the mesh of its inverse to this one.
     pub(super) fn change_again(
         &mut self,
         parents: &[u32],

@@ -1,9 +1,9 @@
-//! A compliance as bytes, so that it need not be computed twice: a header that says what it belongs to, the numbers,
-//! and a checksum over both. Little-endian.
+//! Binary format of a compliance: a header that identifies its body, the numbers, and a checksum over both.
+//! Little-endian.
 //!
 //! | bytes | what |
 //! |---|---|
-//! | 8 | `TROCARK1`: what it is, and the version of the format |
+//! | 8 | `TROCARK1`: magic number with the version of the format |
 //! | 8 | fingerprint of mesh, material and fixed nodes |
 //! | 8 | free surface nodes, n |
 //! | 4 n | their numbers, ascending |
@@ -19,37 +19,37 @@ use trocar_dynamics::tet_mesh::TetMesh;
 use super::compliance::{Boundary, Compliance, Limits, PrecomputeError};
 
 const MAGIC: [u8; 8] = *b"TROCARK1";
-/// Bytes that are read or written at once.
+/// Bytes read or written at once.
 const CHUNK: usize = 1 << 16;
 
-/// Why bytes are not the compliance that was asked for.
+/// Why bytes are not the requested compliance.
 #[derive(Debug, Error)]
 pub enum BytesError {
     /// The file could not be read or written, or ended too early.
     #[error("the compliance could not be read or written: {0}")]
     Io(#[from] io::Error),
-    /// Something else, or another version.
+    /// Another format or version.
     #[error("these bytes are no compliance of this version: they begin with {0:?}, not with \"TROCARK1\"")]
     Magic([u8; 8]),
-    /// Of another mesh, material or boundary.
+    /// A compliance of another mesh, material or boundary.
     #[error(
         "the compliance belongs to another mesh, material or boundary: its fingerprint is {found:016x}, not {expected:016x}"
     )]
     Fingerprint {
-        /// What the bytes say.
+        /// Fingerprint in the file.
         found: u64,
-        /// What was asked for.
+        /// Fingerprint requested.
         expected: u64,
     },
-    /// Damaged.
+    /// A damaged file.
     #[error("the compliance is damaged: {0}")]
     Damaged(&'static str),
-    /// What was asked for cannot be had at all.
+    /// The requested body is invalid.
     #[error(transparent)]
     Boundary(#[from] PrecomputeError),
 }
 
-/// FNV-1a over words of eight bytes, which tells changes apart that happen by chance, not by intent.
+/// FNV-1a over words of eight bytes, to detect accidental changes, not deliberate ones.
 #[derive(Clone, Copy)]
 struct Fnv(u64);
 
@@ -59,7 +59,7 @@ impl Fnv {
     }
 
     fn word(&mut self, word: u64) {
-        // The multiplication carries upwards only: the rotation brings high bits back down.
+        // Multiplication carries upwards only: the rotation brings high bits back down.
         self.0 = (self.0 ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(29);
     }
 
@@ -72,7 +72,7 @@ impl Fnv {
     }
 }
 
-/// Of everything that a compliance depends on.
+/// Fingerprint of everything that a compliance depends on.
 pub(super) fn fingerprint(mesh: &TetMesh, material: &Elastic, fixed: &[u32]) -> u64 {
     let mut hash = Fnv::new();
     hash.word(mesh.rest().len() as u64);
@@ -94,10 +94,10 @@ pub(super) fn fingerprint(mesh: &TetMesh, material: &Elastic, fixed: &[u32]) -> 
 }
 
 impl Compliance {
-    /// Writes it.
+    /// Writes the compliance.
     ///
     /// # Errors
-    /// What the writer says.
+    /// Errors of the writer.
     pub fn write(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut hash = Fnv::new();
         let mut put = |bytes: &[u8]| {
@@ -121,11 +121,11 @@ impl Compliance {
         out.write_all(&hash.0.to_le_bytes())
     }
 
-    /// Reads what [`Self::write`] wrote for the same mesh, material and fixed nodes. The size is known from these, so
-    /// that nothing is allocated for what damaged bytes say.
+    /// Reads what [`Self::write`] wrote for the same mesh, material and fixed nodes. These determine the size, so that
+    /// damaged bytes cannot cause a large allocation.
     ///
     /// # Errors
-    /// Bytes of something else, of another mesh, damaged or cut off.
+    /// Bytes of another format or mesh, damaged or truncated.
     pub fn read(
         input: &mut dyn Read,
         mesh: &TetMesh,

@@ -1,4 +1,4 @@
-//! The run-time side: constraints come and go, and every cycle answers with the forces that hold them.
+//! Run-time solver: constraints are added and removed, and every cycle computes their reaction forces.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use super::low_rank_update::{Correction, Through};
 use crate::linear_algebra::SparseCholesky;
 use crate::stiffness::Bonds;
 
-/// A force on a weighted mean of free surface nodes.
+/// A force distributed over free surface nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load<'a> {
     /// Nodes and weights, which add up to 1; see [`patch`](super::patch()).
@@ -24,50 +24,50 @@ pub struct Load<'a> {
     pub force: Vector3<f64>,
 }
 
-/// The force that a constraint exerts on the body.
+/// The reaction force of a constraint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reaction {
-    /// Which constraint.
+    /// The constraint.
     pub handle: Handle,
-    /// The force on the body \[N\]; what a hand feels is its opposite.
+    /// The force on the body \[N\]; a hand feels its opposite.
     pub force: Vector3<f64>,
 }
 
-/// What one cycle found.
+/// Result of one cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solution<'a> {
-    /// One per constraint, in the order in which they came.
+    /// One per constraint, in the order in which they were added.
     pub reactions: &'a [Reaction],
-    /// Rounds until it was clear which one-sided constraints act; 1 where there are none.
+    /// Active-set iterations for the one-sided constraints; 1 where there are none.
     pub rounds: usize,
 }
 
-/// A constraint as it is held.
+/// A constraint.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Held {
-    /// Its name.
+    /// Its handle.
     pub handle: Handle,
-    /// What it holds.
+    /// The attachment.
     pub attachment: Attachment,
-    /// Where: the displacement of the mean from rest \[m\].
+    /// Target: the displacement of the mean from rest \[m\].
     pub target: Vector3<f64>,
 }
 
-/// One direction that is held.
+/// One constrained direction.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
     pub(super) held: usize,
     pub(super) direction: Vector3<f64>,
     pub(super) one_sided: bool,
-    /// Displacements of the free surface nodes per force along it \[m/N\], but for what goes through `through`.
+    /// Displacements of the free surface nodes per force along it \[m/N\], without the correction `through`.
     pub(super) compliance: Vec<f32>,
-    /// What has changed of the body adds to that.
+    /// Correction for changes of the body.
     pub(super) through: Option<Through>,
     /// Displacement by the dead load along it \[m\].
     dead: f64,
 }
 
-/// What a cycle that fails goes back to.
+/// State to restore when a cycle fails.
 #[derive(Default)]
 struct Before {
     multipliers: Vec<f64>,
@@ -75,7 +75,7 @@ struct Before {
     factor: Vec<f64>,
 }
 
-/// A linear elastic body whose surface is touched.
+/// A linear elastic body with contact on its surface.
 pub struct LinearFem {
     pub(super) mesh: TetMesh,
     pub(super) boundary: Boundary,
@@ -83,7 +83,7 @@ pub struct LinearFem {
     pub(super) factor: SparseCholesky,
     pub(super) compliance: Arc<Compliance>,
     pub(super) correction: Correction,
-    /// Free nodes of the surface: those of the compliance, and what has come apart from them.
+    /// Free surface nodes: those of the compliance, and their copies.
     pub(super) touched: Vec<u32>,
     pub(super) held: Vec<Held>,
     pub(super) next: u64,
@@ -92,12 +92,12 @@ pub struct LinearFem {
     pub(super) active: ActiveSet,
     pub(super) multipliers: Vec<f64>,
     pub(super) dead_load: Vec<Vector3<f64>>,
-    /// Displacements by the dead load, of all free nodes.
+    /// Displacements of all free nodes by the dead load.
     pub(super) dead: Vec<f64>,
-    /// And the unknowns of the correction by it.
+    /// The correction's unknowns for the dead load.
     pub(super) dead_unknowns: Vec<f64>,
     reactions: Vec<Reaction>,
-    /// By nodes of the surface.
+    /// Loads by surface node.
     pub(super) loads: Vec<(u32, Vector3<f64>)>,
     loads_before: Vec<(u32, Vector3<f64>)>,
     before: Before,
@@ -109,7 +109,7 @@ pub struct LinearFem {
 }
 
 impl LinearFem {
-    /// Precomputes and begins at rest.
+    /// Precomputes the compliance and begins at rest.
     ///
     /// # Errors
     /// As [`Compliance::precompute`].
@@ -127,10 +127,10 @@ impl LinearFem {
         Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
 
-    /// Begins at rest with a compliance that was computed before.
+    /// Begins at rest with a precomputed compliance.
     ///
     /// # Errors
-    /// A compliance of something else; otherwise as [`Compliance::precompute`].
+    /// A compliance of another body; otherwise as [`Compliance::precompute`].
     pub fn with_compliance(
         mesh: TetMesh,
         material: &Elastic,
@@ -185,34 +185,35 @@ impl LinearFem {
         }
     }
 
-    /// The body.
+    /// Its mesh.
     #[must_use]
     pub fn mesh(&self) -> &TetMesh {
         &self.mesh
     }
 
-    /// The precomputed inverse, to be written.
+    /// The precomputed inverse, to be saved.
     #[must_use]
     pub fn compliance(&self) -> &Compliance {
         &self.compliance
     }
 
-    /// The same, for somebody else who answers by it.
+    /// The same, to be shared with another solver.
     #[must_use]
     pub fn shared_compliance(&self) -> Arc<Compliance> {
         self.compliance.clone()
     }
 
-    /// Constraints, in the order in which they came.
+    /// Constraints, in the order in which they were added.
     #[must_use]
     pub fn held(&self) -> &[Held] {
         &self.held
     }
 
-    /// Forces on all nodes that stay \[N\], such as weight; an empty slice for none. A sparse solve, not for every cycle.
+    /// Sets constant forces on all nodes \[N\], such as weight; an empty slice for none. A sparse solve, too slow for
+    /// every cycle.
     ///
     /// # Errors
-    /// Another number of forces than of nodes, a force that is no number.
+    /// A number of forces other than that of nodes, a non-finite force.
     pub fn set_dead_load(&mut self, forces: &[Vector3<f64>]) -> Result<(), LinearFemError> {
         let nodes = self.mesh.rest().len();
         if !forces.is_empty() && forces.len() != nodes {
@@ -241,7 +242,7 @@ impl LinearFem {
         Ok(())
     }
 
-    /// The mean displacement by the dead load, along a direction \[m\].
+    /// Mean displacement by the dead load, along a direction \[m\].
     fn dead_mean(&self, weights: &[(u32, f64)], direction: &Vector3<f64>) -> f64 {
         let own = |&(node, weight): &(u32, f64)| {
             weight * self.correction.own(node, &self.dead_unknowns).dot(direction)
@@ -249,11 +250,11 @@ impl LinearFem {
         mean(&self.boundary, &self.dead, weights, direction) + weights.iter().map(own).sum::<f64>()
     }
 
-    /// Holds something, at first where it is at rest; move it with [`Self::set_target`]. With surface nodes only it
-    /// costs a few rows of the compliance, with interior nodes a sparse solve.
+    /// Adds a constraint, with the rest position as target; move it with [`Self::set_target`]. With surface nodes only,
+    /// it costs a few rows of the compliance; with interior nodes, a sparse solve.
     ///
     /// # Errors
-    /// Weights that are no mean, too much held, or held already.
+    /// Invalid weights, too many constraints, or a redundant one.
     pub fn hold(&mut self, attachment: Attachment) -> Result<Handle, LinearFemError> {
         let handle = Handle(self.next);
         let first = self.rows.len();
@@ -269,20 +270,21 @@ impl LinearFem {
         Ok(handle)
     }
 
-    /// Lets go of something.
+    /// Removes a constraint.
     ///
     /// # Errors
-    /// Nothing of that name.
+    /// An unknown handle.
     pub fn release(&mut self, handle: Handle) -> Result<(), LinearFemError> {
         let index = self.index(handle)?;
         self.leave(index);
         Ok(())
     }
 
-    /// Moves what is held: the displacement of its mean from rest \[m\], of which a direction takes its part.
+    /// Moves a constraint: the target displacement of its mean from rest \[m\]; a constraint along a direction uses the
+    /// component along it.
     ///
     /// # Errors
-    /// Nothing of that name, a number that is none.
+    /// An unknown handle, a non-finite number.
     pub fn set_target(&mut self, handle: Handle, target: Vector3<f64>) -> Result<(), LinearFemError> {
         let index = self.index(handle)?;
         if !target.iter().all(|x| x.is_finite()) {
@@ -298,7 +300,7 @@ impl LinearFem {
             .map_err(|_| LinearFemError::NoHandle(handle))
     }
 
-    /// Adds the rows of a constraint to W; none of them acts yet.
+    /// Adds the rows of a constraint to W, inactive at first.
     pub(super) fn enter(&mut self, held: Held) -> Result<(), LinearFemError> {
         held.attachment.check(self.mesh.rest().len())?;
         let (directions, count) = held.attachment.hold.directions();
@@ -342,8 +344,8 @@ impl LinearFem {
             let through = self.correction.through(&self.boundary, forces);
             let dead = self.dead_mean(weights, direction);
             self.rows.push(Row { held: own, direction: *direction, one_sided, compliance, through, dead });
-            // With every row there is, itself last. Of two rows at least the newer one's displacements are known where
-            // the other is: everywhere if it is of the interior, else on the surface, where it is itself.
+            // Couplings with every row, itself last: from the new row's displacements if it is interior, as these are
+            // known everywhere; else from the other row's displacements on the surface, where the new row acts.
             let new = &self.rows[self.rows.len() - 1];
             for row in &self.rows {
                 let entry = match &full {
@@ -364,7 +366,7 @@ impl LinearFem {
         Ok(())
     }
 
-    /// Takes a constraint and its rows away.
+    /// Removes a constraint and its rows.
     pub(super) fn leave(&mut self, index: usize) {
         while let Some(row) = self.rows.iter().rposition(|row| row.held == index) {
             if let Some(place) = self.active.rows.iter().position(|&active| active as usize == row) {
@@ -384,10 +386,10 @@ impl LinearFem {
     }
 
     /// One cycle: the forces that hold every constraint at its target under these loads, which replace those of the
-    /// cycle before.
+    /// previous cycle.
     ///
     /// # Errors
-    /// A load that is none; then everything is as it was.
+    /// An invalid load; nothing has changed then.
     pub fn solve(&mut self, loads: &[Load]) -> Result<Solution<'_>, LinearFemError> {
         for load in loads {
             check_weights(load.weights, self.mesh.rest().len())?;
@@ -441,8 +443,8 @@ impl LinearFem {
         Ok(Solution { reactions: &self.reactions, rounds })
     }
 
-    /// Finds the forces, and which one-sided rows act: the active-set method for least squares with signs (Lawson,
-    /// Hanson 1974) on W, from where the last cycle ended.
+    /// Solves for the forces and the active one-sided rows: the active-set method for non-negative least squares
+    /// (Lawson, Hanson 1974) on W, warm-started from the last cycle.
     fn settle(&mut self) -> Result<usize, LinearFemError> {
         let rounds_max = 16 + 8 * self.rows.len();
         self.skipped.clear();
@@ -456,7 +458,7 @@ impl LinearFem {
             self.trial.clear();
             self.trial.extend(self.active.rows.iter().map(|&row| self.right[row as usize]));
             self.active.solve(&mut self.trial);
-            // As far towards it as no one-sided row pulls.
+            // Step towards the solution, limited where a one-sided row would become tensile.
             let mut share = 1.0;
             let mut blocking = None;
             for (place, (&row, &value)) in self.active.rows.iter().zip(&self.trial).enumerate() {
@@ -484,10 +486,10 @@ impl LinearFem {
         }
     }
 
-    /// The one-sided row that does not act and lies the deepest below its target, if any does.
+    /// The inactive one-sided row furthest below its target, if any.
     fn most_violated(&self) -> Option<usize> {
         let mut deepest = None;
-        // A billionth of the largest distance asked for: no hand and no eye tells it from none.
+        // Tolerance: a billionth of the largest target displacement, far below anything perceptible.
         let mut least = 1e-9 * self.right.iter().fold(0.0_f64, |most, b| most.max(b.abs()));
         for (row, own) in self.rows.iter().enumerate() {
             if !own.one_sided || self.skipped[row] || self.active.rows.contains(&(row as u32)) {
@@ -508,7 +510,7 @@ impl LinearFem {
     }
 }
 
-/// What is missing adds to the displacement by one force along the other.
+/// The correction's part of the displacement along one row by a force along the other.
 fn between(one: Option<&Through>, other: Option<&Through>) -> f64 {
     match (one, other) {
         (Some(one), Some(other)) => one.parts.dot(&other.shares),
@@ -523,12 +525,12 @@ pub(super) fn add(to: &mut [f32], from: &[f32], factor: f32) {
     }
 }
 
-/// The vector of a node among those of the surface.
+/// The vector at a surface node.
 fn at(values: &[f32], index: usize) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| f64::from(values[3 * index + axis]))
 }
 
-/// The mean over free surface nodes, along a direction.
+/// The weighted mean over free surface nodes, along a direction.
 fn surface_mean(
     boundary: &Boundary,
     values: &[f32],
@@ -541,7 +543,7 @@ fn surface_mean(
     parts.sum()
 }
 
-/// The mean over free nodes, along a direction.
+/// The weighted mean over free nodes, along a direction.
 fn mean(boundary: &Boundary, values: &[f64], weights: &[(u32, f64)], direction: &Vector3<f64>) -> f64 {
     let parts = weights.iter().filter_map(|&(node, weight)| {
         let own = &values[3 * boundary.numbers[node as usize]? as usize..][..3];
@@ -550,7 +552,7 @@ fn mean(boundary: &Boundary, values: &[f64], weights: &[(u32, f64)], direction: 
     parts.sum()
 }
 
-/// Adds a force, spread over free nodes.
+/// Adds a force, distributed over free nodes.
 pub(super) fn spread(boundary: &Boundary, values: &mut [f64], weights: &[(u32, f64)], force: &Vector3<f64>) {
     for &(node, weight) in weights {
         if let Some(number) = boundary.numbers[node as usize] {

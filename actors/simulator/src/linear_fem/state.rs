@@ -1,4 +1,4 @@
-//! Everything of a linear body that changes, so that one that was lost can be continued.
+//! State of a linear body, to restart it.
 
 use nalgebra::Vector3;
 
@@ -7,31 +7,31 @@ use super::error::LinearFemError;
 use super::low_rank_update::Change;
 use super::solver::{Held, LinearFem};
 
-/// Everything that changes; the rest follows from the mesh, the material and the boundary.
+/// The state; everything else follows from mesh, material and boundary.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinearFemState {
-    /// Constraints in the order in which they came.
+    /// Constraints, in the order in which they were added.
     pub held: Vec<Held>,
     /// The next handle.
     pub next: u64,
-    /// Rows that act, and the factor of W between them.
+    /// Active rows, in the order of the factor of W between them.
     pub active: Vec<u32>,
-    /// The factor, its lower triangle by rows.
+    /// That factor, its lower triangle by rows.
     pub factor: Vec<f64>,
-    /// Force along each row \[N\].
+    /// Multipliers: force along each row \[N\].
     pub multipliers: Vec<f64>,
-    /// Forces on all nodes that stay \[N\], such as weight; empty for none.
+    /// Constant forces on all nodes \[N\], such as weight; empty for none.
     pub dead_load: Vec<Vector3<f64>>,
-    /// Which node each new one was, and the elements, where the body has come apart since its inverse was computed.
+    /// Original node of each copy, where nodes were split since the inverse was computed.
     pub parents: Vec<u32>,
-    /// The elements then; empty where it has not.
+    /// The present elements; empty where no node was split.
     pub tets: Vec<[u32; 4]>,
-    /// Elements that were taken out and nodes that came apart, in order, and what of it at once.
+    /// Removed elements and split nodes, in order, grouped as they were processed.
     pub changes: Vec<Vec<Change>>,
 }
 
 impl LinearFem {
-    /// Everything that changes, to continue from.
+    /// The state.
     #[must_use]
     pub fn state(&self) -> LinearFemState {
         LinearFemState {
@@ -50,19 +50,19 @@ impl LinearFem {
     /// Continues from a state, bit for bit.
     ///
     /// # Errors
-    /// A state of something else; then everything is as it was.
+    /// A state of another body; nothing has changed then.
     pub fn restore(&mut self, state: &LinearFemState) -> Result<(), LinearFemError> {
         let before = (self.state(), std::mem::take(&mut self.loads));
         let done = self.replace(state);
         if done.is_err() {
-            // What was there fits.
+            // The former state is valid.
             let _ = self.replace(&before.0);
             self.loads = before.1;
         }
         done
     }
 
-    /// Everything is held as before, on a body that has become another: what acts is found anew.
+    /// Keeps all constraints on a body that has changed; the active set is found anew.
     pub(super) fn enter_anew(&mut self, state: &LinearFemState) -> Result<(), LinearFemError> {
         while !self.held.is_empty() {
             self.leave(self.held.len() - 1);
@@ -72,7 +72,7 @@ impl LinearFem {
             let first = self.rows.len();
             self.enter(held.clone())?;
             for row in first..self.rows.len() {
-                // Where it has become one with others, these hold it.
+                // Where it has become dependent, the others hold it.
                 let _ = self.rows[row].one_sided || self.active.append(row, &self.w);
             }
         }

@@ -1,28 +1,28 @@
-//! How far a deformation is from small: the rotation and the strain of every element.
+//! Validity check of linear elasticity: rotation and strain of every element.
 
 use nalgebra::{Matrix3, Vector3};
 use trocar_dynamics::tet_mesh::TetMesh;
 
-/// Rotation of an element beyond which linear elasticity misleads \[rad\]: 10°.
+/// Rotation of an element beyond which linear elasticity is invalid \[rad\]: 10°.
 pub const ROTATION_LIMIT: f64 = 10.0 * std::f64::consts::PI / 180.0;
-/// Principal strain beyond which linear elasticity misleads: 10 %.
+/// Principal strain beyond which linear elasticity is invalid: 10 %.
 pub const STRAIN_LIMIT: f64 = 0.1;
 
 /// The largest rotation and strain of any element.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Deformation {
-    /// Largest rotation \[rad\]; π for an element that is turned inside out.
+    /// Largest rotation \[rad\]; π for an inverted element.
     pub rotation: f64,
-    /// The element that turned the most.
+    /// The element with the largest rotation.
     pub rotated_tet: u32,
-    /// Largest principal strain in magnitude, in the frame of the element; infinite for one turned inside out.
+    /// Largest principal strain in magnitude, in the frame of the element; infinite for an inverted one.
     pub strain: f64,
-    /// The element that is strained the most.
+    /// The element with the largest strain.
     pub strained_tet: u32,
 }
 
 impl Deformation {
-    /// Of displacements of all nodes \[m\].
+    /// From displacements of all nodes \[m\].
     ///
     /// # Panics
     /// When there is not one displacement per node.
@@ -31,7 +31,7 @@ impl Deformation {
         Self::without(mesh, displacements, &[])
     }
 
-    /// The same without elements that are gone.
+    /// The same without removed elements.
     ///
     /// # Panics
     /// When there is not one displacement per node.
@@ -63,17 +63,18 @@ impl Deformation {
         most
     }
 
-    /// Whether no element whose gradient is as near to 1 as this (Frobenius) turns or is strained further. The rotation in it
-    /// is the one that is nearest to it, so its strain is no more than that, and the rotation no further from 1 than twice that.
+    /// Whether no element with a deformation gradient this near to 1 (Frobenius norm) can rotate or strain more. Its
+    /// rotation is the nearest one, so the strain is at most that distance, and the rotation at most twice as far from
+    /// 1.
     fn exceeds(&self, size: f64) -> bool {
-        // More than rounding needs.
+        // More than the rounding error.
         let size = size * (1.0 + 1e-9);
         size < 1.0
             && size <= self.strain
             && 2.0 * (size * std::f64::consts::FRAC_1_SQRT_2).asin() <= self.rotation
     }
 
-    /// Why linear elasticity is not to be believed of it, for people.
+    /// A message that explains why linear elasticity is invalid here.
     #[must_use]
     pub fn doubt(&self) -> String {
         format!(
@@ -85,14 +86,14 @@ impl Deformation {
         )
     }
 
-    /// Whether both are small enough for linear elasticity to be believed.
+    /// Whether both are within the limits of linear elasticity.
     #[must_use]
     pub fn is_small(&self) -> bool {
         self.rotation <= ROTATION_LIMIT && self.strain <= STRAIN_LIMIT
     }
 }
 
-/// Rotations that Newton's iteration is given; from a deformation within any limits six are plenty.
+/// Maximum Newton iterations for a rotation; within the limits, six are plenty.
 const NEWTON_MAX: usize = 20;
 
 /// Angle of the rotation in F = R S \[rad\], and the largest principal |S − 1|.
@@ -145,7 +146,7 @@ mod tests {
         use nalgebra::Point3;
         use rand::{Rng, SeedableRng};
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(6);
-        // Elements that do not touch each other.
+        // Elements without common nodes.
         let count = 60;
         let corners = [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.2, 1.0, 0.1], [0.1, 0.2, 1.0]];
         let place = |element: u32, corner: [f64; 3]| {
@@ -168,7 +169,7 @@ mod tests {
                 (rotation, strain) = (f64::max(rotation, own.0), f64::max(strain, own.1));
             }
             assert_eq!((found.rotation, found.strain), (rotation, strain), "{size}");
-            // Without knowing any, none is passed over.
+            // Without a previous maximum, no element is skipped.
             assert!(!Deformation::default().exceeds(size) && found.exceeds(0.0));
         }
     }

@@ -1,32 +1,32 @@
-//! Contacts as penalties: a point of the network, the way out, how deep it is in, and what pushes back.
+//! Penalty contacts: a point of the network, normal, depth, stiffness, damping and friction.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::particles::StepError;
 
-/// One contact of the network with something else, as found at the positions at the beginning of the step.
+/// One contact of the network with another object, detected at the positions at the beginning of the step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
-    /// Corners of the triangle that is touched; one node three times for a vertex, the last one twice for a segment.
+    /// Corners of the touched triangle; one node three times for a vertex, the last one twice for a segment.
     pub nodes: [u32; 3],
-    /// Where on it: each in \[0, 1\], their sum 1.
+    /// Barycentric weights of the contact point: each in \[0, 1\], their sum 1.
     pub weights: [f64; 3],
-    /// Unit direction that leads the network out.
+    /// Unit normal, in the direction that separates the network.
     pub normal: Vector3<f64>,
-    /// How deep it is in \[m\]; negative while apart, for what may be reached within the step.
+    /// Penetration depth \[m\]; negative for a gap that may close within the step.
     pub depth: f64,
-    /// Velocity of the other side where it is touched \[m/s\].
+    /// Velocity of the other object at the contact \[m/s\].
     pub velocity: Vector3<f64>,
-    /// Force per depth \[N/m\].
+    /// Stiffness: force per depth \[N/m\].
     pub stiffness: f64,
-    /// Force per speed of approach \[N·s/m\].
+    /// Damping: force per approach velocity \[N·s/m\].
     pub damping: f64,
-    /// Coulomb friction.
+    /// Coulomb's friction coefficient.
     pub friction: f64,
 }
 
 impl Contact {
-    /// A contact of one node, elastic and without friction.
+    /// An elastic, frictionless contact of one node.
     #[must_use]
     pub fn at_node(node: u32, normal: Vector3<f64>, depth: f64, stiffness: f64) -> Self {
         let weights = [1.0, 0.0, 0.0];
@@ -34,25 +34,25 @@ impl Contact {
         Self { nodes: [node; 3], weights, normal, depth, velocity, stiffness, damping: 0.0, friction: 0.0 }
     }
 
-    /// The touched point \[m\].
+    /// The contact point \[m\].
     #[inline]
     pub(crate) fn point(&self, positions: &[Point3<f64>]) -> Vector3<f64> {
         let [a, b, c] = self.nodes.map(|node| positions[node as usize].coords);
         a * self.weights[0] + b * self.weights[1] + c * self.weights[2]
     }
-    /// How it moves against the other side \[m/s\].
+    /// Velocity relative to the other object \[m/s\].
     #[inline]
     pub(crate) fn slip(&self, velocities: &[Vector3<f64>]) -> Vector3<f64> {
         let [a, b, c] = self.nodes.map(|node| velocities[node as usize]);
         a * self.weights[0] + b * self.weights[1] + c * self.weights[2] - self.velocity
     }
-    /// Velocity of the point per impulse on it \[1/kg\].
+    /// Inverse effective mass of the contact point \[1/kg\].
     #[inline]
     pub(crate) fn mobility(&self, mobility: &[f64]) -> f64 {
         let shares = self.joint();
         shares.into_iter().map(|(node, weight)| weight * weight * mobility[node as usize]).sum()
     }
-    /// Its nodes with what each bears, a node that stands more than once once.
+    /// Its nodes with their weights, each node once.
     #[inline]
     pub(crate) fn joint(&self) -> [(u32, f64); 3] {
         let ([a, b, c], [u, v, w]) = (self.nodes, self.weights);
@@ -61,13 +61,13 @@ impl Contact {
         let third = if c == a || c == b { 0.0 } else { w };
         [(a, first), (b, second), (c, third)]
     }
-    /// Normal force \[N\] at a depth and a speed of leaving; contacts do not pull.
+    /// Normal force \[N\] at a depth and a separation velocity; never tensile.
     #[inline]
     pub(crate) fn pressing(&self, depth: f64, leaving: f64) -> f64 {
         if depth > 0.0 { (self.stiffness * depth - self.damping * leaving).max(0.0) } else { 0.0 }
     }
 
-    /// What is wrong with it, if anything.
+    /// What is invalid in it, if anything.
     fn problem(&self, nodes: usize) -> Option<&'static str> {
         let number = |value: f64| value >= 0.0 && value.is_finite();
         let finite = |vector: &Vector3<f64>| vector.iter().all(|value| value.is_finite());
@@ -89,7 +89,7 @@ impl Contact {
     }
 }
 
-/// Refuses contacts that cannot be used.
+/// Rejects invalid contacts.
 pub(crate) fn check(contacts: &[Contact], nodes: usize) -> Result<(), StepError> {
     let problem = contacts.iter().enumerate().find_map(|(index, contact)| {
         contact.problem(nodes).map(|problem| StepError::Input { what: "contact", index, problem })

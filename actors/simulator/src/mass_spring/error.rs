@@ -1,69 +1,69 @@
-//! What can be wrong with a network of springs, and with a step of it.
+//! Errors of a spring network and of its steps.
 
 use thiserror::Error;
 use trocar_dynamics::faulty::Faulty;
 
-/// Why a network of springs cannot be built.
+/// Why a spring network was rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum NetworkError {
-    /// A parameter outside its range.
+    /// A parameter out of range.
     #[error("{what} is {value}; valid is {valid}")]
     Parameter {
-        /// Which.
+        /// The parameter.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
-    /// Nothing to simulate.
+    /// No nodes.
     #[error("there are no nodes")]
     Empty,
-    /// Two slices that belong together differ in length.
+    /// Two related lists of different lengths.
     #[error("{given} {what} for {expected} nodes")]
     Length {
-        /// Of what.
+        /// The list.
         what: &'static str,
-        /// How many there are.
+        /// Its length.
         given: usize,
-        /// How many there should be.
+        /// The required length.
         expected: usize,
     },
-    /// Nodes that are nowhere.
+    /// Non-finite nodes.
     #[error("nodes with a position that is not finite: {0}")]
     NotFinite(Faulty),
-    /// Elements that name a node that does not exist, or one twice.
+    /// Elements with a missing or repeated node.
     #[error("{kind}s that name a node twice, or one that does not exist (there are {nodes}): {faulty}")]
     Nodes {
         /// Spring, hinge, segment, triangle or tetrahedron.
         kind: &'static str,
-        /// Nodes that exist.
+        /// Number of nodes.
         nodes: usize,
-        /// Which elements.
+        /// The elements.
         faulty: Faulty,
     },
-    /// Elements of no length, area or volume.
+    /// Elements without length, area or volume.
     #[error("{kind}s without extent: {faulty}")]
     NoExtent {
         /// Segment, triangle or tetrahedron.
         kind: &'static str,
-        /// Which.
+        /// The elements.
         faulty: Faulty,
     },
-    /// Springs or hinges whose numbers cannot be used.
+    /// Springs or hinges with invalid values.
     #[error("{kind}s whose stiffness or rest length is negative or not finite: {faulty}")]
     Numbers {
         /// Spring or hinge.
         kind: &'static str,
-        /// Which.
+        /// The elements.
         faulty: Faulty,
     },
-    /// Groups of constraints of which one has a node twice, or more of them than there can be.
+    /// Constraint colours with two elements at one node, or too many colours.
     #[error("{kind}s in a group that has one of their nodes already, or in one beyond the last: {faulty}")]
     Groups {
         /// Distance, bend or tetrahedron.
         kind: &'static str,
-        /// Which.
+        /// The elements.
         faulty: Faulty,
     },
     /// Nodes without mass.

@@ -1,4 +1,4 @@
-//! Symplectic Euler: velocities from the forces now, positions from the velocities then.
+//! Symplectic Euler: velocities from the current forces, positions from the new velocities.
 
 use nalgebra::Vector3;
 use trocar_dynamics::particles::StepError;
@@ -33,7 +33,7 @@ impl MassSpring {
         for index in 0..parts {
             self.explicit_part(part, f64::from(index) * part, input);
         }
-        // What was led is where it had to be, not where the sum of the parts has rounded to.
+        // Prescribed nodes end exactly at their target, without the rounding of the substeps.
         for led in input.prescribed {
             self.scratch.next.positions[led.node as usize] = led.position;
         }
@@ -43,7 +43,7 @@ impl MassSpring {
         Ok(Report { parts, safe_step: safe, iterations: 0, residual: 0.0 })
     }
 
-    /// One part of a step, `since` its beginning.
+    /// One substep; `since` is its beginning.
     fn explicit_part(&mut self, part: f64, since: f64, input: &Input<'_>) {
         let scratch = &mut self.scratch;
         let (positions, velocities) = (&mut scratch.next.positions, &mut scratch.next.velocities);
@@ -70,7 +70,7 @@ impl MassSpring {
                 *velocity += (force * *mobility + input.gravity - *velocity * damping) * part;
             }
         }
-        // Friction ends a slip or slows it, and never turns it round: so it holds at rest, whatever pulls.
+        // Friction stops or slows a slip and never reverses it: at rest it holds against any smaller pull.
         for ((contact, began), total) in
             input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)
         {

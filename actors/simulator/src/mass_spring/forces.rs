@@ -4,12 +4,10 @@ use nalgebra::{Point3, Vector3};
 
 use super::network::Network;
 
-/// Share of a curved hinge's rest length within which its push fades out: where it is nearly flat the vector has no
-/// direction to push along.
+/// Fraction of a curved hinge's rest length within which its force fades out: nearly flat, its vector has no direction.
 pub(crate) const NEARLY_FLAT: f64 = 0.125;
 
-/// Adds what springs and hinges exert to `forces` \[N\]; `lag` is the damping along them, as the time \[s\] by which
-/// their force follows their lengthening.
+/// Adds spring and hinge forces to `forces` \[N\]; `lag` is the ratio of damping to stiffness \[s\] (Kelvin–Voigt).
 pub(crate) fn add_forces(
     network: &Network,
     lag: f64,
@@ -53,14 +51,13 @@ pub(crate) fn add_forces(
     }
 }
 
-/// Rest length over length, as it enters the force: negative where the hinge is inside out, limited where it is nearly
-/// flat.
+/// Rest length over length, as in the force: negative where the hinge is inside out, limited where it is nearly flat.
 #[inline]
 pub(crate) fn pull_of_rest(rest: f64, length: f64, sense: f64) -> f64 {
     sense * rest / length.max(NEARLY_FLAT * rest)
 }
 
-/// What springs and hinges hold \[J\].
+/// Elastic energy of springs and hinges \[J\].
 pub(crate) fn elastic_energy(network: &Network, positions: &[Point3<f64>]) -> f64 {
     let mut energy = 0.0;
     for spring in &network.springs {
@@ -70,7 +67,7 @@ pub(crate) fn elastic_energy(network: &Network, positions: &[Point3<f64>]) -> f6
     for hinge in &network.hinges {
         let (length, faded) = (hinge.vector(positions).norm(), NEARLY_FLAT * hinge.rest);
         let sense = hinge.sense(positions);
-        // The integral of the force: linear in the length, quadratic where the push fades.
+        // The integral of the force: linear in the length, quadratic where the force fades.
         let pushed = if length >= faded { length - 0.5 * faded } else { 0.5 * length * length / faded };
         let none = hinge.rest == 0.0;
         let of_rest = if none { 0.0 } else { hinge.rest * (0.5 * hinge.rest - sense * pushed) };

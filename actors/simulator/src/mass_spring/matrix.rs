@@ -1,6 +1,7 @@
-//! The matrix of a backward Euler step, M(1 + hα) + hC + h²K, element by element: each contributes `a·I + b·u uᵀ` times the
-//! products of its weights, four numbers, so that a product with a vector reads less memory than an assembled matrix of
-//! the same network would (`implicit/operator.rs`). Definite by construction: of a compressed spring only what acts along its axis is kept.
+//! System matrix of a backward Euler step, M(1 + hα) + hC + h²K, stored element by element: each contributes `a·I + b·u
+//! uᵀ` times the products of its weights. With four numbers per element, a product with a vector reads less memory than
+//! with the assembled matrix (`implicit/operator.rs`). Positive definite by construction: for a compressed spring only
+//! the axial stiffness is kept.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -22,10 +23,10 @@ impl Block {
     }
 }
 
-/// All parts of the matrix, in the order of the network's elements.
+/// All terms of the matrix, in the order of the network's elements.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StepMatrix {
-    /// Mass of each node, damping included; 0 where it is held \[kg\].
+    /// Mass of each node, including damping; 0 where it is held \[kg\].
     pub masses: Vec<f64>,
     pub springs: Vec<Block>,
     pub hinges: Vec<Block>,
@@ -33,7 +34,7 @@ pub(super) struct StepMatrix {
 }
 
 impl StepMatrix {
-    /// Linearises springs and hinges at these positions: the stiffness alone where `h` is 1 and `lag` is 0.
+    /// Linearises springs and hinges at these positions; the pure stiffness matrix for `h` = 1 and `lag` = 0.
     pub fn linearise(&mut self, network: &Network, h: f64, lag: f64, positions: &[Point3<f64>]) {
         self.springs.clear();
         self.springs.extend(network.springs.iter().map(|spring| {
@@ -57,14 +58,15 @@ impl StepMatrix {
         }));
     }
 
-    /// Linearises contacts: a penalty where it presses, and friction as the drag that it is at this slip.
+    /// Linearises contacts: a penalty where active, and friction as a drag at the current slip.
     pub fn press(&mut self, contact: &Contact, h: f64, pressing: f64, drag: f64) {
         let all = h * drag;
         let normal = if pressing > 0.0 { h * h * contact.stiffness + h * contact.damping } else { 0.0 };
         self.contacts.push(Block { all, along: normal - all, axis: contact.normal });
     }
 
-    /// Calls `each` with every product of two nodes: row, column and block; (row, column) but not (column, row).
+    /// Calls `each` with every off-diagonal pair of nodes once: row, column and block; (row, column) but not (column,
+    /// row).
     pub fn for_each_pair(
         &self,
         network: &Network,
@@ -87,7 +89,7 @@ impl StepMatrix {
     }
 }
 
-/// Each pair of an element's nodes once, those with no weight left out.
+/// Each pair of an element's nodes once, except those with zero weight.
 pub(super) fn pairs<const N: usize>(
     nodes: &[u32; N],
     weights: &[f64; N],
@@ -103,11 +105,11 @@ pub(super) fn pairs<const N: usize>(
     }
 }
 
-/// Stiffness along the axis, and across it what tension makes of it; damping along the axis.
+/// Block of axial stiffness, transverse stiffness from tension, and axial damping.
 #[inline]
 fn block(stiffness: f64, h: f64, lag: f64, axis: Vector3<f64>, across: f64) -> Block {
     let stiff = h * h * stiffness;
     let all = stiff * across.max(0.0);
-    // Under a push inside out the share across is above 1: never less along the axis than along the axis.
+    // A compressed hinge that is inside out has a transverse share above 1: the axial term never becomes negative.
     Block { all, along: stiff - all.min(stiff) + h * lag * stiffness, axis }
 }

@@ -2,9 +2,9 @@
 //! explicitly (symplectic Euler) or implicitly (backward Euler; Baraff and Witkin, *Large steps in cloth simulation*,
 //! 1998, with springs whose stiffness matrix is never indefinite).
 //!
-//! Nodes can be pinned, prescribed (a jaw holds them) or pressed by contacts, whose forces on the network are told for
-//! the other side to bear. The explicit method knows the largest step that is safe in any shape and refuses larger ones
-//! or takes them in parts; the implicit one takes any step, and its numerical damping grows with it.
+//! Nodes can be pinned, prescribed (held by a jaw) or in contact; contact forces are reported, so that the other object
+//! can bear the reaction. The explicit method has a step limit that is safe in any shape, and rejects or subdivides
+//! larger steps; the implicit method takes any step, with numerical damping that grows with it.
 
 mod contact;
 mod error;
@@ -36,75 +36,75 @@ use implicit::Implicit;
 pub use implicit::SheetFactor;
 use stability::Bound;
 
-/// What to do with a step that is larger than is safe.
+/// Handling of a step larger than the stable one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TooLarge {
-    /// An error that names the safe one.
+    /// An error that tells the stable step.
     Refuse,
-    /// Take it in equal parts, at most so many.
+    /// Divide it into equal substeps, at most this many.
     Divide {
-        /// The limit; beyond it the step is refused.
+        /// The limit; beyond it the step is rejected.
         most: u32,
     },
-    /// Take it as it is. What blows up is found by its speed and refused then.
+    /// Take it as it is. Divergence is detected by the node speed and then rejected.
     Accept,
 }
 
-/// How an implicit step's linear system is solved.
+/// Solver of an implicit step's linear system.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LinearSolver {
-    /// Conjugate gradients without forming the matrix, the nodes' own blocks as preconditioner.
+    /// Matrix-free conjugate gradients with a block Jacobi preconditioner.
     ConjugateGradients {
-        /// Residual at which it ends, of the one it began with.
+        /// Relative residual at which it ends.
         tolerance: f64,
-        /// Iterations at most; the step is taken with what has been reached.
+        /// Maximum iterations; the step uses the result reached.
         iterations_max: u32,
     },
-    /// Conjugate gradients, the factor of the matrix at rest as preconditioner, turned with each node's surroundings:
-    /// on a sheet an order of magnitude fewer iterations than the other while a step is short (at 1 ms; where a wrinkled
-    /// sheet makes steps of 10 ms the other needs fewer). The factor is made anew when pins or step change; a network that
-    /// has changed goes on with the nodes' own blocks until it is given one ([`MassSpring::take_factor`]). For networks
-    /// that a mesh made: others do not know their shape at rest, and fall back to the nodes' blocks.
+    /// Conjugate gradients with the factor of the rest-state matrix as preconditioner, rotated with each node's
+    /// surroundings: on a sheet an order of magnitude fewer iterations than the other one at short steps (at 1 ms; with
+    /// steps of 10 ms on a wrinkled sheet the other one needs fewer). The factor is recomputed when pins or step
+    /// change; a changed network uses block Jacobi until it is given a factor ([`MassSpring::take_factor`]). For
+    /// networks built from a mesh: others have no known rest shape and fall back to block Jacobi.
     Warped {
-        /// Residual at which it ends, of the one it began with, in the norm of the preconditioner.
+        /// Relative residual at which it ends, in the preconditioner's norm.
         tolerance: f64,
-        /// Iterations at most; the step is taken with what has been reached.
+        /// Maximum iterations; the step uses the result reached.
         iterations_max: u32,
     },
-    /// Sparse Cholesky factorisation; what depends on the network alone is done once.
+    /// Sparse Cholesky factorisation; the symbolic part is done once per network.
     Cholesky,
 }
 
-/// How to step.
+/// Time integrator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
     /// Symplectic Euler.
     Explicit {
-        /// What to do with large steps.
+        /// Handling of large steps.
         too_large: TooLarge,
     },
     /// Backward Euler.
     Implicit {
-        /// For the linear system.
+        /// Linear solver.
         solver: LinearSolver,
         /// Newton iterations, 1 to 50; one is Baraff and Witkin's method.
         newton: u32,
     },
 }
 
-/// How a network is stepped.
+/// Solver settings of a network.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Config {
-    /// The method.
+    /// The integrator.
     pub integrator: Integrator,
-    /// Damping along springs and hinges: the time \[s\] by which their force follows their lengthening (Kelvin–Voigt).
+    /// Damping along springs and hinges: ratio of damping to stiffness \[s\] (Kelvin–Voigt).
     pub lag: f64,
-    /// Damping of every motion \[1/s\].
+    /// Global damping rate \[1/s\].
     pub damping: f64,
-    /// Speed \[m/s\] above which a node has lost its way.
+    /// Speed limit \[m/s\]; a faster node counts as diverged.
     pub speed_max: f64,
 }
 
@@ -118,44 +118,44 @@ impl Default for Config {
 /// A force on a node for one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeForce {
-    /// Which node.
+    /// The node.
     pub node: u32,
-    /// \[N\].
+    /// The force \[N\].
     pub force: Vector3<f64>,
 }
 
-/// Where a node has to be at the end of a step, moving there evenly.
+/// A prescribed position of a node at the end of a step, approached at constant velocity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Prescribed {
-    /// Which node.
+    /// The node.
     pub node: u32,
-    /// \[m\].
+    /// The position \[m\].
     pub position: Point3<f64>,
 }
 
-/// What acts on the network during one step.
+/// Inputs of one step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input<'a> {
-    /// Acceleration of everything \[m/s²\].
+    /// Gravity \[m/s²\].
     pub gravity: Vector3<f64>,
     /// Forces on nodes.
     pub forces: &'a [NodeForce],
-    /// Nodes that are led; of two entries for one node the last counts.
+    /// Nodes with a prescribed position; of two entries for one node the last counts.
     pub prescribed: &'a [Prescribed],
     /// Contacts.
     pub contacts: &'a [Contact],
 }
 
-/// How a step went.
+/// Statistics of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Report {
-    /// Parts in which it was taken.
+    /// Number of substeps.
     pub parts: u32,
-    /// The largest safe explicit step under its contacts \[s\]; infinite for the implicit method.
+    /// Largest stable explicit step with these contacts \[s\]; infinite for the implicit method.
     pub safe_step: f64,
-    /// Iterations of the linear solver, of all Newton iterations.
+    /// Linear solver iterations, over all Newton iterations.
     pub iterations: u32,
-    /// What remains of the linear system, of the right-hand side of its last Newton iteration.
+    /// Relative residual of the linear system in the last Newton iteration.
     pub residual: f64,
 }
 
@@ -166,33 +166,33 @@ pub struct MassSpring {
     config: Config,
     state: State,
     pinned: Vec<u32>,
-    /// One over each node's mass, 0 where it is pinned \[1/kg\].
+    /// Inverse mass of each node, 0 where it is pinned \[1/kg\].
     mobility: Vec<f64>,
     bound: Bound,
     scratch: Scratch,
     implicit: Option<Box<Implicit>>,
 }
 
-/// Room for a step.
+/// Workspace of a step.
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     next: State,
     forces: Vec<Vector3<f64>>,
-    /// As [`MassSpring::mobility`], 0 also where a node is led.
+    /// As [`MassSpring::mobility`], also 0 where a node is prescribed.
     mobility: Vec<f64>,
-    /// Velocities of the nodes that are led, in the order of the input.
+    /// Velocities of the prescribed nodes, in the order of the input.
     led: Vec<Vector3<f64>>,
-    /// Where each contact's point began.
+    /// Each contact's point at the beginning.
     touched: Vec<Vector3<f64>>,
     contact_forces: Vec<Vector3<f64>>,
     meeting: Vec<f64>,
 }
 
 impl MassSpring {
-    /// At rest where the positions are, the listed nodes pinned.
+    /// At rest at these positions, with the listed nodes pinned.
     ///
     /// # Errors
-    /// Whatever is wrong with the network, the positions or the configuration.
+    /// Invalid network, positions or configuration.
     pub fn new(
         network: Network,
         positions: Vec<Point3<f64>>,
@@ -203,7 +203,7 @@ impl MassSpring {
         Self::restore(network, State { positions, velocities }, pinned, config)
     }
 
-    /// Continues from a state, bit for bit where its network is the one that led there.
+    /// Continues from a state, bit for bit if the network is the same.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -230,7 +230,7 @@ impl MassSpring {
         Ok(solver)
     }
 
-    /// Pins these nodes where they are, and no others.
+    /// Pins exactly these nodes at their current positions.
     ///
     /// # Errors
     /// When one of them does not exist.
@@ -245,7 +245,7 @@ impl MassSpring {
         Ok(())
     }
 
-    /// Derives what depends on network and pins.
+    /// Updates what depends on network and pins.
     fn refresh(&mut self) {
         let nodes = self.network.masses.len();
         self.mobility.clear();
@@ -263,10 +263,10 @@ impl MassSpring {
         };
     }
 
-    /// Solves implicit steps in another way from now on; explicit ones have nothing to solve.
+    /// Selects another linear solver for implicit steps; no effect on explicit ones.
     ///
     /// # Errors
-    /// A tolerance or a limit that is none; it goes on as before.
+    /// An invalid tolerance or limit; the solver is then unchanged.
     pub fn solve_by(&mut self, by: LinearSolver) -> Result<(), NetworkError> {
         let Integrator::Implicit { newton, .. } = self.config.integrator else { return Ok(()) };
         let config = Config { integrator: Integrator::Implicit { solver: by, newton }, ..self.config };
@@ -276,12 +276,12 @@ impl MassSpring {
         Ok(())
     }
 
-    /// Follows a mesh that has changed where it has: `update` brings the network up to date by its mesh, `carry` gives new nodes
-    /// a state (and those that have moved at rest another one), `stays` says which nodes are pinned. What it is then it would
-    /// be if it were made of the whole mesh.
+    /// Updates to a changed mesh: `update` updates the network from its mesh, `carry` gives new nodes a state (and
+    /// another one to nodes whose rest position moved), `stays` tells which nodes are pinned. The result equals a
+    /// solver built from the whole mesh.
     ///
     /// # Errors
-    /// What `update` refuses; the solver is then as it was. A state that does not fit.
+    /// What `update` rejects; the solver is then unchanged. A state that does not fit.
     pub fn follow<const N: usize>(
         &mut self,
         patch: &Patch<'_, N>,
@@ -324,7 +324,7 @@ impl MassSpring {
     /// Steps by `dt` seconds.
     ///
     /// # Errors
-    /// When the input is wrong, the step too large, or the result not finite or too fast; the state is then as it was.
+    /// Invalid input, too large a step, or a result that is not finite or too fast; the state is then unchanged.
     pub fn step(&mut self, dt: f64, input: &Input<'_>) -> Result<Report, StepError> {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(StepError::Time(dt));
@@ -364,7 +364,7 @@ impl MassSpring {
         contact::check(input.contacts, nodes)
     }
 
-    /// Starts from the committed state with the led nodes taken out.
+    /// Starts from the committed state, with prescribed nodes removed from the unknowns.
     fn prepare(&mut self, dt: f64, input: &Input<'_>) {
         let scratch = &mut self.scratch;
         scratch.next.positions.clone_from(&self.state.positions);
@@ -399,13 +399,13 @@ impl MassSpring {
         Ok(())
     }
 
-    /// The largest explicit step that is safe in any shape, without contacts \[s\].
+    /// Largest explicit step that is stable in any shape, without contacts \[s\].
     #[must_use]
     pub fn safe_step(&self) -> f64 {
         let eigenvalue = self.bound.largest();
         stability::safe_step(eigenvalue, self.config.damping + self.config.lag * eigenvalue)
     }
-    /// Where every node is, and how it moves.
+    /// Positions and velocities of the nodes.
     #[must_use]
     pub fn state(&self) -> &State {
         &self.state
@@ -415,12 +415,12 @@ impl MassSpring {
     pub fn network(&self) -> &Network {
         &self.network
     }
-    /// How it is stepped.
+    /// Its settings.
     #[must_use]
     pub fn config(&self) -> &Config {
         &self.config
     }
-    /// One over each node's mass, 0 where it is pinned \[1/kg\].
+    /// Inverse mass of each node, 0 where it is pinned \[1/kg\].
     #[must_use]
     pub fn mobility(&self) -> &[f64] {
         &self.mobility
@@ -431,17 +431,17 @@ impl MassSpring {
         &self.pinned
     }
     /// Force of each contact of the last step on the network, averaged over it, in the order of the input \[N\]: the
-    /// other side bears the opposite.
+    /// reaction on the other object is the opposite.
     #[must_use]
     pub fn contact_forces(&self) -> &[Vector3<f64>] {
         &self.scratch.contact_forces
     }
-    /// What springs and hinges hold \[J\].
+    /// Elastic energy of springs and hinges \[J\].
     #[must_use]
     pub fn elastic_energy(&self) -> f64 {
         forces::elastic_energy(&self.network, &self.state.positions)
     }
-    /// What motion holds \[J\].
+    /// Kinetic energy \[J\].
     #[must_use]
     pub fn kinetic_energy(&self) -> f64 {
         let of = |(mass, velocity): (&f64, &Vector3<f64>)| 0.5 * mass * velocity.norm_squared();
@@ -458,8 +458,8 @@ impl MassSpring {
         }
         sum
     }
-    /// What springs, hinges and damping exert on a node in the present state \[N\]: the negative of it is what a jaw
-    /// that holds the node feels of the network.
+    /// Total force of springs, hinges and damping on nodes in the present state \[N\]: a jaw that holds them feels this
+    /// force.
     #[must_use]
     pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
         let forces = &mut self.scratch.forces;

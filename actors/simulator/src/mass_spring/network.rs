@@ -1,15 +1,15 @@
-//! Springs and hinges, and how a line, a surface or a volume becomes a network of them that stands for the material:
-//! halving the elements changes the network, not what it does.
+//! Springs and hinges, and the discretisation of lines, surfaces and volumes as networks of them that represent the
+//! material: refining the mesh does not change its behaviour.
 //!
 //! A spring's stiffness is its share of the continuum: `EA / length` along a thread; on triangles and tetrahedra the
 //! area or volume about an edge, times the modulus, over its squared length (Van Gelder, *Approximate simulation of elastic
 //! membranes by triangulated spring meshes*, 1998), which for edges in all directions alike is the isotropic continuum
 //! with Poisson's ratio 1/3 in a plane and 1/4 in space, and no other one.
 //!
-//! A hinge holds the length of a weighted sum of positions. Across an edge with cotangent weights that is the curvature
-//! vector, 2 sin(θ/2) times the edge's length (Bergou et al., *A quadratic bending model for inextensible surfaces*,
-//! 2006); on three nodes of a line it is the change of direction. Its energy on equilateral triangles is that of a plate
-//! for curvature in any direction; on right-angled ones up to three times that, by direction.
+//! A hinge keeps the length of a weighted sum of positions. Across an edge with cotangent weights, that is the
+//! curvature vector, 2 sin(θ/2) times the edge's length (Bergou et al., *A quadratic bending model for inextensible
+//! surfaces*, 2006); on three nodes of a line it is the change of direction. On equilateral triangles its energy is
+//! that of a plate for curvature in any direction; on right-angled ones up to three times that, depending on direction.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -19,34 +19,34 @@ use trocar_dynamics::faulty::Faulty;
 use super::error::NetworkError;
 use super::remesh::{Followed, Patch};
 
-/// Holds two nodes at a distance.
+/// A spring between two nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Spring {
-    /// Which two.
+    /// The nodes.
     pub nodes: [u32; 2],
-    /// Length without force \[m\].
+    /// Rest length \[m\].
     pub rest: f64,
-    /// Force per elongation \[N/m\].
+    /// Stiffness: force per elongation \[N/m\].
     pub stiffness: f64,
 }
 
-/// Holds the length of `Σ weightᵢ xᵢ`, the curvature vector, at what it is at rest.
+/// Keeps the length of the curvature vector `Σ weightᵢ xᵢ` at its rest value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hinge {
-    /// The edge's two nodes and the two across from it; on a line first, middle and last, and the middle once more.
+    /// The edge's two nodes and the two opposite ones; on a line first, middle and last, and the middle once more.
     pub nodes: [u32; 4],
-    /// Sum zero; a pure number on a surface, 1/m on a line.
+    /// Weights with sum zero; dimensionless on a surface, 1/m on a line.
     pub weights: [f64; 4],
-    /// Length of the vector without force.
+    /// Rest length of the vector.
     pub rest: f64,
-    /// On which side the two lie across the edge at rest: the sign of their volume; 0 where there are no sides.
+    /// Orientation of the rest shape: the sign of the four nodes' volume; 0 where it is flat or a line.
     pub side: f64,
-    /// Second derivative of the energy by the vector's length.
+    /// Stiffness: second derivative of the energy by the vector's length.
     pub stiffness: f64,
 }
 
 impl Hinge {
-    /// Of a surface: the edge that it is across.
+    /// Its edge, on a surface.
     pub(crate) fn edge(&self) -> [u32; 2] {
         [self.nodes[0], self.nodes[1]]
     }
@@ -59,7 +59,7 @@ impl Hinge {
         a * self.weights[0] + b * self.weights[1] + c * self.weights[2] + d * self.weights[3]
     }
 
-    /// 1 while the hinge is bent to the side to which it is bent at rest, −1 when it is turned inside out.
+    /// 1 while the hinge is bent to the same side as at rest, −1 when it is turned inside out.
     #[inline]
     pub(crate) fn sense(&self, positions: &[Point3<f64>]) -> f64 {
         if self.side * self.rest == 0.0 {
@@ -79,18 +79,18 @@ pub(crate) fn volume(nodes: &[u32; 4], positions: &[Point3<f64>]) -> f64 {
 /// Masses, springs and hinges.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Network {
-    /// One per node \[kg\].
+    /// One mass per node \[kg\].
     pub masses: Vec<f64>,
-    /// In ascending order of their nodes where a mesh made them.
+    /// Sorted by their nodes if built from a mesh.
     pub springs: Vec<Spring>,
-    /// In ascending order of their edges where a mesh made them.
+    /// Sorted by their edges if built from a mesh.
     pub hinges: Vec<Hinge>,
-    /// Where the nodes are at rest, if a mesh made it \[m\]; else empty. Forces do not depend on it.
+    /// Rest positions of the nodes if built from a mesh \[m\]; else empty. Forces do not depend on it.
     #[serde(default)]
     pub rest: Vec<Point3<f64>>,
 }
 
-/// Of a thread.
+/// Material of a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LineMaterial {
     /// Axial stiffness EA \[N\].
@@ -101,7 +101,7 @@ pub struct LineMaterial {
     pub density: f64,
 }
 
-/// Of a cloth, a membrane or the wall of a tube.
+/// Material of a cloth, a membrane or the wall of a tube.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceMaterial {
     /// Young's modulus times thickness \[N/m\].
@@ -112,7 +112,7 @@ pub struct SurfaceMaterial {
     pub density: f64,
 }
 
-/// Of a volume.
+/// Material of a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VolumeMaterial {
     /// Young's modulus \[Pa\].
@@ -121,14 +121,14 @@ pub struct VolumeMaterial {
     pub density: f64,
 }
 
-/// Refuses a parameter outside its range.
+/// Rejects a parameter out of range.
 pub(crate) fn parameter(what: &'static str, value: f64, least: f64) -> Result<(), NetworkError> {
     let above = if least > 0.0 { value >= least } else { value >= 0.0 };
     let valid = if least > 0.0 { "above 0 and finite" } else { "0 or more and finite" };
     if above && value.is_finite() { Ok(()) } else { Err(NetworkError::Parameter { what, value, valid }) }
 }
 
-/// Refuses nodes that are nowhere, and elements that name what is not there.
+/// Rejects non-finite nodes, and elements with missing nodes.
 pub(crate) fn check_elements<const N: usize>(
     kind: &'static str,
     rest: &[Point3<f64>],
@@ -147,16 +147,16 @@ pub(crate) fn check_elements<const N: usize>(
     .refuse(|faulty| NetworkError::Nodes { kind, nodes, faulty })
 }
 
-/// Mass of a node that is of no element \[kg\]: it is pinned, and has one for the sake of form.
+/// Nominal mass of a node without elements \[kg\]: it is pinned.
 pub(crate) const LOOSE: f64 = 1e-6;
-/// Least positive number that counts as stiffness, density or extent.
+/// Least positive value that counts as stiffness, density or extent.
 pub(crate) const LEAST: f64 = 1e-30;
 
 impl Network {
     /// A thread: springs along its segments and, where exactly two segments meet, a hinge.
     ///
     /// # Errors
-    /// Whatever is wrong with mesh or material, elements by their index.
+    /// Invalid mesh or material, elements by their index.
     pub fn from_line(
         rest: &[Point3<f64>],
         segments: &[[u32; 2]],
@@ -208,7 +208,7 @@ impl Network {
     /// A volume: springs along the edges of its tetrahedra, of either orientation.
     ///
     /// # Errors
-    /// Whatever is wrong with mesh or material, elements by their index.
+    /// Invalid mesh or material, elements by their index.
     pub fn from_volume(
         rest: &[Point3<f64>],
         tets: &[[u32; 4]],
@@ -217,8 +217,8 @@ impl Network {
         Self::from_altered_volume(rest, tets, material, &[], &[])
     }
 
-    /// The same of tetrahedra of which each is as `altered` says, or all as they were where that is empty. Nodes in `loose`
-    /// may be of none that is there: they are to be pinned, and have a mass for the sake of form.
+    /// The same with tetrahedra altered as in `altered`, or unaltered where that is empty. Nodes in `loose` may have no
+    /// remaining elements: they are to be pinned and get a nominal mass.
     ///
     /// # Errors
     /// As [`from_volume`](Self::from_volume).
@@ -245,7 +245,7 @@ impl Network {
                 all.extend(tet[..at].iter().map(|&b| ([a.min(b), a.max(b)], index)));
             }
         }
-        // By element too, so that each sum has one order.
+        // Sorted by element too, so that each sum has one order.
         all.sort_unstable();
         let mut about: Vec<u32> = Vec::new();
         for edge in all.chunk_by(|first, second| first.0 == second.0) {
@@ -261,10 +261,10 @@ impl Network {
         Ok(network)
     }
 
-    /// Follows tetrahedra that have changed, to what it would be if it were made of all of them.
+    /// Updates the network to changed tetrahedra, with the same result as building it from all of them.
     ///
     /// # Errors
-    /// Whatever is wrong with those that have; the network is then as it was.
+    /// Invalid changed elements; the network is then unchanged.
     pub fn follow_volume(
         &mut self,
         patch: &Patch<'_, 4>,
@@ -277,10 +277,10 @@ impl Network {
         })
     }
 
-    /// Adds the springs, hinges and masses of another network over the same nodes: a tube with a volume inside.
+    /// Adds springs, hinges and masses of another network over the same nodes, as for a tube with a volume inside.
     ///
     /// # Errors
-    /// When the other has another number of nodes.
+    /// When the other one has another number of nodes.
     pub fn merge(&mut self, other: &Self) -> Result<(), NetworkError> {
         let (given, expected) = (other.masses.len(), self.masses.len());
         if given != expected {
@@ -292,34 +292,34 @@ impl Network {
         Ok(())
     }
 
-    /// The spring along an edge, of a network that a mesh made.
+    /// The spring along an edge of a network built from a mesh.
     pub(crate) fn spring(&self, edge: &[u32; 2]) -> Option<&Spring> {
         self.springs.binary_search_by_key(edge, |spring| spring.nodes).ok().map(|at| &self.springs[at])
     }
 
-    /// The hinge across one.
+    /// The hinge across an edge.
     pub(crate) fn hinge(&self, edge: &[u32; 2]) -> Option<&Hinge> {
         self.hinges.binary_search_by_key(edge, Hinge::edge).ok().map(|at| &self.hinges[at])
     }
 
-    /// The springs whose first node it is.
+    /// The springs with this first node.
     pub(super) fn springs_from(&self, node: u32) -> &[Spring] {
         let first = self.springs.partition_point(|of| of.nodes[0] < node);
         let count = self.springs[first..].partition_point(|of| of.nodes[0] == node);
         &self.springs[first..first + count]
     }
 
-    /// The hinges whose first node it is.
+    /// The hinges with this first node.
     pub(super) fn hinges_from(&self, node: u32) -> &[Hinge] {
         let first = self.hinges.partition_point(|of| of.nodes[0] < node);
         let count = self.hinges[first..].partition_point(|of| of.nodes[0] == node);
         &self.hinges[first..first + count]
     }
 
-    /// Checks what can be wrong with a network of any origin.
+    /// Validates a network of any origin.
     ///
     /// # Errors
-    /// The first kind of fault, with every element that has it.
+    /// The first kind of fault, with all elements concerned.
     pub fn check(&self, nodes: usize) -> Result<(), NetworkError> {
         if nodes == 0 {
             return Err(NetworkError::Empty);
@@ -351,7 +351,7 @@ impl Network {
         self.check_numbers()
     }
 
-    /// Checks stiffness, lengths and weights alone.
+    /// Validates stiffness, lengths and weights alone.
     pub(super) fn check_numbers(&self) -> Result<(), NetworkError> {
         let number = |value: f64| value >= 0.0 && value.is_finite();
         Faulty::among(self.springs.len(), |index| {
@@ -368,8 +368,8 @@ impl Network {
     }
 }
 
-/// The spring along an edge: as stiff and as long as the tetrahedra about it, ascending, are, each by its share of the
-/// volume.
+/// The spring along an edge: stiffness and rest length from the tetrahedra around it, ascending, each weighted by its
+/// share of the volume.
 fn spring_of(
     rest: &[Point3<f64>],
     tets: &[[u32; 4]],

@@ -1,10 +1,10 @@
-//! A network that follows its mesh: where elements have changed, their springs, hinges and masses are derived anew, and all
-//! else is kept. The lists are those of a network made of the whole mesh, to the bit, so that a solver rebuilt from its mesh
-//! goes on as this one does.
+//! Incremental update of a network after remeshing: springs, hinges and masses at changed elements are rebuilt, all
+//! else is kept. The lists equal those of a network built from the whole mesh bit for bit, so that a solver rebuilt
+//! from its mesh continues identically.
 //!
-//! A spring is of the elements about its edge, a hinge of the two triangles about its own, a mass of the elements about its
-//! node. So what can have changed has both its ends among the corners of changed elements, and nothing else is looked at;
-//! behind it the lists move as a block.
+//! A spring depends on the elements around its edge, a hinge on the two triangles at its edge, a mass on the elements
+//! around its node. Anything that can change therefore has all its nodes among the corners of changed elements, and
+//! nothing else is visited; the rest of the lists moves as a block.
 
 use nalgebra::Point3;
 use trocar_dynamics::elasticity::Alteration;
@@ -13,24 +13,24 @@ use trocar_dynamics::faulty::Faulty;
 use super::error::NetworkError;
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring};
 
-/// A mesh that has changed, as whoever keeps it knows it.
+/// A changed mesh, as its owner describes it.
 #[derive(Clone, Copy)]
 pub struct Patch<'a, const N: usize> {
-    /// All nodes at rest \[m\].
+    /// Rest positions of all nodes \[m\].
     pub rest: &'a [Point3<f64>],
     /// Corners of all elements, by their numbers.
     pub elements: &'a [[u32; N]],
-    /// What has become of an element that is there.
+    /// Alteration of an existing element.
     pub altered: &'a dyn Fn(u32) -> Alteration,
-    /// Elements about a node that are there, ascending.
+    /// Existing elements around a node, ascending.
     pub about: &'a dyn Fn(u32) -> &'a [u32],
-    /// Corners of the elements that are others than before, are altered otherwise, are new or are gone, as they were and as they
-    /// are; ascending. What is new among the nodes is among them.
+    /// Former and present corners of the elements that changed, were altered, are new or were removed; ascending. They
+    /// include all new nodes.
     pub stale: &'a [u32],
 }
 
 impl<const N: usize> Patch<'_, N> {
-    /// Edges of all elements about a node, ascending.
+    /// Edges of all elements around a node, ascending.
     pub(crate) fn edges(&self, node: u32) -> Vec<[u32; 2]> {
         let about = (self.about)(node).iter();
         let mut edges: Vec<[u32; 2]> =
@@ -49,14 +49,14 @@ fn edges_of<const N: usize>(corners: &[u32; N]) -> impl Iterator<Item = [u32; 2]
         .map(|(a, b)| [a.min(b), a.max(b)])
 }
 
-/// What has become of a list that is in ascending order of edges.
+/// Changes of a list sorted by edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edits<T> {
-    /// What is gone, and where in the list it was; ascending.
+    /// Removed items and their former indices; ascending.
     pub gone: Vec<(usize, T)>,
-    /// Where in the list what is now another is, and what it was; ascending.
+    /// Present indices of changed items, and their former values; ascending.
     pub changed: Vec<(usize, T)>,
-    /// Where in the list what is new is; ascending.
+    /// Present indices of new items; ascending.
     pub come: Vec<usize>,
 }
 
@@ -67,7 +67,7 @@ impl<T> Default for Edits<T> {
 }
 
 impl<T> Edits<T> {
-    /// How many there are of all kinds.
+    /// Number of changes of all kinds.
     #[must_use]
     pub fn count(&self) -> usize {
         self.gone.len() + self.changed.len() + self.come.len()
@@ -75,7 +75,7 @@ impl<T> Edits<T> {
 }
 
 impl<T: Copy + PartialEq> Edits<T> {
-    /// Puts `fresh` into a list in the place of those at `old`; both ascending by their keys.
+    /// Replaces the items at `old` by `fresh`; both sorted by key.
     fn make(list: &mut Vec<T>, old: &[usize], fresh: &[T], key: impl Fn(&T) -> [u32; 2]) -> Self {
         let mut edits = Self::default();
         let mut come: Vec<(usize, T)> = Vec::new();
@@ -97,7 +97,7 @@ impl<T: Copy + PartialEq> Edits<T> {
                         && list[at] != *of
                     {
                         let was = std::mem::replace(&mut list[at], *of);
-                        // Where it will be.
+                        // Its final index.
                         let to = at + come.len() - edits.gone.len();
                         edits.changed.push((to, was));
                     }
@@ -109,10 +109,10 @@ impl<T: Copy + PartialEq> Edits<T> {
         edits
     }
 
-    /// Lets another list that goes with it follow, with `new` for what is new.
+    /// Applies the same changes to a parallel list, with `new` for new items.
     pub(crate) fn carry<U: Copy>(&self, list: &mut Vec<U>, new: U) {
         let gone: Vec<usize> = self.gone.iter().map(|(at, _)| *at).collect();
-        // Where in the list before: what is gone before it counts again, and what is new does not.
+        // Former index: counts removed items before it, and skips new ones.
         let mut left = gone.iter().copied().peekable();
         let mut come = Vec::with_capacity(self.come.len());
         let mut passed = 0;
@@ -128,8 +128,8 @@ impl<T: Copy + PartialEq> Edits<T> {
     }
 }
 
-/// Takes out what is at `gone` and puts in each of `come` before what is at its place, both ascending and by the list as it
-/// was. Where those that have come are then.
+/// Removes the items at `gone` and inserts each of `come` before its index, both ascending and in terms of the former
+/// list. Returns the final indices of the inserted items.
 fn splice<T: Copy>(list: &mut Vec<T>, gone: &[usize], come: &[(usize, T)]) -> Vec<usize> {
     let mut places = Vec::with_capacity(come.len());
     let first = gone.first().copied().into_iter().chain(come.first().map(|(at, _)| *at)).min();
@@ -152,21 +152,21 @@ fn splice<T: Copy>(list: &mut Vec<T>, gone: &[usize], come: &[(usize, T)]) -> Ve
     }
 }
 
-/// What a network has derived anew.
+/// Changes of a network.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Followed {
-    /// Of its springs, by their place in its list.
+    /// Changed springs, by index.
     pub springs: Edits<Spring>,
-    /// Of its hinges.
+    /// Changed hinges.
     pub hinges: Edits<Hinge>,
-    /// Edges that were looked at.
+    /// Number of edges visited.
     pub edges: usize,
-    /// Nodes whose mass was.
+    /// Number of node masses recomputed.
     pub nodes: usize,
 }
 
 impl Followed {
-    /// Nodes of whatever has changed, as it was and as it is, and the stale ones; ascending.
+    /// Former and present nodes of everything that changed, and the stale ones; ascending.
     pub(super) fn nodes<const N: usize>(&self, network: &Network, patch: &Patch<'_, N>) -> Vec<u32> {
         let mut nodes = patch.stale.to_vec();
         let Edits { gone, changed, come } = &self.springs;
@@ -183,12 +183,12 @@ impl Followed {
     }
 }
 
-/// What the elements about an edge make.
+/// Spring and hinge of an edge.
 pub(super) type OfEdge = (Spring, Option<Hinge>);
 
 impl Network {
-    /// Follows a mesh: `extent` of each element, `share` the mass that a node has of one, by its extent, `edge` what those about an
-    /// edge make.
+    /// Updates to a mesh: `extent` is that of an element, `share` a node's mass from an element by its extent, `edge`
+    /// builds the spring and hinge from the elements around an edge.
     pub(super) fn follow<const N: usize>(
         &mut self,
         kind: &'static str,
@@ -246,7 +246,7 @@ impl Network {
     }
 }
 
-/// Where in a list are those with both ends among the stale nodes.
+/// Indices of list items with both ends among the stale nodes.
 fn between<T>(list: &[T], stale: &[u32], key: impl Fn(&T) -> [u32; 2]) -> Vec<usize> {
     let mut found = Vec::new();
     for &node in stale {
@@ -262,7 +262,7 @@ fn between<T>(list: &[T], stale: &[u32], key: impl Fn(&T) -> [u32; 2]) -> Vec<us
 mod tests {
     use super::*;
 
-    /// What goes, changes and comes does so in the list and in one that goes with it.
+    /// Removals, changes and insertions apply to the list and to its parallel list.
     #[test]
     fn a_list_and_one_that_goes_with_it_follow() {
         let key = |of: &([u32; 2], u32)| of.0;

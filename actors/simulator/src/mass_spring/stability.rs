@@ -1,35 +1,35 @@
-//! How large an explicit step may be, whatever shape the network takes.
+//! Stability limit of explicit steps, valid for any shape of the network.
 //!
-//! The stiffness of a spring in any state is at most `k` in every direction (what compression takes away from it across
-//! its axis only slows things down). So the largest eigenvalue of M⁻¹K is at most that of a graph's Laplacian, and this
-//! is at most the largest sum over the elements about one element (Anderson and Morley, *Eigenvalues of the Laplacian of
-//! a graph*, 1985, with masses and weights): for a network of springs `dᵢ/mᵢ + dⱼ/mⱼ` of some spring, with `d` the
-//! stiffness that meets in a node. A symplectic Euler step is stable while `λh² + 2ch < 4`, with the damping rate `c`
-//! taken at the end of the last step.
+//! The stiffness of a spring in any state is at most `k` in every direction (compression reduces the transverse
+//! stiffness, which only slows things down). So the largest eigenvalue of M⁻¹K is at most that of a graph Laplacian,
+//! which is bounded by the largest sum over the elements around one element (Anderson and Morley, *Eigenvalues of the
+//! Laplacian of a graph*, 1985, with masses and weights): for a spring network `dᵢ/mᵢ + dⱼ/mⱼ` of some spring, with `d`
+//! the total stiffness at a node. A symplectic Euler step is stable while `λh² + 2ch < 4`, with the damping rate `c`
+//! evaluated at the end of the last step.
 
 use super::contact::Contact;
 use super::forces::NEARLY_FLAT;
 use super::network::{Hinge, Network, Spring};
 
-/// Stiffness by which a hinge can resist in its worst state, and its largest weight.
+/// Largest stiffness of a hinge over all states, and its largest weight.
 fn worst(hinge: &Hinge) -> (f64, f64) {
     let turned = if hinge.side * hinge.rest == 0.0 { 1.0 } else { 1.0 + 1.0 / NEARLY_FLAT };
     let largest = hinge.weights.iter().fold(0.0_f64, |largest, weight| largest.max(weight.abs()));
     (hinge.stiffness * turned, largest)
 }
 
-/// A bound on the eigenvalues of M⁻¹K that follows its network.
+/// An upper bound of the eigenvalues of M⁻¹K, updated incrementally.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bound {
-    /// Stiffness that meets in each node \[N/m\].
+    /// Total stiffness at each node \[N/m\].
     meeting: Vec<f64>,
-    /// Of each node the largest bound of the springs and hinges that begin at it \[1/s²\], as a tournament: the second half of
-    /// the list, and before it of each two the larger.
+    /// Largest bound among the springs and hinges that begin at each node \[1/s²\], as a tournament tree: leaves in the
+    /// second half of the list, the larger of each pair above them.
     largest: Vec<f64>,
 }
 
 impl Bound {
-    /// Of a network; `mobility` is one over each node's mass, 0 where it is held.
+    /// For a network; `mobility` is the inverse mass of each node, 0 where it is held.
     pub fn new(network: &Network, mobility: &[f64]) -> Self {
         let leaves = mobility.len().next_power_of_two().max(1);
         let mut bound = Self { meeting: vec![0.0; mobility.len()], largest: vec![0.0; 2 * leaves] };
@@ -57,14 +57,14 @@ impl Bound {
         bound
     }
 
-    /// No eigenvalue is larger \[1/s²\].
+    /// The upper bound \[1/s²\].
     pub fn largest(&self) -> f64 {
         self.largest.get(1).copied().unwrap_or(0.0)
     }
 
-    /// Follows what has become of a network that a mesh made: `nodes` (ascending) are those that something of it has
-    /// changed about, or whose mass has, `edges` the edges of all elements about one, ascending. All sums are in the order of
-    /// the lists, and so what they are when it is made anew.
+    /// Updates to a changed network built from a mesh: `nodes` (ascending) are those with changed elements or masses,
+    /// `edges` the edges of all elements around a node, ascending. All sums are in list order, so that the result
+    /// equals a new bound.
     pub fn follow(
         &mut self,
         network: &Network,
@@ -94,7 +94,7 @@ impl Bound {
         first.dedup();
         let leaves = mobility.len().next_power_of_two().max(1);
         if self.largest.len() != 2 * leaves {
-            // One in as many changes as there are nodes.
+            // Linear cost amortised over as many changes as there are nodes.
             *self = Self::new(network, mobility);
             return;
         }
@@ -115,7 +115,7 @@ impl Bound {
     }
 }
 
-/// What a hinge adds to the stiffness that meets in each of its nodes \[N/m\].
+/// Contribution of a hinge to the stiffness at each of its nodes \[N/m\].
 fn stiffness(hinge: &Hinge) -> impl Iterator<Item = (u32, f64)> {
     let (stiffness, largest) = worst(hinge);
     let shares = hinge.nodes.into_iter().zip(hinge.weights);
@@ -137,7 +137,7 @@ fn of_hinge(hinge: &Hinge, meeting: &[f64], mobility: &[f64]) -> f64 {
     rates.sum::<f64>() / largest
 }
 
-/// The same of the contacts' stiffness, and of their damping \[1/s\].
+/// The same bound for the contacts' stiffness, and for their damping \[1/s\].
 pub(crate) fn of_contacts(contacts: &[Contact], mobility: &[f64], meeting: &mut Vec<f64>) -> (f64, f64) {
     let mut largest = |of: fn(&Contact) -> f64| {
         meeting.clear();
@@ -160,6 +160,6 @@ pub(crate) fn of_contacts(contacts: &[Contact], mobility: &[f64], meeting: &mut 
 
 /// The largest step \[s\] that satisfies `λh² + 2ch ≤ 4`; infinite without stiffness and damping.
 pub(crate) fn safe_step(eigenvalue: f64, damping: f64) -> f64 {
-    // The form that loses no digits when one of them is small.
+    // This form loses no digits when one of them is small.
     4.0 / (damping + (damping * damping + 4.0 * eigenvalue).sqrt())
 }

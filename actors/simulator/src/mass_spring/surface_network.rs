@@ -1,5 +1,5 @@
-//! The network of a surface, whole or following triangles that have changed: the same springs in the same order either
-//! way, so that a solver rebuilt from its mesh goes on with the same bits.
+//! Network of a surface, built as a whole or updated at changed triangles: both give the same springs in the same
+//! order, so that a solver rebuilt from its mesh continues bit for bit.
 
 use nalgebra::Point3;
 use trocar_dynamics::elasticity::Alteration;
@@ -17,7 +17,7 @@ fn sides(triangle: u32, corners: &[u32; 3]) -> [Side; 3] {
     [[a, b], [b, c], [c, a]].map(|[a, b]| ([a.min(b), a.max(b)], triangle))
 }
 
-/// Sine of a fold (as a share of its edge) below which it counts as flat.
+/// Sine of a fold angle (relative to its edge) below which it counts as flat.
 const FLAT: f64 = 1e-6;
 
 /// Area of a triangle \[m²\].
@@ -28,10 +28,10 @@ pub(crate) fn area(corners: &[u32; 3], positions: &[Point3<f64>]) -> f64 {
 
 impl Network {
     /// A cloth, a membrane or the wall of a tube: springs along the edges of triangles and, where exactly two triangles
-    /// meet, a hinge that is at rest in the shape given.
+    /// meet, a hinge with the given shape as rest shape.
     ///
     /// # Errors
-    /// Whatever is wrong with mesh or material, elements by their index.
+    /// Invalid mesh or material, elements by their index.
     pub fn from_surface(
         rest: &[Point3<f64>],
         triangles: &[[u32; 3]],
@@ -40,8 +40,8 @@ impl Network {
         Self::from_altered_surface(rest, triangles, material, &[], &[])
     }
 
-    /// The same of triangles of which each is as `altered` says, or all as they were where that is empty. Nodes in `loose`
-    /// may be of no triangle: they are to be pinned, and have a mass for the sake of form.
+    /// The same with triangles altered as in `altered`, or unaltered where that is empty. Nodes in `loose` may have no
+    /// triangles: they are to be pinned and get a nominal mass.
     ///
     /// # Errors
     /// As [`from_surface`](Self::from_surface).
@@ -78,10 +78,10 @@ impl Network {
         Ok(network)
     }
 
-    /// Follows triangles that have changed, to what it would be if it were made of all of them.
+    /// Updates the network to changed triangles, with the same result as building it from all of them.
     ///
     /// # Errors
-    /// Whatever is wrong with those that have; the network is then as it was.
+    /// Invalid changed elements; the network is then unchanged.
     pub fn follow_surface(
         &mut self,
         patch: &Patch<'_, 3>,
@@ -95,8 +95,8 @@ impl Network {
     }
 }
 
-/// The spring along an edge and, where exactly two triangles meet, the hinge across it: as stiff and as long as the
-/// triangles about it, ascending, are, each by its share of the area.
+/// The spring along an edge and, where exactly two triangles meet, the hinge across it: stiffness and rest length from
+/// the triangles around it, ascending, each weighted by its share of the area.
 fn of_edge(
     rest: &[Point3<f64>],
     triangles: &[[u32; 3]],
@@ -131,7 +131,7 @@ fn of_edge(
     (spring, hinge)
 }
 
-/// The hinge between two triangles whose areas sum to `about`.
+/// The hinge between two triangles of total area `about`.
 fn hinge_of(
     rest: &[Point3<f64>],
     triangles: [[u32; 3]; 2],

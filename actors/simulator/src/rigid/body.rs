@@ -1,23 +1,23 @@
-//! A rigid body by its momenta, and the integrators that move it.
+//! Rigid-body state by momenta, and time integrators.
 
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// How a body is moved on.
+/// Time integrator.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
-    /// Positions by the velocities before the step: the framework's paper's. Gains energy; for short steps.
+    /// Positions by the velocities before the step: that of the framework's paper. Gains energy; for short steps.
     ExplicitEuler,
-    /// Positions by the velocities after the step; a turning body by its middle (implicit midpoint of Euler's equations,
-    /// which keeps energy and momentum of a free body).
+    /// Positions by the velocities after the step; rotations by the implicit midpoint of Euler's equations, which
+    /// conserves energy and momentum of a free body.
     #[default]
     Symplectic,
-    /// Runge and Kutta's, of fourth order; forces are those at the beginning.
+    /// Fourth-order Runge–Kutta; with the forces at the beginning.
     RungeKutta4,
 }
 
-/// A body's state. A body moves by its momenta; velocities follow.
+/// State of a body. Momenta are the state; velocities are derived.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RigidState {
     /// Centre of mass \[m\].
@@ -30,12 +30,12 @@ pub struct RigidState {
     pub angular_momentum: Vector3<f64>,
 }
 
-/// A body's inertia.
+/// Mass properties of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RigidMass {
     /// Mass \[kg\].
     pub mass: f64,
-    /// Moments about the axes of the body's frame, which are the principal ones \[kg·m²\].
+    /// Principal moments of inertia, about the axes of the body's frame \[kg·m²\].
     pub inertia: Vector3<f64>,
 }
 
@@ -72,11 +72,11 @@ impl RigidMass {
         (state.momentum.norm_squared() / self.mass + turning) / 2.0
     }
 
-    /// Position and rotation after `dt` with the momenta as they are; rotations stay unit.
+    /// Position and rotation after `dt` at constant momenta; rotations stay normalised.
     pub(super) fn moved(&self, state: &RigidState, dt: f64, integrator: Integrator) -> RigidState {
         let rotation = match integrator {
             Integrator::ExplicitEuler => {
-                // The derivative of the quaternion, ½ ω q, as the paper's.
+                // The derivative of the quaternion, ½ ω q, as in the paper.
                 let spin = self.angular_velocity(state);
                 let quaternion = state.rotation.quaternion();
                 let rate = nalgebra::Quaternion::from_imag(spin) * quaternion * 0.5;
@@ -86,7 +86,7 @@ impl RigidMass {
             Integrator::RungeKutta4 => {
                 let rate = |rotation: &UnitQuaternion<f64>| self.turned(rotation, &state.angular_momentum);
                 let turn = |by: Vector3<f64>| UnitQuaternion::from_scaled_axis(by) * state.rotation;
-                // In the algebra of rotations, with the first term of its inverse differential (Munthe-Kaas, 1998).
+                // In the Lie algebra of rotations, with the first term of the inverse differential (Munthe-Kaas, 1998).
                 let bent = |at: Vector3<f64>, rate: Vector3<f64>| {
                     rate - at.cross(&rate) / 2.0 + at.cross(&at.cross(&rate)) / 12.0
                 };
@@ -103,7 +103,7 @@ impl RigidMass {
         RigidState { position: state.position + self.velocity(state) * dt, rotation, ..*state }
     }
 
-    /// The rotation by an angular velocity of which the body's momentum in the middle is that of the world's.
+    /// The rotation by the angular velocity for which the body-frame momentum at the midpoint matches the world's.
     fn midpoint(&self, state: &RigidState, dt: f64) -> UnitQuaternion<f64> {
         let mut spin = self.angular_velocity(state);
         for _ in 0..MIDPOINT_ITERATIONS {

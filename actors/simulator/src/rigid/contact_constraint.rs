@@ -1,4 +1,4 @@
-//! A contact during the solve: what it feels as mass, what an impulse of it does, and how far it has come.
+//! A contact during the solve: effective mass, impulse response, accumulated impulse.
 
 use nalgebra::{Matrix3, Vector3};
 use trocar_dynamics::rigid_world::most_across;
@@ -9,19 +9,19 @@ use super::jaw_joint::{Arm, Turning};
 /// Velocity and angular velocity.
 pub(super) type Twist = [Vector3<f64>; 2];
 
-/// What one of the two bodies of a contact has to do with it; of the second, and of what stands, with the sign that it has.
+/// One of the two bodies of a contact; the second one, and the world, have the opposite sign.
 #[derive(Clone, Copy, Debug)]
 struct Side {
-    /// What stands is the last.
+    /// Its index; the world is the last.
     body: usize,
     arm: Vector3<f64>,
-    /// What an impulse makes of its velocity \[1/kg\], and of its angular velocity.
+    /// Change of its velocity per impulse \[1/kg\], and of its angular velocity.
     moves: f64,
     turns: Matrix3<f64>,
-    /// The same of an impulse of 1 along the normal; and what its angular velocity adds to the speed along that.
+    /// The same for a unit normal impulse; and the contribution of its angular velocity to the normal velocity.
     turns_along: Vector3<f64>,
     lever: Vector3<f64>,
-    /// Opening of jaws that moves the point.
+    /// Jaw opening that moves the point.
     opening: Option<Arm>,
 }
 
@@ -31,18 +31,18 @@ pub(super) struct Row {
     sides: [Side; 2],
     has_openings: bool,
     pub normal: Vector3<f64>,
-    /// Velocity along the normal that is wanted at least \[m/s\].
+    /// Least normal velocity required \[m/s\].
     pub wanted: f64,
-    /// The same, of the velocities that undo penetration.
+    /// The same for the split impulses.
     pub undo: f64,
     surface: Vector3<f64>,
     friction: f64,
-    /// Inverse of what the contact feels as mass, along the normal, and in all directions.
+    /// Effective mass along the normal, and in all directions.
     normal_mass: f64,
     mass: Matrix3<f64>,
-    /// The same in that direction across in which the contact is felt least.
+    /// Effective mass in the tangential direction in which it is least.
     least_mass: f64,
-    /// What an impulse makes of its speed, over all directions \[1/kg\].
+    /// Mean velocity change per impulse over all directions \[1/kg\].
     yields: f64,
     along: f64,
     across: Vector3<f64>,
@@ -50,7 +50,7 @@ pub(super) struct Row {
 }
 
 impl Row {
-    /// Of a contact between two bodies (what stands is the last of `inverse`) that are where they are given.
+    /// A contact between two bodies in these states (the world is the last of `inverse`).
     pub fn new(
         contact: &RigidContact,
         bodies: [usize; 2],
@@ -99,12 +99,12 @@ impl Row {
         }
     }
 
-    /// What the bodies get, in the end.
+    /// Total impulse on the bodies.
     pub fn impulse(&self) -> Vector3<f64> {
         self.normal * self.along + self.across
     }
 
-    /// Begins with the impulse of the step before.
+    /// Applies the warm-start impulse.
     pub fn warm(&mut self, held: &Vector3<f64>, twists: &mut [Twist], turning: &mut [Turning]) {
         self.along = held.dot(&self.normal).max(0.0);
         let across = held - self.normal * held.dot(&self.normal);
@@ -112,7 +112,7 @@ impl Row {
         self.push(&self.impulse(), twists, turning);
     }
 
-    /// Solves it once; the largest speed that this still changed \[m/s\].
+    /// Solves it once; returns the largest velocity change \[m/s\].
     #[inline]
     pub fn solve(&mut self, twists: &mut [Twist], undo: &mut [Twist], turning: &mut [Turning]) -> f64 {
         let slip = self.speed_along(twists, turning);
@@ -126,8 +126,8 @@ impl Row {
                 self.turn(&(self.normal * more), turning);
             }
         }
-        // What would stop the slip, if Coulomb's cone lets it. Else as much as it does against the slip itself: what would stop
-        // it leans to the side wherever a body turns more easily than it moves.
+        // The impulse that would stop the slip, if within Coulomb's cone. Otherwise the limit against the slip velocity
+        // itself: the stopping impulse is skewed wherever a body rotates more easily than it translates.
         let most = self.friction * self.along;
         if most > 0.0 || self.across != Vector3::zeros() {
             let slip = self.speed(twists, turning);
@@ -153,7 +153,7 @@ impl Row {
         change.max(more.abs() * self.yields)
     }
 
-    /// How fast the point of the first body moves along the normal, as the second one's sees it.
+    /// Relative normal velocity of the first body against the second.
     #[inline]
     fn twist_along(&self, twists: &[Twist]) -> f64 {
         let [a, b] = &self.sides;
@@ -161,7 +161,7 @@ impl Row {
         (va - vb).dot(&self.normal) + wa.dot(&a.lever) + wb.dot(&b.lever)
     }
 
-    /// The same, with what openings do and the surface's own speed.
+    /// The same, including jaw openings and the surface's own velocity.
     #[inline]
     fn speed_along(&self, twists: &[Twist], turning: &[Turning]) -> f64 {
         let beside = if self.has_openings { self.turned(turning) - self.surface } else { -self.surface };
@@ -197,7 +197,7 @@ impl Row {
         }
     }
 
-    /// What openings of jaws add to the speed.
+    /// Contribution of jaw openings to the velocity.
     fn turned(&self, turning: &[Turning]) -> Vector3<f64> {
         let of = |side: &Side| {
             side.opening.map_or_else(Vector3::zeros, |arm| arm.arm * turning[arm.joint as usize].rate)

@@ -1,4 +1,4 @@
-//! What can be wrong with rigid bodies and their steps.
+//! Errors of rigid bodies and of their steps.
 
 use nalgebra::Vector3;
 use thiserror::Error;
@@ -6,70 +6,70 @@ use trocar_dynamics::rigid_world::Wrench;
 
 use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState};
 
-/// Most bodies, and most contacts of a step.
+/// Maximum number of bodies, and of contacts in a step.
 const COUNT_MAX: usize = 1_000_000;
 
-/// Why there can be no such bodies.
+/// Why bodies were rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RigidError {
     /// Lists of different lengths, or too long.
     #[error("{masses} inertias for {states} states: as many of both, at most 1,000,000, are valid")]
     Count {
-        /// How many inertias.
+        /// Number of inertias.
         masses: usize,
-        /// How many states.
+        /// Number of states.
         states: usize,
     },
-    /// Bodies that cannot be.
+    /// Bodies with invalid mass, inertia or state.
     #[error(
         "bodies {0:?}: a mass and moments above 0, each moment at most the sum of the others, and finite states are valid"
     )]
     Bodies(Vec<usize>),
-    /// A parameter out of its range.
+    /// A parameter out of range.
     #[error("{what} of {value}: {valid} is valid")]
     Parameter {
-        /// Which one.
+        /// Its name.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
 }
 
-/// Why a step was not taken. The bodies are as before.
+/// Why a step was rejected; the bodies are unchanged.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RigidStepError {
-    /// No time.
+    /// An invalid time step.
     #[error("a step of {0} s: 1e-9 to 1 s is valid")]
     Time(f64),
-    /// Wrenches that do not fit.
+    /// A number of wrenches other than that of bodies.
     #[error("{found} wrenches for {bodies} bodies: one for each, or none, is valid")]
     Wrenches {
-        /// How many came.
+        /// Number of wrenches.
         found: usize,
-        /// How many bodies there are.
+        /// Number of bodies.
         bodies: usize,
     },
-    /// A body that there is none of.
+    /// A body that does not exist.
     #[error("contact {contact} names body {body}: 0 to {bodies} - 1 are valid")]
     NoBody {
-        /// Which contact.
+        /// The contact.
         contact: usize,
-        /// What it names.
+        /// The body that it names.
         body: u32,
-        /// How many bodies there are.
+        /// Number of bodies.
         bodies: usize,
     },
-    /// A contact that cannot be.
+    /// An invalid contact.
     #[error(
         "contact {0}: two bodies, finite numbers, a unit normal, friction from 0, restitution from 0 to 1 are valid"
     )]
     Contact(usize),
-    /// A body that came to be nowhere, or a push that is not finite.
+    /// A body whose state would become non-finite, or a non-finite force.
     #[error("body {body} would come to be nowhere")]
     Body {
-        /// Which one.
+        /// The body.
         body: usize,
     },
 }

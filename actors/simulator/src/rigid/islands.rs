@@ -1,14 +1,13 @@
-//! Contacts that have to do with each other: over bodies that both of them push, or jaws that both of them turn. What stands
-//! connects nothing.
+//! Islands: contacts connected by movable bodies or jaws. Fixed bodies connect nothing.
 
-/// Which contacts and joints belong together; kept for the next step.
+/// Islands of contacts and joints; buffers reused in the next step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Islands {
-    /// Of bodies, then of joints: one of the same island with a number no larger.
+    /// Union-find parents of bodies, then of joints: an element of the same island with a number no larger.
     parents: Vec<u32>,
-    /// Island of the first of each.
+    /// Island of each root.
     number: Vec<u32>,
-    /// Contacts and joints by islands, each in their order, and where those of each island begin.
+    /// Contacts and joints by island, each in order, and the start of each island.
     contacts: Vec<u32>,
     joints: Vec<u32>,
     starts: Vec<[u32; 2]>,
@@ -17,7 +16,7 @@ pub(super) struct Islands {
 const NONE: u32 = u32::MAX;
 
 impl Islands {
-    /// So many bodies and joints, of which none has to do with another one.
+    /// Starts with unconnected bodies and joints.
     pub fn begin(&mut self, bodies: usize, joints: usize) {
         self.parents.clear();
         self.parents.extend(0..(bodies + joints) as u32);
@@ -32,20 +31,21 @@ impl Islands {
         of
     }
 
-    /// These two have to do with each other.
+    /// Connects two of them.
     pub fn join(&mut self, a: usize, b: usize) {
         let (a, b) = (self.first(a), self.first(b));
         self.parents[a.max(b)] = a.min(b) as u32;
     }
 
-    /// Sorts contacts, each given by a body that it pushes, and the joints, which come after so many bodies.
+    /// Sorts contacts, each given by a body that it pushes, and joints, which are numbered after the bodies, into
+    /// islands.
     pub fn sort(&mut self, bodies: usize, pushed: impl Iterator<Item = usize> + Clone) {
         let all = self.parents.len();
         self.number.clear();
         self.number.resize(all, NONE);
         self.starts.clear();
         let (mut contacts, mut joints) = (0, 0);
-        // How many each has: in the order of the first contact, then of joints that nothing touches.
+        // Counts per island: in the order of the first contact, then joints without contact.
         for (of, is_joint) in
             pushed.clone().map(|body| (body, false)).chain((bodies..all).map(|of| (of, true)))
         {
@@ -68,7 +68,7 @@ impl Islands {
         self.contacts.resize(contacts, 0);
         self.joints.clear();
         self.joints.resize(joints, 0);
-        // Where each begins becomes where it ends.
+        // Each start becomes the end.
         for (contact, body) in pushed.enumerate() {
             let first = self.first(body);
             let island = self.number[first] as usize;
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn what_pushes_the_same_body_or_turns_the_same_jaws_is_together_and_each_is_there_once() {
-        // Bodies 0 to 5, two joints: 0 - 3 and 3 - 5 touch, 4 carries the first joint, 1 and 2 stand on what stands.
+        // Bodies 0 to 5, two joints: 0 - 3 and 3 - 5 touch, 4 carries the first joint, 1 and 2 rest on the world.
         let mut islands = Islands::default();
         for _ in 0..2 {
             islands.begin(6, 2);

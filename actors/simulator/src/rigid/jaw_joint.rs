@@ -1,15 +1,15 @@
-//! Jaws: one more way in which parts of a body move, turned by a drive of limited torque.
+//! Jaw joint: an additional degree of freedom of a body, driven with limited torque.
 //!
-//! Both blades turn alike, each by half of the opening, about a hinge through the body's centre of mass: then what moves them
-//! does not move the body, and the inertia of body and opening is diagonal. The drive is a spring and damper that take effect
-//! at the end of the step, so that no stiffness runs away.
+//! Both blades rotate symmetrically, each by half of the opening, about a hinge through the body's centre of mass:
+//! their drive then does not move the body, and the inertia of body and opening is diagonal. The drive is an implicit
+//! spring and damper, stable for any stiffness.
 
 use nalgebra::Vector3;
 
-/// An opening and its drive.
+/// A jaw joint and its drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
-    /// Moment that the drive feels \[kg·m²\].
+    /// Inertia felt by the drive \[kg·m²\].
     pub inertia: f64,
     /// Opening \[rad\].
     pub angle: f64,
@@ -17,20 +17,20 @@ pub struct Joint {
     pub rate: f64,
     /// Range of the opening \[rad\].
     pub range: [f64; 2],
-    /// Opening that the drive wants at the end of the step \[rad\], and its rate \[rad/s\].
+    /// Target opening at the end of the step \[rad\], and its rate \[rad/s\].
     pub wanted: [f64; 2],
     /// Stiffness \[N·m/rad\] and damping \[N·m·s/rad\] of the drive.
     pub servo: [f64; 2],
-    /// Largest torque of the drive \[N·m\].
+    /// Torque limit of the drive \[N·m\].
     pub torque_max: f64,
-    /// Impulse of the drive in the last step \[N·m·s\]; the next one begins with it.
+    /// Impulse of the drive in the last step \[N·m·s\]; warm-starts the next one.
     pub drive_impulse: f64,
 }
 
-/// How a point of contact moves with an opening.
+/// Velocity of a contact point per rate of an opening.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Arm {
-    /// Which opening.
+    /// The joint.
     pub joint: u32,
     /// Velocity of the point for an opening of 1 rad/s, in world \[m\].
     pub arm: Vector3<f64>,
@@ -52,7 +52,7 @@ impl Turning {
         Self { rate: joint.rate + drive * inverse, inverse, drive, stops: [0.0; 2] }
     }
 
-    /// Drive and stops once more, after contacts have pushed.
+    /// Solves drive and stops again, after contact impulses.
     pub(super) fn solve(&mut self, joint: &Joint, dt: f64) {
         let [stiffness, damping] = joint.servo;
         let [angle, rate] = joint.wanted;

@@ -1,12 +1,12 @@
-//! Rigid bodies of our own: momenta, selectable integrators, impulses at contacts that a detector found (Baraff, *An
-//! introduction to physically based modeling: rigid body simulation*, 1997).
+//! Rigid-body dynamics: momenta, selectable integrators, impulses at detected contacts (Baraff, *An introduction to
+//! physically based modeling: rigid body simulation*, 1997).
 //!
 //! | Concept | File |
 //! |---|---|
 //! | A body and its integrators | `body.rs` |
 //! | Contacts | `contact.rs` |
-//! | Jaws of instruments and their drives | `jaw_joint.rs` |
-//! | Impulses: all of a step, one contact, and which have to do with each other | `sequential_impulses.rs`, `contact_constraint.rs`, `islands.rs` |
+//! | Jaw joints and their drives | `jaw_joint.rs` |
+//! | Impulse solver: a step, a contact, islands | `sequential_impulses.rs`, `contact_constraint.rs`, `islands.rs` |
 
 mod body;
 mod contact;
@@ -26,7 +26,7 @@ pub use jaw_joint::{Arm, Joint};
 
 use sequential_impulses::Response;
 
-/// Bodies that move and collide.
+/// Rigid bodies with contacts.
 #[derive(Clone, Debug)]
 pub struct RigidBodies {
     masses: Vec<RigidMass>,
@@ -39,10 +39,10 @@ pub struct RigidBodies {
 }
 
 impl RigidBodies {
-    /// Bodies with their states; a run goes on from the states and, with [`RigidBodies::begin_with`], the impulses.
+    /// Bodies with their states; a restart needs the states and, with [`RigidBodies::begin_with`], the impulses.
     ///
     /// # Errors
-    /// Lists of different lengths; all bodies with a mass, an inertia or a state that cannot be; a parameter out of range.
+    /// Lists of different lengths; all bodies with an invalid mass, inertia or state; a parameter out of range.
     pub fn new(
         masses: &[RigidMass],
         states: &[RigidState],
@@ -74,20 +74,20 @@ impl RigidBodies {
         &self.masses
     }
 
-    /// What each contact of the last step came to, in their order.
+    /// Impulses of the contacts in the last step, in their order.
     #[must_use]
     pub fn impulses(&self) -> &[ContactImpulse] {
         &self.response.impulses
     }
 
-    /// How often the last step solved a contact, all of them together.
+    /// Number of contact solves in the last step.
     #[must_use]
     pub fn visits(&self) -> u64 {
         self.response.visits
     }
 
-    /// Lets the next step begin with these impulses, one for each of its contacts: with the states, they are what a run goes
-    /// on from, bit for bit. What is not finite counts as none.
+    /// Warm-starts the next step with these impulses, one for each of its contacts: with the states, they restart a run
+    /// bit for bit. Non-finite values count as zero.
     pub fn begin_with(&mut self, impulses: &[ContactImpulse]) {
         self.response.impulses.clear();
         let is_finite = |of: &&ContactImpulse| of.impulse.iter().all(|x| x.is_finite());
@@ -96,10 +96,10 @@ impl RigidBodies {
         }
     }
 
-    /// Strikes a body: an impulse \[N·s\] at a point, both in world.
+    /// Applies an impulse \[N·s\] to a body at a point, both in world.
     ///
     /// # Errors
-    /// A body that there is none of; an impulse or a point that is not finite.
+    /// A missing body; a non-finite impulse or point.
     pub fn strike(
         &mut self,
         body: u32,
@@ -117,21 +117,21 @@ impl RigidBodies {
         Ok(())
     }
 
-    /// Puts a body somewhere else.
+    /// Sets the state of a body.
     ///
     /// # Errors
-    /// A body that there is none of; a state that is not finite.
+    /// A missing body; a non-finite state.
     pub fn place(&mut self, body: usize, state: RigidState) -> Result<(), RigidStepError> {
         let at = self.states.get_mut(body).filter(|_| error::is_finite(&state));
         *at.ok_or(RigidStepError::Body { body })? = state;
         Ok(())
     }
 
-    /// Moves all on by `dt` \[s\] under gravity, `wrenches` (one for each body, or none at all) and the contacts.
+    /// Advances all bodies by `dt` \[s\] under gravity, `wrenches` (one per body, or none at all) and contacts.
     ///
     /// # Errors
-    /// A step that is no time; lists that do not fit; a contact that cannot be; a body that came to be nowhere. The bodies
-    /// are as before.
+    /// An invalid time step; lists of wrong lengths; an invalid contact; a body whose state would become non-finite.
+    /// The bodies are unchanged then.
     pub fn step(
         &mut self,
         dt: f64,
@@ -141,11 +141,11 @@ impl RigidBodies {
         self.step_with_jaws(dt, wrenches, contacts, &[], &mut [])
     }
 
-    /// The same with jaws: `arms` says which points of contact move with their openings (one entry for each contact, or none
-    /// at all), and `joints` go on as well.
+    /// The same with jaws: `arms` tells which contact points move with their openings (one entry per contact, or none
+    /// at all), and `joints` are advanced as well.
     ///
     /// # Errors
-    /// As [`RigidBodies::step`]; an arm of an opening that there is none of. The joints may then have moved on.
+    /// As [`RigidBodies::step`]; an arm of a missing joint. The joints may have advanced then.
     pub fn step_with_jaws(
         &mut self,
         dt: f64,
@@ -158,7 +158,7 @@ impl RigidBodies {
         error::check_step(dt, wrenches, contacts, &self.states)?;
         self.next.copy_from_slice(&self.states);
         if self.integrator == Integrator::ExplicitEuler {
-            // Positions by what the velocities were.
+            // Positions by the velocities before the step.
             for (next, mass) in self.next.iter_mut().zip(&self.masses) {
                 *next = mass.moved(next, dt, self.integrator);
             }
@@ -167,7 +167,7 @@ impl RigidBodies {
             let wrench = wrenches.get(index).copied().unwrap_or_default();
             let force = wrench.force + self.gravity * self.masses[index].mass;
             if self.integrator == Integrator::RungeKutta4 {
-                // The velocity at the end takes it too far: exact for a constant force.
+                // The velocity at the end overshoots: this is exact for a constant force.
                 next.position -= force * (dt * dt / 2.0 / self.masses[index].mass);
             }
             next.momentum += force * dt;

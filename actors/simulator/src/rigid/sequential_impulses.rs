@@ -1,4 +1,4 @@
-//! The impulses of contacts, and the moves that undo penetration.
+//! Sequential impulses for contacts, and split impulses that correct penetration.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
@@ -14,9 +14,9 @@ pub(super) struct Response {
     rows: Vec<Row>,
     islands: Islands,
     pub impulses: Vec<ContactImpulse>,
-    /// How often a contact was solved in the last step.
+    /// Number of contact solves in the last step.
     pub visits: u64,
-    /// Of the bodies, and of what stands.
+    /// Velocities of the bodies, then of the fixed world.
     twists: Vec<Twist>,
     undo: Vec<Twist>,
     inverse: Vec<(f64, Matrix3<f64>)>,
@@ -24,8 +24,8 @@ pub(super) struct Response {
 }
 
 impl Response {
-    /// Changes the momenta of `next`; speeds of approach are those of `before` and what forces did since. `own_arms` says which
-    /// contacts move with openings of jaws: one entry for each contact, or none at all.
+    /// Changes the momenta of `next`; approach velocities are those of `before` plus the effect of forces since.
+    /// `own_arms` tells which contacts move with jaw openings: one entry per contact, or none at all.
     #[allow(clippy::too_many_arguments)] // what a step is about
     pub(super) fn solve(
         &mut self,
@@ -47,7 +47,7 @@ impl Response {
         let Self { rows, islands, impulses, visits, twists, undo, inverse, turning } = self;
         turning.clear();
         turning.extend(joints.iter().map(Turning::begin));
-        // A list of other length is of other contacts; one of the same that is not the same costs rounds, no more.
+        // A list of another length has other contacts; a changed list of the same length only costs iterations.
         let is_warm = impulses.len() == contacts.len();
         twists.clear();
         inverse.clear();
@@ -75,7 +75,8 @@ impl Response {
                 islands.join(bodies[0], stands + arm.joint as usize);
             }
             let mut row = Row::new(contact, bodies, arms, openings, inverse, turning);
-            // The approach when the step begins: what gravity adds in it would make every bounce a little higher.
+            // The approach velocity at the beginning of the step: gravity within the step would make every bounce
+            // slightly higher.
             let of = |body: usize, arm: &Vector3<f64>| {
                 before.get(body).map_or_else(Vector3::zeros, |state| {
                     masses[body].velocity(state) + masses[body].angular_velocity(state).cross(arm)
@@ -101,15 +102,15 @@ impl Response {
             rows.push(row);
         }
         islands.sort(stands, contacts.iter().map(|contact| contact.body as usize));
-        // Each by itself: where one is hard to solve, the others need not wait.
+        // Each island by itself: easy ones end early.
         for (of_rows, of_joints) in islands.each() {
             for round in 0..config.iterations {
-                // The largest speed that this round still changes.
+                // Largest velocity change in this iteration.
                 let mut change = 0.0_f64;
                 for &joint in of_joints {
                     turning[joint as usize].solve(&joints[joint as usize], dt);
                 }
-                // There and back: one order only would lean every stack to one side.
+                // Forwards and backwards: one order only would tilt every stack to one side.
                 let mut solve = |row: &u32| {
                     change = change.max(rows[*row as usize].solve(twists, undo, turning));
                 };
@@ -124,7 +125,7 @@ impl Response {
                 }
             }
         }
-        // Momenta by the impulses themselves: what one body gets the other gives, to the last bit but rounding.
+        // Momenta from the impulses themselves: action and reaction agree to rounding.
         impulses.clear();
         for (row, contact) in rows.iter().zip(contacts) {
             let impulse = row.impulse();
@@ -144,7 +145,7 @@ impl Response {
         }
     }
 
-    /// Moves bodies out of each other, by velocities that are forgotten.
+    /// Separates penetrating bodies, by velocities that are discarded.
     pub(super) fn correct(&self, dt: f64, next: &mut [RigidState]) {
         for (state, [velocity, spin]) in next.iter_mut().zip(&self.undo) {
             if *velocity != Vector3::zeros() || *spin != Vector3::zeros() {

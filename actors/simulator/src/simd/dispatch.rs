@@ -1,10 +1,10 @@
-//! The same arithmetic with the widest registers that the machine has.
+//! Run-time dispatch to the widest vector registers.
 //!
-//! A program for any x86-64 may only use registers of two numbers; most machines have those of four. What is run here is
-//! compiled for either, and what the machine can do decides. Each number comes out to the bit as it would otherwise: the
-//! same operations in the same order, none of them fused, only more of them at once.
+//! Code for any x86-64 may only use registers of two numbers; most machines have registers of four. The work is
+//! compiled for both and selected at run time. Results are bit-identical: the same operations in the same order, none
+//! of them fused, only more of them at once.
 
-/// Runs `work`; what it calls has to be inlined into it.
+/// Runs `work`; everything that it calls has to be inlined.
 #[inline]
 pub(crate) fn wide<R>(work: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(work)

@@ -1,9 +1,8 @@
-//! Four numbers side by side, as wide as the registers that every processor of the kind has, so that four constraints are
-//! computed by the instructions of one.
+//! Four numbers in a baseline SIMD register, so that four constraints are computed by the instructions of one.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// How many.
+/// Number of lanes.
 pub(crate) const LANES: usize = 4;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,7 +39,7 @@ lane_by_lane!(Mul, mul);
 lane_by_lane!(Div, div);
 
 impl Wide {
-    /// The differences of numbers of double precision.
+    /// Differences of double-precision numbers.
     #[inline(always)]
     pub fn between(from: &[f64; LANES], to: &[f64; LANES]) -> Self {
         let of = |lane: usize| (to[lane] - from[lane]) as f32;
@@ -62,9 +61,9 @@ impl Neg for Wide {
     }
 }
 
-// Written out throughout: of closures over arrays the compiler makes calls.
+// Written out throughout: closures over arrays are not inlined.
 
-/// Of four vectors.
+/// Four vectors.
 pub(crate) type Vectors = [Wide; 3];
 
 #[inline(always)]
@@ -75,7 +74,7 @@ pub(crate) fn dot(a: &Vectors, b: &Vectors) -> Wide {
 pub(crate) fn cross(a: &Vectors, b: &Vectors) -> Vectors {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
-/// `a x + b y + c z`, the factors of one kind each.
+/// `a x + b y + c z`, lane by lane.
 #[inline(always)]
 pub(crate) fn sum(a: Wide, x: &Vectors, b: Wide, y: &Vectors, c: Wide, z: &Vectors) -> Vectors {
     [a * x[0] + b * y[0] + c * z[0], a * x[1] + b * y[1] + c * z[1], a * x[2] + b * y[2] + c * z[2]]

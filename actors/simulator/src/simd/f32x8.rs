@@ -1,25 +1,25 @@
-//! Eight numbers in single precision that are computed at once, said outright: where a loop over eight is left to the compiler,
-//! it may find another way to put them together that is slower than none.
+//! Explicit SIMD on eight single-precision numbers: from a loop over eight, the compiler may generate code slower than
+//! scalar.
 //!
-//! As with [`super::dispatch`], what the machine can do decides, and each number comes out to the bit as it would otherwise.
+//! As with [`super::dispatch`], the implementation is selected at run time, with bit-identical results.
 
-/// So many at once.
+/// Number of lanes.
 pub(crate) const LANES: usize = 8;
 
-/// What computes eight numbers at once.
+/// Operations on eight numbers.
 pub(crate) trait Eight: Copy {
     /// Eight numbers.
     type Numbers: Copy;
-    /// Eight times yes or no.
+    /// Eight booleans.
     type Answers: Copy;
     /// Eight sums in double precision.
     type Sums: Copy;
 
-    /// The same number eight times.
+    /// Broadcasts a number.
     fn all(self, x: f32) -> Self::Numbers;
-    /// From a list.
+    /// Loads from a list.
     fn load(self, list: &[f32; LANES]) -> Self::Numbers;
-    /// Into a list.
+    /// Stores to a list.
     fn store(self, x: Self::Numbers) -> [f32; LANES];
     /// a + b
     fn add(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
@@ -29,31 +29,31 @@ pub(crate) trait Eight: Copy {
     fn mul(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
     /// a / b
     fn div(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
-    /// The larger of two, of which none is not a number.
+    /// Elementwise maximum; no NaN allowed.
     fn max(self, a: Self::Numbers, b: Self::Numbers) -> Self::Numbers;
     /// Square root.
     fn sqrt(self, a: Self::Numbers) -> Self::Numbers;
     /// Whether a < b.
     fn less(self, a: Self::Numbers, b: Self::Numbers) -> Self::Answers;
-    /// The one where it is so, and the other where it is not.
+    /// Selects `yes` where true, `no` where false.
     fn choose(self, is_so: Self::Answers, yes: Self::Numbers, no: Self::Numbers) -> Self::Numbers;
-    /// A bit for each, the first the lowest.
+    /// Bit mask, the first lane lowest.
     fn bits(self, answers: Self::Answers) -> u32;
-    /// Sums of nothing.
+    /// Zero sums.
     fn nothing(self) -> Self::Sums;
-    /// Adds to sums.
+    /// Accumulates.
     fn add_to(self, sums: Self::Sums, x: Self::Numbers) -> Self::Sums;
-    /// What the sums are.
+    /// The sums.
     fn sums(self, sums: Self::Sums) -> [f64; LANES];
 
-    /// Fours of numbers, of which the first of all are next to each other, and the second, and so on.
+    /// Transposes eight rows of four numbers to four columns.
     fn columns(self, rows: &[[f32; 4]; LANES]) -> [Self::Numbers; 4];
-    /// The other way round.
+    /// The inverse transposition.
     fn rows(self, columns: [Self::Numbers; 4]) -> [[f32; 4]; LANES];
 
-    /// The nearest whole numbers, of two as near the even one, in 16 bits each; only of what is from 0 to 65535.
+    /// Rounds to 16-bit integers, ties to even; only for values from 0 to 65535.
     fn pack(self, x: Self::Numbers) -> [u16; LANES];
-    /// What was packed.
+    /// Converts packed integers to numbers.
     fn unpack(self, packed: &[u16; LANES]) -> Self::Numbers;
 
     /// a b c
@@ -69,16 +69,16 @@ pub(crate) trait Eight: Copy {
     }
 }
 
-/// Work that is done for eight at once.
+/// A computation on eight lanes.
 pub(crate) trait ForEight {
-    /// What comes of it.
+    /// Its result.
     type Output;
 
-    /// Does it; all that it calls has to be inlined.
+    /// Runs it; everything that it calls has to be inlined.
     fn run<E: Eight>(self, eight: E) -> Self::Output;
 }
 
-/// Runs work with the widest registers of at most eight numbers that the machine has.
+/// Runs a computation with the widest supported registers of at most eight numbers.
 #[inline]
 pub(crate) fn with_eight<W: ForEight>(work: W) -> W::Output {
     #[cfg(target_arch = "x86_64")]
@@ -91,7 +91,7 @@ pub(crate) fn with_eight<W: ForEight>(work: W) -> W::Output {
     work.run(OneByOne)
 }
 
-/// On machines without such registers.
+/// Fallback without such registers.
 #[derive(Clone, Copy)]
 pub(crate) struct OneByOne;
 
@@ -316,7 +316,7 @@ mod registers {
         }
     }
 
-    /// Of each half, what is a row becomes a column.
+    /// Transposes each half.
     #[inline(always)]
     fn transposed(registers: V3, [a, b, c, d]: [__m256; 4]) -> [__m256; 4] {
         let avx = registers.avx;
@@ -336,7 +336,7 @@ mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
 
-    /// All that there is to compute, of numbers.
+    /// A test of all operations.
     struct All([[f32; LANES]; 3]);
 
     impl ForEight for All {
@@ -363,7 +363,7 @@ mod tests {
             let rows = eight.rows([a, b, c, numbers[0]]);
             bits.extend(rows.iter().flatten().map(|x| u64::from(x.to_bits())));
             let columns = eight.columns(&rows);
-            // Halves, too, and as far as there are numbers.
+            // Ties, too, over the whole range.
             let whole = eight.max(eight.mul(a, eight.all(32767.75)), eight.all(0.0));
             for x in [whole, eight.max(eight.mul(b, eight.all(2.0)), eight.all(0.0))] {
                 let packed = eight.pack(x);
@@ -385,7 +385,7 @@ mod tests {
                 std::array::from_fn(|_| std::array::from_fn(|_| random.random_range(-2.0..2.0)));
             let bits = All(lists).run(OneByOne);
             assert_eq!(with_eight(All(lists)), bits);
-            // Columns made of rows made of columns are what they were.
+            // Transposing twice is the identity.
             let first = bits.len() - 4 * LANES;
             for (list, bits) in lists.iter().zip(bits[first..].chunks_exact(LANES)) {
                 assert!(list.iter().zip(bits).all(|(x, bits)| u64::from(x.to_bits()) == *bits));

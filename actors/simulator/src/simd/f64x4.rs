@@ -1,10 +1,10 @@
-//! Vectors that fill a register.
+//! 3-vectors padded to a SIMD register.
 
 use std::ops::{Add, AddAssign, Mul, Sub, SubAssign};
 
 use nalgebra::Vector3;
 
-/// A vector of three numbers, and a fourth that is 0: it is read, added and scaled at once where registers hold four.
+/// A 3-vector with a fourth component 0: loaded, added and scaled as a whole in registers of four numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(32))]
 pub(crate) struct Quad(pub [f64; 4]);
@@ -72,7 +72,7 @@ impl SubAssign for Quad {
     }
 }
 
-/// The product of two lists of them.
+/// The dot product of two lists of them.
 #[inline(always)]
 pub(crate) fn dot(first: &[Quad], second: &[Quad]) -> f64 {
     first.iter().zip(second).fold(Quad::default(), |sum, (first, second)| sum + first.times(*second)).sum()

@@ -1,4 +1,4 @@
-//! Numbers side by side in lanes, and the choice of the widest that a machine has.
+//! SIMD lanes, and run-time dispatch to the widest registers.
 
 pub(crate) mod dispatch;
 pub(crate) mod f32x4;

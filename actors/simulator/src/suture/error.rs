@@ -1,4 +1,4 @@
-//! Why nothing is sewn.
+//! Errors of suturing.
 
 use thiserror::Error;
 
@@ -6,54 +6,54 @@ use super::needle::NeedleError;
 use crate::linear_fem::PrecomputeError;
 use crate::suture_thread::{ThreadError, Trouble};
 
-/// Why there is no suture, or why a step was not made; what was before, still is.
+/// Why a suture was rejected, or a step failed; the previous state is kept.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SutureError {
-    /// A number out of range.
+    /// A parameter out of range.
     #[error("{what} is {value}: valid is {valid}")]
     Number {
-        /// Which.
+        /// The parameter.
         what: &'static str,
-        /// What it is.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
-    /// No needle.
+    /// An invalid needle.
     #[error(transparent)]
     Needle(#[from] NeedleError),
-    /// No thread.
+    /// An invalid thread.
     #[error(transparent)]
     Thread(#[from] ThreadError),
-    /// No tissue.
+    /// An invalid tissue.
     #[error(transparent)]
     Tissue(#[from] PrecomputeError),
-    /// A state that is not one of these bodies.
+    /// A state that does not fit these bodies.
     #[error("the state does not fit: {0}")]
     State(&'static str),
-    /// Something that acts on it and makes no sense.
+    /// An invalid input of a step.
     #[error("{what} {index}: {why}")]
     Given {
-        /// What it is.
+        /// The kind of input.
         what: &'static str,
-        /// Its place in the list.
+        /// Its index in the list.
         index: usize,
         /// What is wrong with it.
         why: String,
     },
-    /// Too much is followed at once.
+    /// Too many channel points.
     #[error(
         "the channels in the tissue touch more of it than can be followed: coarsen the mesh or the spacing"
     )]
     Full,
-    /// No step was found.
+    /// The step did not converge even when divided.
     #[error("no step from {time} s on, not of {shortest} s either: {why}")]
     Diverged {
-        /// From the beginning of the step \[s\].
+        /// Time since the beginning of the step \[s\].
         time: f64,
-        /// That was tried \[s\].
+        /// The shortest substep that was tried \[s\].
         shortest: f64,
-        /// What went wrong.
+        /// The cause.
         why: Trouble,
     },
 }

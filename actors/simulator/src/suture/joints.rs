@@ -1,5 +1,4 @@
-//! What holds needle, thread and tissue together, as joints of three rows: directions at places of them, how far they are
-//! from where they should be, and what they may do about it.
+//! Joints between needle, thread and tissue, as three constraint rows each: directions, gaps and force laws.
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3, Vector6};
 
@@ -11,16 +10,16 @@ use crate::suture_thread::contact::{Rows, Rule};
 use crate::suture_thread::discrete_elastic_rod::Iterate;
 use crate::suture_thread::island::coupled_body::Tie;
 
-/// How much a row gives way \[m/N\]: some micrometres under the forces of sewing, far less than the tissue does about one
-/// wire, and enough that two rows at one place are not one too many.
+/// Compliance of a row \[m/N\]: some micrometres under suturing forces, far less than the tissue's around one wire, and
+/// enough to regularise two rows at one point.
 pub(super) const COMPLIANCE: f64 = 1e-6;
 
-/// What a joint does to needle and tissue; its tie is what it does to the thread.
+/// A joint's action on needle and tissue; its tie is its action on the thread.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Joint {
-    /// On the needle: force, and torque about its centre, per force of each row.
+    /// On the needle: force, and torque about its centre of mass, per force of each row.
     pub needle: [Vector6<f64>; 3],
-    /// Against the tissue: where. The directions are those of the tie's rows.
+    /// Point in the tissue. The directions are those of the tie's rows.
     pub tissue: Option<Spot>,
 }
 
@@ -44,26 +43,26 @@ fn on_needle(direction: &Vector3<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
 
 const AXES: fn() -> [Vector3<f64>; 3] = || [Vector3::x(), Vector3::y(), Vector3::z()];
 
-/// A place on needle or thread.
+/// A point on needle or thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Site {
     /// Arc length from the swage \[m\].
     pub along: f64,
-    /// In the world \[m\].
+    /// Position in the world \[m\].
     pub point: Point3<f64>,
-    /// Towards the tip.
+    /// Tangent towards the tip.
     pub tangent: Vector3<f64>,
-    /// An edge of the thread and the share of it; else on the needle.
+    /// Thread edge and fraction along it; `None` on the needle.
     pub edge: Option<(usize, f64)>,
 }
 
-/// Two directions across a tangent: those of the needle's plane where there is one.
+/// Two directions perpendicular to a tangent: those of the needle's plane where there is one.
 pub(super) fn across(tangent: &Vector3<f64>, near: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = perpendicular(near, tangent);
     [first, tangent.cross(&first)]
 }
 
-/// A site against a place in the tissue that is at `now`: how far the site is ahead of it in each direction.
+/// A site against a channel point that is at `now`: displacement of the site from it in each direction.
 pub(super) fn passage(
     site: &Site,
     center: &Point3<f64>,
@@ -86,7 +85,7 @@ pub(super) fn passage(
     (joint, tie)
 }
 
-/// The thread's first node in the tail, its second in the line of the tail, and its turn that of the needle.
+/// The swage: the thread's first node in the tail, its second on the tail's tangent, and its turn that of the needle.
 pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64) -> [Pair; 2] {
     let pose = needle.pose();
     let tail = pose * solid.point(0.0);
@@ -108,7 +107,7 @@ pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64
     turned -= (turned / std::f64::consts::TAU).round() * std::f64::consts::TAU;
     let gap = [n1.dot(&(second - tail)), n2.dot(&(second - tail)), turned];
     let mut line = pair([n1, n2, axis], gap, Rule::HELD);
-    // The line turns with the needle: so the force acts where the node is.
+    // The tangent rotates with the needle, so that the force acts at the node.
     let arm = second - needle.center;
     line.0.needle = [
         -on_needle(&n1, &arm),
@@ -123,7 +122,7 @@ pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64
     [first, line]
 }
 
-/// A jaw on the needle, at a point of it: as far as it is from where the jaw wants it, and turned from that.
+/// A jaw's grip on a point of the needle: position error and rotation error from the wanted pose.
 pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip: &super::Grip) -> [Pair; 2] {
     let pose = needle.pose();
     let point = pose * grip.point;
@@ -140,7 +139,8 @@ pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip
     [place, turn]
 }
 
-/// The needle's side on the surface at a spot: `gap` along the first direction, drawn along the others.
+/// Contact of the needle's body with the surface at a point: `gap` along the first direction, tangential displacement
+/// along the others.
 pub(super) fn side(
     needle: &NeedleState,
     touching: &Point3<f64>,
@@ -155,8 +155,9 @@ pub(super) fn side(
     (joint, tie)
 }
 
-/// A strand of the thread on the needle: `rows` are what it does to the thread, from the needle to which the first of their
-/// directions points; `gap` along that, drawn along the others; `force` on the strand to begin with, in the world \[N\].
+/// Contact of a strand with the needle: `rows` act on the thread, the first direction pointing from the needle to it;
+/// `gap` along that, tangential displacement along the others; `force` is the initial force on the strand, in the world
+/// \[N\].
 pub(super) fn strand(
     needle: &NeedleState,
     touching: &Point3<f64>,
@@ -173,7 +174,7 @@ pub(super) fn strand(
     (joint, tie)
 }
 
-/// What a force and a torque do to the needle in a step.
+/// Response of the needle to force and torque in a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mobility {
     mass: f64,
@@ -187,7 +188,7 @@ impl Mobility {
         Some(Self { mass: solid.mass(), inverse_inertia, square: dt * dt })
     }
 
-    /// Displacement and turn by force and torque through the step.
+    /// Displacement and rotation by force and torque over the step.
     pub fn answer(&self, load: &Vector6<f64>) -> Vector6<f64> {
         let by = load.fixed_rows::<3>(0) * (self.square / self.mass);
         let turn = self.inverse_inertia * load.fixed_rows::<3>(3) * self.square;
@@ -195,7 +196,7 @@ impl Mobility {
     }
 }
 
-/// A needle that has moved and turned by as much.
+/// The needle displaced and rotated by this much.
 pub(super) fn carried(needle: &NeedleState, by: &Vector6<f64>) -> NeedleState {
     let turn = Rotation3::new(by.fixed_rows::<3>(3).into_owned());
     let mut next = *needle;

@@ -1,35 +1,36 @@
-//! What a needle and a thread meet in a tissue besides its elasticity.
+//! Resistance of tissue to needle and thread, besides its elasticity.
 
 use serde::{Deserialize, Serialize};
 
 use super::SutureError;
 
-/// Forces of going in, through and out. The pull on a needle is taken apart as Okamura, Simone, O'Leary (2004, *Force
-/// modeling for needle insertion into soft tissue*) do: stiffness until the surface gives, then cutting at the tip and
-/// friction along the shaft. That a needle meets two peaks, at either surface, and that its speed from 1 to 10 mm/s does not matter, is what
-/// Frick, Marucci, Cartmill, Martin, Walsh (2001, *Resistance forces acting on suture needles*) measured.
+/// Forces of puncture, passage and exit. The force on a needle is decomposed as in Okamura, Simone, O'Leary (2004,
+/// *Force modeling for needle insertion into soft tissue*): stiffness until the surface is punctured, then cutting at
+/// the tip and friction along the shaft. Frick, Marucci, Cartmill, Martin, Walsh (2001, *Resistance forces acting on
+/// suture needles*) measured two peaks, one at either surface, and no dependence on speed from 1 to 10 mm/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Resistance {
-    /// At which the surface gives to the tip from outside \[N\].
+    /// Puncture force of the surface from outside \[N\].
     pub puncture_force: f64,
-    /// At which it gives to the tip from inside \[N\].
+    /// Puncture force of the surface from inside \[N\].
     pub exit_force: f64,
-    /// Of the tip on its way through \[N\].
+    /// Cutting force at the tip inside the tissue \[N\].
     pub cutting_force: f64,
-    /// Friction along the needle without any load across, per length \[N/m\].
+    /// Friction along the needle without lateral load, per length \[N/m\].
     pub needle_grip: f64,
     /// The same along the thread \[N/m\].
     pub thread_grip: f64,
-    /// Coulomb's coefficient of the needle, for what presses across.
+    /// Coulomb's friction coefficient of the needle, for lateral forces.
     pub needle_friction: f64,
     /// The same of the thread.
     pub thread_friction: f64,
-    /// From one place of a channel that is followed to the next \[m\].
+    /// Spacing of channel points \[m\].
     pub spacing: f64,
 }
 
 impl Default for Resistance {
-    /// Soft tissue, a taper-point needle of 0.6 mm and a braid. Measured, and why a number is as it is:
+    /// Soft tissue, a taper-point needle of 0.6 mm and a braided thread. Measured values, and the reasons for the
+    /// choices:
     ///
     /// | | Here | Measured |
     /// |---|---|---|
@@ -41,7 +42,7 @@ impl Default for Resistance {
     /// | `needle_friction` | 0.1 | 0.007 to 0.054 of steel on the inside of small bowel (Lyle et al. 2013, *Tribology Letters* 51); chosen above, as tissue grips what pierces it |
     /// | `thread_friction` | 0.2 | 0.05 to 0.13 for coated and sheathed braids (PMC2796445); silk, which has more, is not among them |
     ///
-    /// Skin asks for about 1.0, 0.7, 0.5 N, 20 and 30 N/m. Bowel tears out at some 4.6 N (Gong et al. 2023).
+    /// For skin, use about 1.0, 0.7, 0.5 N, 20 and 30 N/m. Sutures tear out of bowel at some 4.6 N (Gong et al. 2023).
     fn default() -> Self {
         Self {
             puncture_force: 0.6,
@@ -57,10 +58,10 @@ impl Default for Resistance {
 }
 
 impl Resistance {
-    /// Refuses what no tissue has.
+    /// Rejects invalid parameters.
     ///
     /// # Errors
-    /// Names the first number that is out of range, and its range.
+    /// The first parameter out of range, and its range.
     pub fn check(&self) -> Result<(), SutureError> {
         let forces = [
             ("puncture_force", self.puncture_force),

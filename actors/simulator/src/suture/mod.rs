@@ -1,36 +1,38 @@
-//! Sewing: a needle, the thread that is swaged to it and the tissue that they go through, stepped as one island.
+//! Suturing: needle, swaged thread and tissue, stepped as one island.
 //!
 //! | Part | File |
 //! |---|---|
-//! | Tissue that answers inside, and the way through its elements | `tissue.rs` |
-//! | Forces of going in, through and out | `material.rs` |
-//! | What holds, presses and rubs, as rows | `joints.rs` |
-//! | Needle and tissue as companions in the thread's island | `needle_tissue.rs` |
-//! | The needle's side and the thread on the surface | `tissue_surface.rs` |
-//! | Strands of the thread on the needle | `needle_thread_contact.rs` |
-//! | The tip at and in the tissue: in, on, out, back | `puncture.rs` |
-//! | A thread that is cut between needle and tissue, or breaks | `cut.rs` |
-//! | What is kept from step to step | `state.rs` |
+//! | Elastic tissue, paths through its elements | `tissue.rs` |
+//! | Forces of puncture, passage and exit | `material.rs` |
+//! | Joints as constraint rows | `joints.rs` |
+//! | Needle and tissue as bodies coupled to the thread's island | `needle_tissue.rs` |
+//! | Contact of the needle's body and the thread with the tissue surface | `tissue_surface.rs` |
+//! | Contact of the thread with the needle | `needle_thread_contact.rs` |
+//! | Tip transitions: entry, passage, exit, withdrawal | `puncture.rs` |
+//! | Cutting and breaking the thread | `cut.rs` |
+//! | State kept from step to step | `state.rs` |
 //!
 //! # Method
-//! The tissue is linear and quasi-static ([`Columns`](crate::linear_fem::Columns)); the needle is rigid and implicit; the
-//! thread is the implicit elastic rod of [`thread`](crate::suture_thread). Where the tip has cut its way, material points of the
-//! tissue are kept, a spacing apart; what lies there, first needle, then thread, is held across the channel and rubs
-//! along it: Coulomb's law with a grip per length besides what presses, and what sticks sticks to a place, so that it does
-//! not creep. All of it is one problem of bounded forces through the compliance of all three bodies.
+//! The tissue is linear and quasi-static ([`Columns`](crate::linear_fem::Columns)); the needle is rigid and implicit;
+//! the thread is the implicit elastic rod of [`thread`](crate::suture_thread). Along the path cut by the tip, material
+//! points of the tissue are stored at regular spacing; the needle, then the thread, is constrained laterally to them
+//! and slides along the channel with friction: Coulomb's law plus a grip per length. Static friction is a spring to a
+//! sticking point, so that nothing creeps. All of it is one problem of bounded forces with the compliance of all three
+//! bodies.
 //!
-//! Elements are larger than a wire is thick: what a line gives way about itself within one of them
-//! ([`Tissue::gives_way_about`]) is added to what the elements show, else places in one element pinch the needle.
+//! Elements are larger than the wire is thick: the local compliance around a line within an element
+//! ([`Tissue::gives_way_about`]) is added to that of the elements; without it, points in one element would pinch the
+//! needle.
 //!
-//! Needle and tissue are companions of the thread in its island ([`thread`](crate::suture_thread)): what holds all three together is
-//! solved for in the problem of the thread's own contacts. So a sewn thread touches itself, the surface of the tissue and what
-//! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well, and strands of its
-//! thread out of the needle.
+//! Needle and tissue are coupled to the thread in its island ([`thread`](crate::suture_thread)): all joints are solved
+//! in the same problem as the thread's own contacts. A sutured thread therefore contacts itself, the tissue surface and
+//! obstacles like any thread, and can be knotted. The needle's body contacts the surface too, and the thread contacts
+//! its needle.
 //!
 //! # Limits
-//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. The needle touches
-//! nothing but tissue, its own thread and the jaws that hold it; of its thread not what comes out of the swage. Next to a hole, as far as one place of the channel from
-//! the next, thread and needle do not touch the surface. Small displacements of the tissue only: see
+//! Cutting a channel does not change the tissue's stiffness, and the channel fits what is in it. The needle contacts
+//! only tissue, its own thread (except next to the swage) and the jaws that hold it. Near a hole, within one spacing of
+//! channel points, thread and needle do not contact the surface. Small displacements of the tissue only: see
 //! [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
 
 mod cut;
@@ -63,82 +65,82 @@ use crate::suture_thread::{
 use needle::{NeedleShape, Solid};
 use needle_tissue::{Sewing, Workspace};
 
-/// A step is divided into this many parts at most.
+/// Maximum number of substeps.
 const PARTS_MAX: u32 = 256;
-/// Events that one step tells of at most.
+/// Maximum number of events reported per step.
 const EVENTS_MAX: usize = 16;
 
-/// Jaws on the needle: they lead it to a pose, and it slips in them beyond what they can hold.
+/// Jaws on the needle: they drive it to a pose, and it slips beyond their limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grip {
-    /// Where they hold, in the frame of the needle \[m\].
+    /// Grip point, in the frame of the needle \[m\].
     pub point: Point3<f64>,
-    /// `world_from_needle` as they want it when the step begins.
+    /// Wanted `world_from_needle` at the beginning of the step.
     pub from: Isometry3<f64>,
-    /// And when it ends.
+    /// Wanted `world_from_needle` at the end of the step.
     pub to: Isometry3<f64>,
-    /// \[N/m\].
+    /// Stiffness \[N/m\].
     pub stiffness: f64,
-    /// \[N·m/rad\].
+    /// Rotational stiffness \[N·m/rad\].
     pub turning_stiffness: f64,
-    /// Along each axis of the world \[N\].
+    /// Force limit along each axis of the world \[N\].
     pub force_max: f64,
-    /// About each axis of the world \[N·m\].
+    /// Torque limit about each axis of the world \[N·m\].
     pub torque_max: f64,
 }
 
-/// What a grip did.
+/// Result of a grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gripped {
-    /// On the needle, in the world \[N\], mean over the step.
+    /// Force on the needle, in the world \[N\], mean over the step.
     pub force: Vector3<f64>,
-    /// On the needle about the grip's point \[N·m\], mean over the step.
+    /// Torque on the needle about the grip point \[N·m\], mean over the step.
     pub torque: Vector3<f64>,
-    /// The needle slipped: to hold no more than they can, the jaws are to want this pose instead.
+    /// The needle slipped: the pose that the jaws have to want instead to stay within their limits.
     pub slipped: Option<Isometry3<f64>>,
 }
 
-/// What acts during one step. Everything is in the world.
+/// Inputs of one step. All quantities in the world frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct StepInputs<'a> {
-    /// \[m/s²\].
+    /// Gravity \[m/s²\].
     pub gravity: Vector3<f64>,
     /// Jaws on the needle.
     pub grips: &'a [Grip],
-    /// Nodes of the thread that are led; a hold's largest force is along each axis of the world.
+    /// Thread nodes with a prescribed motion; a hold's force limit is along each axis of the world.
     pub holds: &'a [Hold],
-    /// Edges of the thread that are kept from turning.
+    /// Thread edges whose rotation is held.
     pub twist_holds: &'a [TwistHold],
     /// Forces on nodes of the thread.
     pub loads: &'a [Load],
-    /// What the thread can touch besides itself and the tissue; an obstacle keeps its place in the list from step to step.
+    /// Obstacles of the thread besides itself and the tissue; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
-    /// What of the thread does not touch which of them.
+    /// Parts of the thread that ignore some of the obstacles.
     pub spared: &'a [Spared],
 }
 
-/// How a step went. Forces are those at its end.
+/// Statistics of a step. Forces are those at its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SutureReport {
-    /// Parts into which the step had to be divided; 1 when it went as a whole.
+    /// Number of substeps; 1 when the step was not divided.
     pub parts: u32,
-    /// Linearised solutions, over all parts.
+    /// Linear solutions, over all substeps.
     pub iterations: usize,
-    /// Newton steps on the rules of all places and on the laws of the thread's contacts with obstacles.
+    /// Newton steps on the force laws of joints and contacts.
     pub sweeps: usize,
-    /// Places at which needle, thread and tissue are tied to each other.
+    /// Number of joints between needle, thread and tissue.
     pub ties: usize,
-    /// Contacts of the thread that push: with itself, with the tissue's surface, with obstacles.
+    /// Thread contacts with non-zero force: with itself, the tissue surface, obstacles.
     pub contacts: usize,
-    /// How deep one of these is at most \[m\].
+    /// Largest penetration of these \[m\].
     pub penetration_max: f64,
-    /// Of the tissue on the tip \[N\].
+    /// Force of the tissue on the tip \[N\].
     pub tip_force: f64,
-    /// Of the tissue along needle and thread, the tip left out: the sum of friction's sizes \[N\].
+    /// Friction of the tissue along needle and thread without the tip: sum of the magnitudes \[N\].
     pub drag: f64,
-    /// Across them, the largest at a place per length that it stands for \[N/m\]: what tears.
+    /// Largest lateral force at a channel point per length represented \[N/m\]: this tears tissue.
     pub across_max: f64,
-    /// On the tissue as a whole, mean over the step \[N\].
+    /// Resultant force on the tissue, mean over the step \[N\].
     pub force_on_tissue: Vector3<f64>,
     /// Length of needle and thread in the tissue \[m\].
     pub length_inside: f64,
@@ -154,10 +156,10 @@ pub struct Suture {
     trial: SutureState,
     island: Island,
     room: Workspace,
-    /// Nodes of the tissue when the step began.
+    /// Tissue nodes at the beginning of the step.
     began: Vec<Point3<f64>>,
     spared: Vec<Spared>,
-    /// Empty between steps.
+    /// Reused buffer, empty between steps.
     obstacles: Vec<Obstacle<'static>>,
     nothing: ThreadState,
     events: Vec<Event>,
@@ -166,7 +168,7 @@ pub struct Suture {
 }
 
 impl Suture {
-    /// Goes on from `state`. A needle that is in nothing may be given a thread anew: see [`Suture::swage`].
+    /// Restores from `state`. A needle outside of the tissue may get a new thread: see [`Suture::swage`].
     ///
     /// # Errors
     /// What is wrong with needle, thread, tissue or state.
@@ -208,7 +210,8 @@ impl Suture {
         })
     }
 
-    /// Lets the thread's first edge be turned against the needle as it is now, so that swaging twists nothing.
+    /// Takes the present angle between the thread's first edge and the needle as the rest angle, so that swaging causes
+    /// no twist.
     pub fn swage(&mut self) {
         if let Some(thread) = &self.state.thread {
             let axis = (thread.positions[1] - thread.positions[0]).normalize();
@@ -219,23 +222,23 @@ impl Suture {
         }
     }
 
-    /// Everything needed to go on from here.
+    /// The state: all that a restart needs.
     #[must_use]
     pub fn state(&self) -> &SutureState {
         &self.state
     }
 
-    /// What the thread's contacts remember, to be numbered anew when obstacles come and go. Contacts with the tissue count it
-    /// after all obstacles.
+    /// The thread's contact memories, to be renumbered when obstacles are added or removed. Contacts with the tissue
+    /// use the index after all obstacles.
     pub fn contacts_mut(&mut self) -> Option<&mut Vec<ContactMemory>> {
         self.state.thread.as_mut().map(|thread| &mut thread.contacts)
     }
 
-    /// Makes edges of the thread as short as they have to be, and no shorter where they need not. The nodes in `keep` stay, and
-    /// so do those in the tissue and the second one, which turns with the needle. `None` when all are as they should be.
+    /// Adapts the edge lengths of the thread. Kept are the nodes in `keep`, those in the tissue, and the second one,
+    /// which rotates with the needle. `None` when nothing changes.
     ///
     /// # Errors
-    /// A fineness that makes no sense, by name. The thread is then what it was.
+    /// The name of an invalid target. The thread is then unchanged.
     pub fn adapt(
         &mut self,
         fineness: &Fineness,
@@ -249,7 +252,7 @@ impl Suture {
         let Some(thread) = thread else { return Ok(None) };
         let renumbered = thread.adapt(radius, fineness, &keep)?;
         if let Some(now) = &renumbered {
-            // Which part of an edge that was divided touched is not known: the first takes over what is remembered.
+            // The touching part of a divided edge is not known: the first one inherits the memory.
             for contact in &mut *strand_contacts {
                 contact.edge = now.edges[contact.edge as usize][0];
             }
@@ -258,7 +261,7 @@ impl Suture {
         Ok(renumbered)
     }
 
-    /// Of the thread \[m\]; 0 where there is none.
+    /// Radius of the thread \[m\]; 0 without one.
     #[must_use]
     pub fn thread_radius(&self) -> f64 {
         self.material.map_or(0.0, |material| material.radius)
@@ -270,48 +273,48 @@ impl Suture {
         &self.solid
     }
 
-    /// The tissue as it is now.
+    /// The deformed tissue.
     #[must_use]
     pub fn tissue(&self) -> &Tissue {
         &self.tissue
     }
 
-    /// What happened in the last step, in its order.
+    /// Events of the last step, in order.
     #[must_use]
     pub fn events(&self) -> &[Event] {
         &self.events
     }
 
-    /// What the grips did in the last step, in their order.
+    /// Results of the grips in the last step, in their order.
     #[must_use]
     pub fn gripped(&self) -> &[Gripped] {
         &self.gripped
     }
 
-    /// Forces of the holds on the thread in the last step, in their order, mean over it \[N\].
+    /// Forces of the holds on the thread in the last step, in their order, mean over the step \[N\].
     #[must_use]
     pub fn hold_forces(&self) -> &[Vector3<f64>] {
         self.island.hold_forces()
     }
 
-    /// What the thread did to the obstacles in the last step, in their order.
+    /// Reactions of the obstacles to the thread in the last step, in their order.
     #[must_use]
     pub fn reactions(&self) -> &[Reaction] {
         let all = self.island.reactions();
-        // The last is the tissue.
+        // The last one is the tissue.
         &all[..all.len().saturating_sub(1)]
     }
 
-    /// Where the tip is, in the world \[m\].
+    /// Position of the tip, in the world \[m\].
     #[must_use]
     pub fn tip(&self) -> Point3<f64> {
         self.state.needle.pose() * self.solid.point(self.solid.shape().length())
     }
 
-    /// Goes on by `dt` \[s\].
+    /// Advances by `dt` \[s\].
     ///
     /// # Errors
-    /// Input that makes no sense, by name; or that no step could be found. The state is then what it was.
+    /// The name of an invalid input, or that no step converged. The state is then unchanged.
     pub fn step(&mut self, dt: f64, around: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
         self.check(dt, around)?;
         self.trial.clone_from(&self.state);
@@ -324,7 +327,7 @@ impl Suture {
         self.began.extend_from_slice(self.tissue.positions());
         let mut report = SutureReport::default();
         let mut of_thread = ThreadReport::default();
-        // The thread meets the surface as it was when the step began.
+        // The thread contacts the surface as it was at the beginning of the step.
         let began = std::mem::take(&mut self.began);
         let triangles = self.tissue.triangles();
         let shape = Shape::Mesh { from: &began, to: &began, triangles: &triangles, radius: 0.0 };
@@ -346,7 +349,7 @@ impl Suture {
         Ok(report)
     }
 
-    /// All parts of the step.
+    /// All substeps.
     fn parts(
         &mut self,
         dt: f64,
@@ -354,7 +357,7 @@ impl Suture {
         report: &mut SutureReport,
         of_thread: &mut ThreadReport,
     ) -> Result<(), SutureError> {
-        // Time in units of the shortest part, so that the parts add up exactly.
+        // Time in units of the shortest substep, so that substeps add up exactly.
         let (mut done, mut part) = (0, PARTS_MAX);
         while done < PARTS_MAX {
             part = part.min(PARTS_MAX - done);
@@ -388,7 +391,7 @@ impl Suture {
         Ok(())
     }
 
-    /// One part of the step, from `trial` to `trial`.
+    /// One substep, on `trial`.
     fn part(
         &mut self,
         dt: f64,
@@ -430,7 +433,7 @@ impl Suture {
                 let why = failure.why;
                 break Err(SutureError::Diverged { time: 0.0, shortest: 0.0, why });
             }
-            // A tip that has come in on the way is stopped there, and the part is made again.
+            // A tip that crossed the surface on the way is stopped there, and the substep repeated.
             match if round > 0 { Ok(false) } else { self.meets() } {
                 Err(why) => break Err(why),
                 Ok(true) => self.tissue.deform(self.trial.forces_on_tissue()),
@@ -449,7 +452,7 @@ impl Suture {
         self.commit(dt, &here.around.gravity)
     }
 
-    /// Adds the forces of this part to what grips and tissue feel, by its share of the step.
+    /// Accumulates the reactions on grips and tissue in this substep, weighted by its share of the step.
     fn feel(&mut self, fractions: [f64; 2], around: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
         let (layout, tied) = (self.room.layout, self.island.tied());
@@ -459,7 +462,7 @@ impl Suture {
             gripped.force += Vector3::from(place.force) * weight;
             gripped.torque += Vector3::from(turn.force) * weight;
             let grip = &around.grips[index];
-            // What gives way stays where its spring is stretched by what it can hold.
+            // A slipping grip stays where its spring carries the force limit.
             let given = |of: &Tied| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
             let (by, turn) = (given(&place), given(&turn));
             gripped.slipped = (by != Vector3::zeros() || turn != Vector3::zeros()).then(|| {
@@ -526,18 +529,18 @@ impl Suture {
     }
 }
 
-/// The room of a list for another one, of what lives at another time.
+/// Reuses the buffer of a list for another one with another lifetime.
 fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
     list.clear();
     // Collected in place.
     list.into_iter().map_while(|_| None).collect()
 }
 
-/// What is around needle and thread in a step: what was given, and the tissue as the last obstacle.
+/// Obstacles of needle and thread in a step: those given, and the tissue as the last one.
 struct Here<'a> {
     around: &'a StepInputs<'a>,
     obstacles: &'a [Obstacle<'a>],
-    /// Nodes of the tissue when the step began.
+    /// Tissue nodes at the beginning of the step.
     began: &'a [Point3<f64>],
 }
 

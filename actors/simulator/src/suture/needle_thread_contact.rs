@@ -1,5 +1,5 @@
-//! Where the thread meets its own needle: strands that lie on the wire, as contacts with friction in the one problem of
-//! needle, thread and tissue. Each edge touches the chord of the wire that is nearest to it when a part begins.
+//! Contact of the thread with its own needle: strands on the wire, as frictional contacts in the one problem of needle,
+//! thread and tissue. Each edge contacts the chord of the wire nearest to it at the beginning of a substep.
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::continuous::{Sweep, edge_edge};
@@ -12,26 +12,26 @@ use crate::suture_thread::contact::{Rows, Side, place, tangents};
 use crate::suture_thread::discrete_elastic_rod::Iterate;
 use crate::suture_thread::{ThreadMaterial, ThreadState};
 
-/// Chords that stand for the wire: of a half circle of 26 mm each is off the arc by 10 µm at most.
+/// Number of chords that approximate the wire: on a half circle of 26 mm, each is off the arc by 10 µm at most.
 pub(super) const CHORDS: usize = 32;
-/// Thread nearer to the swage than this, along thread and wire together, is what comes out of it \[m\].
+/// Thread nearer to the swage than this, along thread and wire together, makes no contact \[m\].
 const AT_SWAGE: f64 = 4e-3;
-/// What is further away than it may come in a part, and this, is no contact \[m\].
+/// Contact margin beyond the possible motion in a substep \[m\].
 const NEAR: f64 = 2e-4;
-/// Centre lines that come nearer than this part of the sum of the radii are passing through each other.
+/// Centre lines nearer than this fraction of the sum of the radii count as passing through each other.
 const CORE: f64 = 0.3;
-/// Coulomb's coefficient of thread on the wire: chosen, as on instruments.
+/// Coulomb's friction coefficient of the thread on the wire: chosen, as on instruments.
 const FRICTION: f64 = 0.2;
-/// Contacts at most.
+/// Maximum number of contacts.
 pub(super) const STRANDS_MAX: usize = 64;
 
 /// An edge of the thread near to the wire.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Strand {
     pub edge: usize,
-    /// Which chord.
+    /// The chord.
     pub chord: usize,
-    /// Between their surfaces when the part begins \[m\].
+    /// Surface gap at the beginning of the substep \[m\].
     pub gap: f64,
 }
 
@@ -50,13 +50,13 @@ fn radius_at(solid: &Solid, chord: usize, share: f64) -> f64 {
     solid.shape().wire_radius_at(from + (to - from) * share)
 }
 
-/// Whether an edge and a chord are both what comes out of the swage.
+/// Whether an edge and a chord are both next to the swage.
 fn is_swage(solid: &Solid, arc: f64, chord: usize) -> bool {
     arc + chord_along(solid, chord)[0] < AT_SWAGE
 }
 
-/// Lists the edges that may touch the wire in a part of `dt` \[s\] that begins at `state`, the nearest first when there are too
-/// many.
+/// Lists the edges that may touch the wire in a substep of `dt` \[s\] from `state`, the nearest first when there are
+/// too many.
 pub(super) fn near(solid: &Solid, state: &SutureState, radius: f64, dt: f64, out: &mut Vec<Strand>) {
     out.clear();
     let Some(thread) = &state.thread else { return };
@@ -125,7 +125,7 @@ pub(super) fn contact(
     let rows = Rows::new(&side, None, directions);
     let wire_radius = radius_at(solid, chord, on_wire);
     let touching = Point3::from(of_wire + normal * wire_radius);
-    // How far the two have gone past each other since the part began.
+    // Relative tangential motion since the beginning of the substep.
     let before = start.needle.pose() * needle.pose().inverse_transform_point(&touching);
     let carried = touching - before;
     let of_start = |node: usize| {
@@ -151,7 +151,7 @@ pub(super) fn contact(
     joints::strand(needle, &touching, rows, gap, FRICTION, &force)
 }
 
-/// The first edge of the thread that passes through the wire on the way from the part's beginning to the iterate.
+/// The first edge of the thread that passes through the wire between the beginning of the substep and the iterate.
 pub(super) fn passes(
     solid: &Solid,
     radius: f64,
@@ -179,7 +179,7 @@ pub(super) fn passes(
         for chord in (0..CHORDS).filter(|chord| !is_swage(solid, begin, *chord)) {
             let other = Sweep { from: before[chord], to: after[chord] };
             let separation = CORE * (radius + radius_at(solid, chord, 0.5));
-            // No point of one goes further against the other than their ends do.
+            // The relative displacement is bounded by that of the end points.
             let way = (0..2)
                 .flat_map(|a| (0..2).map(move |b| (a, b)))
                 .map(|(a, b)| ((swept.to[a] - swept.from[a]) - (other.to[b] - other.from[b])).norm())
@@ -196,7 +196,7 @@ pub(super) fn passes(
     None
 }
 
-/// What is remembered of the contacts that pushed at the end of a part.
+/// Stores the memory of contacts with non-zero force at the end of a substep.
 pub(super) fn remember(
     strands: &[Strand],
     forces: impl Iterator<Item = ([f64; 3], [Vector3<f64>; 3])>,

@@ -1,6 +1,6 @@
-//! Needle and tissue as the companions of the thread in its island: all that holds them together at an iterate, how they
-//! give way, and where they are with the forces that were found (as Duriez, Guébert, Marchal, Cotin, Grisoni 2009,
-//! *Interactive simulation of flexible needle insertions based on constraint models*, do with tissue and needle).
+//! Needle and tissue as bodies coupled to the thread in its island: their joints at an iterate, their compliance, and
+//! their motion under the resulting forces (as in Duriez, Guébert, Marchal, Cotin, Grisoni 2009, *Interactive
+//! simulation of flexible needle insertions based on constraint models*, for tissue and needle).
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3, Vector6};
 
@@ -18,44 +18,44 @@ use crate::suture_thread::elastic::Press;
 use crate::suture_thread::island::coupled_body::{Companion, ComplianceRows, Link, Tie, Tied, Tolerance};
 use crate::suture_thread::{ThreadMaterial, Trouble};
 
-/// When the iterations of a part end: needle and thread exchange what they exchange to the last digit that matters.
+/// Convergence criteria of a substep: momentum exchanged by needle and thread agrees to the last relevant digit.
 const TOLERANCE: Tolerance =
     Tolerance { free: (1e-8, 1e-6), touching: (1e-6, 2e-4), moved_at_most: 1e-4, iterations: 8 };
-/// Further than this the needle does not go in one part \[m\], nor turn \[rad\].
+/// Limit of the needle's translation \[m\] and rotation \[rad\] in one substep.
 const WAY_MAX: f64 = 2.5e-3;
 const TURN_MAX: f64 = 0.2;
-/// How far along a thread the place at a point of the tissue is looked for from where it was \[m\].
+/// Search range along the thread for a channel point, around its previous arc length \[m\].
 const WINDOW: f64 = 6e-3;
 
 /// Where the ties of each kind begin.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Layout {
-    /// Two of each: its place, and how it is turned.
+    /// Two per grip: position and rotation.
     pub grips: usize,
-    /// One of each place.
+    /// One per channel point.
     pub channel: usize,
     pub tip: Option<usize>,
-    /// One of each place where the needle's side is near to the surface.
+    /// One per needle contact near the surface.
     pub sides: usize,
-    /// One of each strand that is near to the needle.
+    /// One per strand near the needle.
     pub strands: usize,
 }
 
-/// Room for a part of a step, and what it came to.
+/// Workspace and results of a substep.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Workspace {
-    /// At the iterate.
+    /// Needle at the iterate.
     pub needle: Option<NeedleState>,
     pub layout: Layout,
-    /// Of the places in the channel, in their order.
+    /// Sites of the channel points, in their order.
     pub sites: Vec<Site>,
     pub sides: Vec<NeedleSide>,
     pub strands: Vec<Strand>,
-    /// Of all ties, in their order.
+    /// Joints of all ties, in their order.
     pub joints: Vec<Joint>,
     /// Directions of their rows.
     pub directions: Vec<[Vector3<f64>; 3]>,
-    /// On the surface, at the end of the part.
+    /// Contact forces on the surface, at the end of the substep.
     pub presses: Vec<Press>,
     forces: Vec<[f64; 3]>,
     answers: Vec<[Vector6<f64>; 3]>,
@@ -66,12 +66,12 @@ pub(super) struct Workspace {
 }
 
 impl Workspace {
-    /// The force of a tie on needle or thread \[N\].
+    /// Force of a tie on needle or thread \[N\].
     pub fn force(&self, tied: &[Tied], tie: usize) -> Vector3<f64> {
         vector(&self.directions[tie], &tied[tie].force)
     }
 
-    /// Takes down what presses the surface.
+    /// Stores the contact forces on the surface.
     pub fn press(&mut self, links: &[Link], forces: &[[f64; 3]]) {
         self.presses.clear();
         for (link, force) in links.iter().zip(forces).filter(|(_, force)| force[0] > 0.0) {
@@ -87,26 +87,26 @@ impl Workspace {
     }
 }
 
-/// What is on the other side of the thread during a part of a step.
+/// Needle and tissue during a substep, as the thread's coupled body.
 pub(super) struct Sewing<'a> {
     pub solid: &'a Solid,
     pub thread: Option<&'a ThreadMaterial>,
     pub resistance: &'a Resistance,
-    /// As the part begins.
+    /// State at the beginning of the substep.
     pub start: &'a SutureState,
     pub tissue: &'a mut Tissue,
     pub room: &'a mut Workspace,
     pub around: &'a StepInputs<'a>,
     pub dt: f64,
     pub fractions: [f64; 2],
-    /// The place of the tissue's surface in the list of obstacles.
+    /// Obstacle index of the tissue's surface.
     pub surface: usize,
-    /// Nodes of the tissue when the step began, from which the surface's contacts are measured.
+    /// Tissue nodes at the beginning of the step, from which the surface's contacts are measured.
     pub step_began: &'a [Point3<f64>],
 }
 
 impl Sewing<'_> {
-    /// Begins a part.
+    /// Begins a substep.
     pub fn begin(&mut self) {
         self.room.needle = Some(self.start.needle);
         self.room.forces.clear();
@@ -124,7 +124,7 @@ impl Sewing<'_> {
         needle_thread_contact::near(self.solid, self.start, radius, self.dt, &mut self.room.strands);
     }
 
-    /// Force and torque that the needle's inertia and weight leave over at the iterate.
+    /// Residual force and torque of the needle's inertia and weight at the iterate.
     fn residual(&self, needle: &NeedleState) -> Vector6<f64> {
         let (start, solid, dt) = (self.start, self.solid, self.dt);
         let moved = needle.center - start.needle.center;
@@ -144,7 +144,7 @@ impl Sewing<'_> {
         ties.push(tie);
     }
 
-    /// A place in the channel: along, with friction, and held across.
+    /// A channel point: friction along the channel, constrained laterally.
     fn pass(&mut self, needle: &NeedleState, at: &Iterate, index: usize) -> Pair {
         let point = &self.start.channel[index];
         let now = self.tissue.now(&point.place);
@@ -180,7 +180,7 @@ impl Sewing<'_> {
         (joint, tie)
     }
 
-    /// Gaps against tissue as it is, made those against tissue at rest.
+    /// Converts gaps against the current tissue to gaps against the tissue at rest.
     fn relax(&self, tie: &mut Tie, spot: &Spot) {
         let displaced = self.tissue.displaced(spot);
         for k in 0..3 {
@@ -188,7 +188,7 @@ impl Sewing<'_> {
         }
     }
 
-    /// Needle or thread at a point of the world, near an arc length.
+    /// The point of needle or thread at a point of the world, near an arc length.
     fn site(&self, needle: &NeedleState, rod: &Iterate, at: &Point3<f64>, near: f64) -> Site {
         let (pose, solid) = (needle.pose(), self.solid);
         let along = solid.nearest(&pose.inverse_transform_point(at));
@@ -198,7 +198,7 @@ impl Sewing<'_> {
             let tangent = pose * solid.tangent(along);
             return Site { along, point: pose * solid.point(along), tangent, edge: None };
         };
-        // Lengths are those at rest: what stretches farther up does not slide here.
+        // Rest lengths are used: stretch elsewhere along the thread is no sliding here.
         let mut best: Option<(f64, Site)> = None;
         let mut last = (0, 0.0);
         for (edge, [begin, end]) in thread.spans() {
@@ -231,7 +231,7 @@ impl Sewing<'_> {
         )
     }
 
-    /// The tip where it meets the tissue.
+    /// The tip in contact with the tissue.
     fn tip(&self, needle: &NeedleState) -> Option<Pair> {
         let pose = needle.pose();
         let length = self.solid.shape().length();
@@ -239,12 +239,12 @@ impl Sewing<'_> {
         let place = self.start.tip.place()?;
         let site = Site { along: length, point: pose * self.solid.point(length), tangent, edge: None };
         let material = self.resistance;
-        // What gives way along, and holds across.
+        // Bounded force along the path, and constrained laterally.
         let within = |most: f64| {
             let (least, unbound) = ([-most, f64::NEG_INFINITY, f64::NEG_INFINITY], f64::INFINITY);
             Rule::Within { least, most: [0.0, unbound, unbound] }
         };
-        // The first direction across is that in which the tip goes.
+        // The first direction is that of the tip's motion.
         let (first, along, rule) = match self.start.tip {
             Tip::Touching(_, triangle) => {
                 let (friction, most) = (material.needle_friction, material.puncture_force);
@@ -262,7 +262,7 @@ impl Sewing<'_> {
         Some((joint, tie))
     }
 
-    /// The needle's side where it is near to the surface, which was in its place when the part began.
+    /// The needle's body near the surface as it was at the beginning of the substep.
     fn side(&self, needle: &NeedleState, side: &NeedleSide) -> Pair {
         let [before, now] = [&self.start.needle, needle].map(|of| of.pose() * self.solid.point(side.along));
         let [t1, t2] = tangents(&side.normal, &(needle.pose() * self.solid.tangent(side.along)));
@@ -284,7 +284,7 @@ impl Sewing<'_> {
         (joint, tie)
     }
 
-    /// How spots of the tissue move each other; only of those that are new.
+    /// Compliance between points of the tissue; computed only for new ones.
     fn mutual(&mut self, links: &[Link]) -> Result<(), Trouble> {
         let count = links.len();
         let Workspace { spots, mutual, joints, .. } = &mut *self.room;
@@ -315,7 +315,8 @@ impl Sewing<'_> {
             let known = if same { count } else { i + 1 };
             for (j, other) in spots[..known].iter().enumerate() {
                 let (Some(own), Some(other)) = (&own, other) else { continue };
-                // Always of the later one by the earlier one, so that rounding does not tell when it was found.
+                // Always the later point's response to the earlier one, so that rounding does not depend on when it was
+                // found.
                 let (a, b, later, earlier) = if i < j { (j, i, other, own) } else { (i, j, own, other) };
                 let between = self.tissue.between(later, earlier);
                 mutual[a * count + b] = between;
@@ -475,7 +476,7 @@ impl Companion for Sewing<'_> {
     }
 }
 
-/// What the needle's sides came to at the end of a part.
+/// Results of the needle's surface contacts at the end of a substep.
 pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<NeedleContact>) {
     contacts.clear();
     for (index, side) in room.sides.iter().enumerate() {
@@ -492,7 +493,7 @@ pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<Needle
     }
 }
 
-/// What strands on the needle came to at the end of a part.
+/// Results of strand contacts with the needle at the end of a substep.
 pub(super) fn crossed(room: &Workspace, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
     let first = room.layout.strands;
     let forces =
@@ -504,8 +505,8 @@ fn vector(directions: &[Vector3<f64>; 3], force: &[f64; 3]) -> Vector3<f64> {
     directions[0] * force[0] + directions[1] * force[1] + directions[2] * force[2]
 }
 
-/// The length of channel that a place stands for \[m\]: half of the way to either neighbour in its bite, and all of that
-/// to a tip in the tissue.
+/// Length of channel represented by a point \[m\]: half of the distance to either neighbour in its bite, and the full
+/// distance to a tip in the tissue.
 pub(super) fn share_of_channel(state: &SutureState, index: usize, needle_length: f64) -> f64 {
     let own = &state.channel[index];
     let neighbour = |other: Option<&super::state::ChannelPoint>| {
@@ -523,7 +524,7 @@ pub(super) fn share_of_channel(state: &SutureState, index: usize, needle_length:
     ahead + 0.5 * before.unwrap_or(0.0)
 }
 
-/// Between two poses.
+/// Interpolates between two poses.
 fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
     from.try_lerp_slerp(to, share, 1e-12).unwrap_or(*to)
 }

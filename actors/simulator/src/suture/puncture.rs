@@ -1,5 +1,5 @@
-//! What becomes of the tip at the end of a part of a step: it meets the surface, the surface gives, the channel grows with
-//! it, it comes out, it goes back. And what becomes of the channel when needle and thread go on through it.
+//! Puncture: transitions of the tip at the end of a substep (touching, puncturing, growing the channel, leaving,
+//! withdrawing), and of the channel as needle and thread slide through it.
 
 use nalgebra::{Point3, Vector3};
 
@@ -10,13 +10,13 @@ use super::tissue::{Place, Way};
 use super::{EVENTS_MAX, Suture, SutureError};
 use crate::suture_thread::PARTED;
 
-/// What is farther from the surface than this does not touch it any longer \[m\].
+/// A tip further from the surface than this is no longer in contact \[m\].
 const OFF: f64 = 1e-7;
-/// A tip that has gone less far than this has not gone on \[m\].
+/// A tip that moved less than this has not advanced \[m\].
 const ON: f64 = 1e-10;
 
 impl Suture {
-    /// Whether a free tip came in through the surface on its way; then it touches it there.
+    /// Whether a free tip crossed the surface; it then touches the surface there.
     pub(super) fn meets(&mut self) -> Result<bool, SutureError> {
         if self.trial.tip != Tip::Free || self.would_go_back() {
             return Ok(false);
@@ -38,7 +38,7 @@ impl Suture {
         Some(self.room.needle?.pose() * self.solid.point(self.solid.shape().length()))
     }
 
-    /// Whether the free tip has gone back into the hole that it came out of.
+    /// Whether the free tip has gone back into its exit hole.
     fn would_go_back(&self) -> bool {
         let (Some(point), Some(site)) = (self.trial.channel.last(), self.room.sites.last()) else {
             return false;
@@ -59,10 +59,10 @@ impl Suture {
         }
     }
 
-    /// Makes what the island has found the state at the end of the part.
+    /// Makes the island's result the state at the end of the substep.
     pub(super) fn commit(&mut self, dt: f64, gravity: &Vector3<f64>) -> Result<(), SutureError> {
         let Some(needle) = self.room.needle else { return Ok(()) };
-        // Momenta by the forces, so that what they are is what was given; places as the island found them.
+        // Momenta from the forces, so that exchanged momentum is exact; poses as the island found them.
         let mut impulse = nalgebra::Vector6::zeros();
         for (joint, tied) in self.room.joints.iter().zip(self.island.tied()) {
             for (row, force) in joint.needle.iter().zip(tied.force) {
@@ -84,12 +84,12 @@ impl Suture {
         self.go_back()?;
         self.cut()?;
         self.pass_through();
-        // The forces of what is there no longer are gone with it.
+        // Forces of points that no longer exist are removed with them.
         self.tissue.deform(self.trial.forces_on_tissue());
         Ok(())
     }
 
-    /// Takes over what slides past the places of the channel, and their forces.
+    /// Updates the arc lengths at the channel points, and their forces.
     fn slide(&mut self) {
         let first = self.room.layout.channel;
         for index in 0..self.trial.channel.len() {
@@ -98,7 +98,7 @@ impl Suture {
             let site = self.room.sites[index];
             let point = &mut self.trial.channel[index];
             (point.along, point.force) = (site.along, force);
-            // What sticks stays where it stuck; what slides is where it would stick with the force that it has.
+            // A sticking point keeps its place; a sliding one moves to where it would stick with its present force.
             if tied.gives_way[0] {
                 point.stuck = site.along - COMPLIANCE * tied.force[0];
             }
@@ -156,7 +156,7 @@ impl Suture {
                     bite.exit_force = -force;
                 }
                 let (along, force_there) = (length - off, Vector3::zeros());
-                // Two places next to each other, cut before and after the surface sprang back, would pinch the needle.
+                // Two neighbouring points, cut before and after the surface sprang back, would pinch the needle.
                 let near = |point: &ChannelPoint| along - point.along < 0.5 * self.resistance.spacing;
                 let only = self.trial.channel.iter().filter(|point| point.bite == number).count() < 2;
                 if !only && self.trial.channel.last().is_some_and(near) {
@@ -187,14 +187,14 @@ impl Suture {
         if self.tissue.name(&place) { Ok(place) } else { Err(SutureError::Full) }
     }
 
-    /// The tip is in the tissue, or at its surface from inside, straight on from a place of it.
+    /// Moves the tip straight on from a material point, to the inside or to the surface from inside.
     fn go_to(&mut self, from: &Place, tip: &Point3<f64>) -> Result<(), SutureError> {
         let tangent = self.trial.needle.pose() * self.solid.tangent(self.solid.shape().length());
         let ahead = (tip - self.tissue.now(from)).dot(&tangent) > 0.0;
         self.trial.tip = match self.tissue.walk(from, tip) {
             Way::Ends(place) => Tip::Inside(self.named(place)?),
             Way::Leaves(place, triangle) if ahead => Tip::Leaving(self.named(place)?, triangle),
-            // Back out where it came in; its channel knows.
+            // Back out through its entry; its channel is handled elsewhere.
             Way::Leaves(place, _) => Tip::Inside(self.named(place)?),
         };
         Ok(())
@@ -202,7 +202,7 @@ impl Suture {
 
     fn open_bite(&mut self, bite: Bite) -> Result<(), SutureError> {
         if self.trial.bites.len() >= BITES_MAX {
-            // The oldest that nothing is in.
+            // The oldest empty one.
             let inside = |bite: &Bite| self.trial.channel.iter().any(|point| point.bite == bite.number);
             let Some(done) = self.trial.bites.iter().position(|bite| !inside(bite)) else {
                 return Err(SutureError::Full);
@@ -223,7 +223,7 @@ impl Suture {
         Ok(())
     }
 
-    /// Empties the channel in front of a tip that has gone back.
+    /// Removes the channel ahead of a withdrawn tip.
     fn go_back(&mut self) -> Result<(), SutureError> {
         let length = self.solid.shape().length();
         while let Some(point) = self.trial.channel.last().copied() {
@@ -233,7 +233,7 @@ impl Suture {
             let closed = self.bite(point.bite).is_some_and(|bite| bite.exit.is_some());
             match self.trial.tip {
                 Tip::Free | Tip::Touching(..) if closed => {
-                    // Through the hole that it had come out of.
+                    // Through its exit hole.
                     self.trial.channel.pop();
                     if let Some(bite) = self.trial.bites.iter_mut().find(|bite| bite.number == point.bite) {
                         bite.exit = None;
@@ -256,7 +256,7 @@ impl Suture {
         Ok(())
     }
 
-    /// Lets the channel grow behind a tip that has gone on.
+    /// Extends the channel behind an advanced tip.
     fn cut(&mut self) -> Result<(), SutureError> {
         let Tip::Inside(_) = self.trial.tip else { return Ok(()) };
         let length = self.solid.shape().length();
@@ -280,9 +280,9 @@ impl Suture {
         Ok(())
     }
 
-    /// Forgets the places that needle and thread have left behind.
+    /// Removes the channel points that needle and thread have left behind.
     fn pass_through(&mut self) {
-        // A place at the very end of the thread has lost it, and one at either end of what has been cut off.
+        // A point at the very end of the thread has lost it, and so has one at either end of a cut-off piece.
         let lost = |state: &SutureState, point: &ChannelPoint| {
             let Some(thread) = &state.thread else { return point.along <= 0.0 };
             let arc = -point.along;
@@ -298,7 +298,7 @@ impl Suture {
                 self.event(Event::Through { bite: point.bite });
             }
         }
-        // Where the tip still is, there is a channel behind it.
+        // A tip in the tissue keeps a channel behind it.
         if self.trial.channel.is_empty() && matches!(self.trial.tip, Tip::Inside(_) | Tip::Leaving(..)) {
             self.free();
         }

@@ -1,5 +1,5 @@
-//! Everything that needle, thread and their channel through the tissue need to go on bit for bit. The tissue itself is
-//! quasi-static: how it is deformed follows from the forces that are kept here.
+//! State of needle, thread and their channel through the tissue: all that a bit-exact restart needs. The tissue is
+//! quasi-static: its deformation follows from the forces stored here.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,28 +13,28 @@ use crate::clone_in_place::clones_in_place;
 use crate::suture_thread::elastic::Press;
 use crate::suture_thread::{NODES_MAX, ThreadState};
 
-/// Places of all channels together that are followed at most.
+/// Maximum number of channel points, all channels together.
 pub const CHANNEL_MAX: usize = 120;
-/// Bites that are remembered at most.
+/// Maximum number of bites remembered.
 pub const BITES_MAX: usize = 32;
 
-/// What the tip is doing.
+/// State of the needle tip.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Tip {
-    /// It is outside.
+    /// Outside of the tissue.
     #[default]
     Free,
-    /// It presses on the surface from outside.
+    /// Pressing on the surface from outside.
     Touching(Place, u32),
-    /// It is in the tissue.
+    /// Inside the tissue.
     Inside(Place),
-    /// It presses on the surface from inside.
+    /// Pressing on the surface from inside.
     Leaving(Place, u32),
 }
 
 impl Tip {
-    /// Where it is in contact with the tissue.
+    /// Its contact point with the tissue.
     #[must_use]
     pub fn place(&self) -> Option<&Place> {
         match self {
@@ -44,82 +44,83 @@ impl Tip {
     }
 }
 
-/// A material point on the way that the tip has cut. Needle and thread pass by it and cannot leave it sideways.
+/// A material point on the channel that the tip has cut. Needle and thread slide through it and cannot leave it
+/// sideways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelPoint {
-    /// In the tissue.
+    /// The point in the tissue.
     pub place: Place,
-    /// What is there now: arc length from the swage \[m\], positive along the needle, negative along the thread.
+    /// Arc length of what passes it now, from the swage \[m\]: positive along the needle, negative along the thread.
     pub along: f64,
-    /// What it sticks to: as `along`.
+    /// Arc length of the sticking point, as `along`.
     pub stuck: f64,
-    /// Of the tissue on needle or thread, in the world \[N\].
+    /// Force of the tissue on needle or thread, in the world \[N\].
     pub force: Vector3<f64>,
     /// Number of its bite.
     pub bite: u32,
 }
 
-/// Once into the tissue and, perhaps, out again.
+/// One pass into the tissue and, once completed, out again.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Bite {
     /// Its number; bites are counted from 0.
     pub number: u32,
-    /// Where the tip went in, and through which triangle of the surface.
+    /// Entry point of the tip, and its surface triangle.
     pub entry: (Place, u32),
-    /// Where it came out.
+    /// Exit point.
     pub exit: Option<(Place, u32)>,
-    /// The force at which the surface gave on the way in \[N\].
+    /// Puncture force at the entry \[N\].
     pub entry_force: f64,
-    /// And out.
+    /// Puncture force at the exit \[N\].
     pub exit_force: f64,
 }
 
-/// A place of the needle's side that touches the surface.
+/// A point of the needle's body in contact with the surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NeedleContact {
-    /// Which place, counted from the tail.
+    /// The point, counted from the tail.
     pub sample: u32,
-    /// Of the tissue on the needle, in the world \[N\].
+    /// Force of the tissue on the needle, in the world \[N\].
     pub force: Vector3<f64>,
-    /// How far it has been drawn from where it sticks, in the world \[m\].
+    /// Tangential displacement from the sticking point, in the world \[m\].
     pub drawn: Vector3<f64>,
 }
 
-/// A strand of the thread that touches the needle.
+/// A strand of the thread in contact with the needle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StrandContact {
     /// Edge of the thread.
     pub edge: u32,
-    /// Of the needle on the strand, in the world \[N\].
+    /// Force of the needle on the strand, in the world \[N\].
     pub force: Vector3<f64>,
-    /// How far it has been drawn from where it sticks, in the world \[m\].
+    /// Tangential displacement from the sticking point, in the world \[m\].
     pub drawn: Vector3<f64>,
 }
 
-/// Needle, thread and channel.
+/// State of needle, thread and channel.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub struct SutureState {
     /// The needle.
     pub needle: NeedleState,
     /// Its thread, the swaged end first.
     pub thread: Option<ThreadState>,
-    /// How far the thread's first director is turned from the needle's z-axis \[rad\].
+    /// Angle of the thread's first director from the needle's z-axis \[rad\].
     pub swage_turn: f64,
-    /// What the tip does.
+    /// State of the tip.
     pub tip: Tip,
-    /// Of the tissue on the tip, in the world \[N\].
+    /// Force of the tissue on the tip, in the world \[N\].
     pub tip_force: Vector3<f64>,
-    /// All channels, in the order in which needle and thread lie in them: from the end of the thread to the tip.
+    /// Channel points of all bites, in their order along thread and needle: from the end of the thread to the tip.
     pub channel: Vec<ChannelPoint>,
-    /// Bites that something is in, oldest first, and those that nothing is in any longer.
+    /// Occupied bites, oldest first, and recent empty ones.
     pub bites: Vec<Bite>,
-    /// Bites so far.
+    /// Number of bites so far.
     pub bites_so_far: u32,
-    /// Where the needle's side touches the surface.
+    /// Contacts of the needle's body with the surface.
     pub needle_contacts: Vec<NeedleContact>,
-    /// Where strands of the thread touch the needle.
+    /// Contacts of the thread with the needle.
     pub strand_contacts: Vec<StrandContact>,
-    /// What presses the surface, needle and thread, in the world.
+    /// Contact forces of needle and thread on the surface, in the world.
     pub presses: Vec<Press>,
 }
 
@@ -138,7 +139,7 @@ clones_in_place!(SutureState {
 });
 
 impl SutureState {
-    /// A needle at rest that is in nothing, with its thread.
+    /// A needle at rest outside of the tissue, with its thread.
     #[must_use]
     pub fn new(needle: NeedleState, thread: Option<ThreadState>) -> Self {
         Self {
@@ -156,7 +157,7 @@ impl SutureState {
         }
     }
 
-    /// Refuses what cannot be a state of this tissue; `radius` of the thread \[m\].
+    /// Rejects a state that is impossible for this tissue; `radius` is that of the thread \[m\].
     pub(super) fn check(&self, tissue: &Tissue, radius: Option<f64>) -> Result<(), SutureError> {
         if !self.needle.is_finite() {
             return Err(SutureError::State("the needle's pose or momentum is not finite"));
@@ -226,8 +227,7 @@ impl SutureState {
         Ok(())
     }
 
-    /// How much of the thread is past the place in the tissue that it reached first \[m\]; of one that has been cut, of the piece
-    /// that is there.
+    /// Length of thread beyond the first entry point \[m\]; of a cut thread, of the piece that lies there.
     #[must_use]
     pub fn thread_through(&self) -> f64 {
         let Some((point, thread)) = self.channel.last().zip(self.thread.as_ref()) else { return 0.0 };
@@ -244,36 +244,36 @@ impl SutureState {
     }
 }
 
-/// What happened in a step.
+/// Events of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// The tip has met the surface there \[m\].
+    /// The tip has touched the surface at this point \[m\].
     Touched(Point3<f64>),
-    /// The surface has given way to the tip from outside.
+    /// The tip has punctured the surface from outside.
     Entered {
         /// Number of the bite.
         bite: u32,
-        /// \[N\].
+        /// Puncture force \[N\].
         force: f64,
     },
-    /// And from inside.
+    /// The tip has punctured the surface from inside.
     Left {
         /// Number of the bite.
         bite: u32,
-        /// \[N\].
+        /// Puncture force \[N\].
         force: f64,
     },
-    /// The tip has gone back out where it came in.
+    /// The tip has withdrawn through its entry.
     Withdrawn {
         /// Number of the bite.
         bite: u32,
     },
-    /// The tip has gone back in where it came out.
+    /// The tip has gone back in through its exit.
     Back {
         /// Number of the bite.
         bite: u32,
     },
-    /// The end of the thread, or of the needle that has none, has gone through.
+    /// The end of the thread, or of a needle without thread, has passed through.
     Through {
         /// Number of the bite.
         bite: u32,

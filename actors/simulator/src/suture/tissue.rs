@@ -1,5 +1,5 @@
-//! Tissue that is sewn: a linear elastic body that answers at any point of its inside, its surface, and the way from one
-//! element to the next.
+//! Sutured tissue: a linear elastic body with compliance at any interior or surface point, and straight paths through
+//! its elements.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,67 +13,67 @@ use super::SutureError;
 use crate::linear_fem::Columns;
 use crate::suture_thread::elastic::SurfacePlace;
 
-/// Nodes about which the tissue can be asked at most: about as many as 150 places in a channel touch.
+/// Maximum number of nodes with compliance columns: about as many as 150 channel points touch.
 pub const NODES_MAX: usize = 1200;
-/// Elements that one way can lead through at most.
+/// Maximum number of elements on one path.
 const WALK_MAX: usize = 4096;
-/// Triangles whose normals have a smaller cosine between them meet in a ridge: 40°.
+/// Cosine of the dihedral angle beyond which an edge between triangles counts as a ridge: 40°.
 const SHARP: f64 = 0.77;
-/// A point is in an element when no weight is further below zero.
+/// A point is inside an element when no barycentric weight is below this.
 const INSIDE: f64 = -1e-9;
 /// Corners of the face opposite to each corner, counter-clockwise seen from outside.
 const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
-/// A material point: an element and the weights of its corners.
+/// A material point: an element and its barycentric weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Place {
-    /// Which element.
+    /// The element.
     pub tet: u32,
-    /// Of its corners; they add up to 1.
+    /// Barycentric weights; they add up to 1.
     pub weights: [f64; 4],
 }
 
-/// A place of the inside, or of the surface by its triangle.
+/// An interior point, or a surface point by its triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Spot {
     Inside(Place),
     Surface(SurfacePlace),
 }
 
-/// Where a straight way through the tissue ends.
+/// End of a straight path through the tissue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Way {
-    /// Inside.
+    /// Inside the tissue.
     Ends(Place),
-    /// At the surface, which it leaves there; the number of the triangle.
+    /// At the surface, where the path leaves; with the triangle.
     Leaves(Place, u32),
 }
 
-/// A crossing of the surface.
+/// An intersection with the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// Which triangle of the surface.
+    /// The surface triangle.
     pub triangle: u32,
-    /// Where.
+    /// The point.
     pub place: Place,
-    /// When, as a share of the way.
+    /// When, as a fraction of the path.
     pub share: f64,
 }
 
-/// Elastic tissue, held where it is fixed.
+/// Elastic tissue, fixed at some nodes.
 pub struct Tissue {
     mesh: TetMesh,
     columns: Columns,
-    /// Of the surface; shared with a step, during which the body changes.
+    /// Surface triangles; shared with a step, during which the body changes.
     triangles: Arc<Vec<[u32; 3]>>,
-    /// Across the face opposite to each corner: another element, or a triangle of the surface.
+    /// Neighbour across the face opposite to each corner: another element, or a surface triangle.
     beyond: Vec<[Beyond; 4]>,
-    /// The element of each triangle of the surface.
+    /// The element behind each surface triangle.
     behind: Vec<u32>,
-    /// Which rims of each triangle of the surface are ridges: from each corner to the next.
+    /// Which edges of each surface triangle are ridges: from each corner to the next.
     sharp: Vec<[bool; 3]>,
     material: Elastic,
-    /// Of an element \[m\].
+    /// Typical element size \[m\].
     size: f64,
     positions: Vec<Point3<f64>>,
     before: Vec<Point3<f64>>,
@@ -89,10 +89,10 @@ enum Beyond {
 }
 
 impl Tissue {
-    /// Of a mesh in the frame of the world, held at the nodes `fixed`.
+    /// Tissue with a mesh in the world frame, fixed at the nodes `fixed`.
     ///
     /// # Errors
-    /// A body that is held by nothing, or too large.
+    /// A body without fixed nodes, or too large.
     pub fn new(mesh: TetMesh, material: &Elastic, fixed: &[u32]) -> Result<Self, SutureError> {
         let columns = Columns::new(&mesh, material, fixed, NODES_MAX)?;
         let mut faces: Vec<([u32; 3], u32, u8)> = Vec::with_capacity(4 * mesh.tets().len());
@@ -148,24 +148,24 @@ impl Tissue {
         &self.mesh
     }
 
-    /// Corners of the triangles of its surface.
+    /// Corners of the surface triangles.
     pub(super) fn triangles(&self) -> Arc<Vec<[u32; 3]>> {
         self.triangles.clone()
     }
 
-    /// Of the nodes, in the world \[m\].
+    /// Positions of the nodes, in the world \[m\].
     #[must_use]
     pub fn positions(&self) -> &[Point3<f64>] {
         &self.positions
     }
 
-    /// Forces on nodes that deform it now \[N\].
+    /// Current forces on the nodes \[N\].
     #[must_use]
     pub fn forces(&self) -> &[(u32, Vector3<f64>)] {
         &self.forces
     }
 
-    /// Energy of its deformation \[J\].
+    /// Elastic energy \[J\].
     #[must_use]
     pub fn energy(&self) -> f64 {
         let work = |(node, force): &(u32, Vector3<f64>)| {
@@ -174,16 +174,16 @@ impl Tissue {
         0.5 * self.forces.iter().map(work).sum::<f64>()
     }
 
-    /// How far any node is from rest at most \[m\].
+    /// Largest displacement of a node \[m\].
     #[must_use]
     pub fn displacement_max(&self) -> f64 {
         let far = self.positions.iter().zip(self.mesh.rest()).map(|(now, rest)| (now - rest).norm());
         far.fold(0.0, f64::max)
     }
 
-    /// How far a line of a radius \[m\] goes sideways through the tissue under a force per length \[m²/N\], of what elements
-    /// cannot show: Kelvin's line load in plane strain, from the radius to the size of an element. Without it several
-    /// places in one element would pinch what lies in them.
+    /// Local compliance to a transverse line load on a wire of this radius \[m\], per length \[m²/N\], which elements
+    /// cannot resolve: Kelvin's line load in plane strain, from the radius to the element size. Without it, several
+    /// points in one element would pinch the wire.
     #[must_use]
     pub fn gives_way_about(&self, radius: f64) -> f64 {
         let poisson = self.material.poisson_ratio();
@@ -192,7 +192,7 @@ impl Tissue {
         through * (self.size / radius).ln().max(0.0)
     }
 
-    /// Whether a place is one of this mesh's.
+    /// Whether a point belongs to this mesh.
     #[must_use]
     pub fn has(&self, place: &Place) -> bool {
         (place.tet as usize) < self.mesh.tets().len()
@@ -200,7 +200,7 @@ impl Tissue {
             && (place.weights.iter().sum::<f64>() - 1.0).abs() < 1e-6
     }
 
-    /// The nodes of a spot and their weights.
+    /// The nodes of a point and their weights.
     fn nodes_of(&self, spot: &Spot) -> ([u32; 4], [f64; 4]) {
         match spot {
             Spot::Inside(place) => (self.mesh.tets()[place.tet as usize], place.weights),
@@ -210,18 +210,18 @@ impl Tissue {
         }
     }
 
-    /// Brings what the inverse knows to the nodes of a place; `false` when there is no room for more.
+    /// Adds the compliance columns of a point's nodes; `false` when there is no room for more.
     pub(super) fn name(&mut self, place: &Place) -> bool {
         self.name_spot(&Spot::Inside(*place))
     }
 
-    /// The same of a spot.
+    /// The same for a point of either kind.
     pub(super) fn name_spot(&mut self, spot: &Spot) -> bool {
         let (nodes, weights) = self.nodes_of(spot);
         nodes.iter().zip(weights).all(|(node, weight)| weight == 0.0 || self.columns.name(*node))
     }
 
-    /// Displacement at `a` per force at `b`, which have been named \[m/N\].
+    /// Displacement at `a` per force at `b`, both of which have been named \[m/N\].
     pub(super) fn between(&self, a: &Spot, b: &Spot) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
         let ((of_a, us), (of_b, vs)) = (self.nodes_of(a), self.nodes_of(b));
@@ -235,41 +235,40 @@ impl Tissue {
         sum
     }
 
-    /// How far a spot is from rest when the nodes are at these positions \[m\].
+    /// Displacement of a point for these node positions \[m\].
     pub(super) fn displaced_when(&self, spot: &Spot, positions: &[Point3<f64>]) -> Vector3<f64> {
         let (nodes, weights) = self.nodes_of(spot);
         mean(positions, &nodes, &weights) - mean(self.mesh.rest(), &nodes, &weights)
     }
 
-    /// How far a spot is from rest now \[m\].
+    /// Current displacement of a point \[m\].
     pub(super) fn displaced(&self, spot: &Spot) -> Vector3<f64> {
         self.displaced_when(spot, &self.positions)
     }
 
-    /// And was when the part of the step began \[m\].
+    /// Its displacement at the beginning of the substep \[m\].
     pub(super) fn displaced_before(&self, spot: &Spot) -> Vector3<f64> {
         self.displaced_when(spot, &self.before)
     }
 
-    /// Where the nodes were when the part of the step began \[m\].
+    /// Node positions at the beginning of the substep \[m\].
     pub(super) fn before(&self) -> &[Point3<f64>] {
         &self.before
     }
 
-    /// Where a place is when nothing pulls \[m\].
+    /// Rest position of a material point \[m\].
     #[must_use]
     pub fn at_rest(&self, place: &Place) -> Point3<f64> {
         mean(self.mesh.rest(), &self.mesh.tets()[place.tet as usize], &place.weights)
     }
 
-    /// Where a place is now \[m\].
+    /// Current position of a material point \[m\].
     #[must_use]
     pub fn now(&self, place: &Place) -> Point3<f64> {
         mean(&self.positions, &self.mesh.tets()[place.tet as usize], &place.weights)
     }
 
-    /// The material point that is at a point of the world now, or the nearest by its smallest weight. Looks through all
-    /// elements.
+    /// The material point now at a point of the world, or the nearest by its smallest weight. Searches all elements.
     #[must_use]
     pub fn locate(&self, point: &Point3<f64>) -> Place {
         let mut best = (Place::default(), f64::NEG_INFINITY);
@@ -290,7 +289,7 @@ impl Tissue {
         [1.0 - inner.sum(), inner.x, inner.y, inner.z]
     }
 
-    /// Straight on from a place to a point of the world, from element to element as they are now.
+    /// The straight path from a material point to a point of the world, through the deformed elements.
     #[must_use]
     pub fn walk(&self, from: &Place, to: &Point3<f64>) -> Way {
         let start = self.now(from);
@@ -302,7 +301,7 @@ impl Tissue {
             if last.iter().all(|weight| *weight >= INSIDE) {
                 return Way::Ends(Place { tet, weights: last });
             }
-            // The face that is crossed first of those that are behind no more.
+            // The first face crossed of those that lie ahead.
             let mut nearest: Option<(usize, f64)> = None;
             for corner in 0..4 {
                 if last[corner] >= INSIDE || came_from == Some(self.beyond[tet as usize][corner]) {
@@ -325,12 +324,13 @@ impl Tissue {
                 }
             }
         }
-        // Only of elements without volume: stays where it got to.
+        // A cycle of elements without volume: stop here.
         Way::Ends(place)
     }
 
-    /// Where a point that goes from `from` to `to` \[m\] during the step comes in through the surface first, which has moved
-    /// from where it was when the step began to where it is now. Sides are compared at both ends of the step.
+    /// First intersection of a point moving from `from` to `to` \[m\] during the step with the surface from outside;
+    /// the surface moves from its position at the beginning of the step to the current one. Sides are compared at both
+    /// ends of the step.
     pub(super) fn comes_in(&self, from: &Point3<f64>, to: &Point3<f64>) -> Option<Crossing> {
         let low = from.coords.inf(&to.coords);
         let high = from.coords.sup(&to.coords);
@@ -364,7 +364,7 @@ impl Tissue {
         first
     }
 
-    /// A point of a triangle of the surface.
+    /// A point of a surface triangle.
     #[must_use]
     pub fn on_surface(&self, triangle: u32, weights: &[f64; 3]) -> Place {
         let tet = self.behind[triangle as usize];
@@ -376,20 +376,20 @@ impl Tissue {
         Place { tet, weights: sound(of) }
     }
 
-    /// The outward normal of a triangle of the surface at rest: under one tip the facets of a mesh tilt by more than the
-    /// tissue does, and displacements are small.
+    /// Outward rest normal of a surface triangle: under a needle tip the facets of a mesh tilt more than the tissue
+    /// does, and displacements are small.
     #[must_use]
     pub fn normal(&self, triangle: u32) -> Vector3<f64> {
         let [a, b, c] = self.mesh.surface()[triangle as usize].map(|node| self.mesh.rest()[node as usize]);
         (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::z)
     }
 
-    /// Whether a triangle of the surface meets its neighbour in a ridge, along the rim from its corner of this number.
+    /// Whether a surface triangle meets its neighbour in a ridge, along the edge from its corner of this number.
     pub(super) fn is_sharp(&self, triangle: u32, rim: usize) -> bool {
         self.sharp[triangle as usize][rim]
     }
 
-    /// The place of the surface that is nearest to a point of the world now, and its triangle.
+    /// The surface point nearest to a point of the world, and its triangle.
     #[must_use]
     pub fn nearest(&self, point: &Point3<f64>) -> (Place, u32) {
         let mut best = (0, [1.0, 0.0, 0.0], f64::INFINITY);
@@ -404,12 +404,12 @@ impl Tissue {
         (self.on_surface(best.0 as u32, &best.1), best.0 as u32)
     }
 
-    /// Remembers where it is as the beginning of a step.
+    /// Stores the current positions as the beginning of a step.
     pub(super) fn begin(&mut self) {
         self.before.clone_from(&self.positions);
     }
 
-    /// Deforms it by these forces at spots that have been named.
+    /// Deforms the tissue by these forces at points that have been named.
     pub(super) fn deform(&mut self, forces: impl Iterator<Item = (Spot, Vector3<f64>)>) {
         let mut on_nodes = std::mem::take(&mut self.forces);
         on_nodes.clear();
@@ -437,13 +437,13 @@ impl Tissue {
     }
 }
 
-/// Of each triangle of the surface, from which of its corners to the next it meets its neighbour in a ridge at rest.
+/// Which edges of each surface triangle, from each corner to the next, are ridges at rest.
 fn ridges(mesh: &TetMesh) -> Vec<[bool; 3]> {
     let normal = |triangle: &[u32; 3]| {
         let [a, b, c] = triangle.map(|node| mesh.rest()[node as usize]);
         (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::zeros)
     };
-    // Neighbours run along a rim in opposite directions.
+    // Neighbouring triangles traverse a common edge in opposite directions.
     let mut across = BTreeMap::new();
     for triangle in mesh.surface() {
         for k in 0..3 {
@@ -459,7 +459,7 @@ fn ridges(mesh: &TetMesh) -> Vec<[bool; 3]> {
     mesh.surface().iter().map(sharp).collect()
 }
 
-/// Weights that add up to 1.
+/// Weights normalised to add up to 1.
 fn sound(weights: [f64; 4]) -> [f64; 4] {
     let weights = weights.map(|weight| weight.max(0.0));
     let sum: f64 = weights.iter().sum();
@@ -472,7 +472,7 @@ fn mean(positions: &[Point3<f64>], nodes: &[u32; 4], weights: &[f64; 4]) -> Poin
     Point3::from(sum)
 }
 
-/// Height over a triangle \[m\], and the weights of the foot.
+/// Height above a triangle \[m\], and the barycentric weights of the foot point.
 fn above([a, b, c]: &[Point3<f64>; 3], point: &Point3<f64>) -> Option<(f64, [f64; 3])> {
     let (e, f, to) = (b - a, c - a, point - a);
     let normal = e.cross(&f);

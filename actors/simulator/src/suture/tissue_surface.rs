@@ -1,5 +1,5 @@
-//! The surface of the tissue: where the needle's side comes near to it, and which part of the thread is in the tissue and not
-//! on it.
+//! Contact with the tissue surface: points of the needle's body near it, and the part of the thread that is inside the
+//! tissue and ignores it.
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::primitive::closest_on_triangle;
@@ -11,36 +11,37 @@ use super::tissue::Tissue;
 use crate::suture_thread::Spared;
 use crate::suture_thread::elastic::SurfacePlace;
 
-/// From one place of the needle's side that may touch the surface to the next \[m\].
+/// Spacing of the needle's contact points \[m\].
 const SPACING: f64 = 1e-3;
-/// The tip has rules of its own: this much of the needle behind it does not touch \[m\].
+/// Length behind the tip that makes no contact, since the tip has its own rules \[m\].
 const POINT: f64 = 1e-3;
-/// What is deeper in the tissue than so many radii is in it, and not on it.
+/// A point deeper than this is inside the tissue, not on its surface, in radii.
 const DEEP: f64 = 2.0;
-/// Places of the side within this of the surface are followed in a step besides how far they go \[m\].
+/// Contact margin of the needle's points beyond their motion in a step \[m\].
 const NEAR: f64 = 2e-4;
 
-/// Places of a needle's side that are looked at at most.
+/// Maximum number of contact points on a needle.
 pub(super) const SAMPLES_MAX: u32 = 512;
 
-/// A place of the needle's side near to the surface.
+/// A point of the needle's body near the surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct NeedleSide {
-    /// Which, from the tail on.
+    /// Its number, from the tail.
     pub sample: u32,
     /// Arc length from the tail \[m\].
     pub along: f64,
-    /// Of the wire there \[m\].
+    /// Wire radius there \[m\].
     pub radius: f64,
-    /// On the surface.
+    /// Contact point on the surface.
     pub place: SurfacePlace,
-    /// Where that is when the part begins.
+    /// Its position at the beginning of the substep.
     pub point: Point3<f64>,
-    /// Outwards, unit.
+    /// Outward unit normal.
     pub normal: Vector3<f64>,
 }
 
-/// Arc lengths between which needle and thread are in the tissue, bite by bite, with as much as is left free about a hole.
+/// Arc lengths between which needle and thread are in the tissue, bite by bite, extended by the free margin around
+/// holes.
 fn buried(state: &SutureState, length: f64, room: f64, mut each: impl FnMut(f64, f64)) {
     let mut begin = 0;
     while let Some(first) = state.channel.get(begin) {
@@ -54,7 +55,7 @@ fn buried(state: &SutureState, length: f64, room: f64, mut each: impl FnMut(f64,
     }
 }
 
-/// Edges of the thread that are in the tissue, and those next to them.
+/// Thread edges in the tissue, and their neighbours.
 pub(super) fn in_tissue(
     state: &SutureState,
     length: f64,
@@ -74,7 +75,7 @@ pub(super) fn in_tissue(
     });
 }
 
-/// Whether any of an edge of the thread is in the tissue or at one of its holes.
+/// Whether any part of a thread edge is in the tissue or at one of its holes.
 pub(super) fn is_in_tissue(state: &SutureState, length: f64, resistance: &Resistance, edge: usize) -> bool {
     let span = state.thread.as_ref().and_then(|thread| thread.spans().find(|(own, _)| *own == edge));
     let Some((_, [begin, end])) = span else { return false };
@@ -83,7 +84,7 @@ pub(super) fn is_in_tissue(state: &SutureState, length: f64, resistance: &Resist
     is_in
 }
 
-/// Nodes of the thread that are in the tissue or at its holes.
+/// Thread nodes in the tissue or at its holes.
 pub(super) fn nodes_in_tissue(
     state: &SutureState,
     length: f64,
@@ -98,7 +99,7 @@ pub(super) fn nodes_in_tissue(
     });
 }
 
-/// Lists the places of the needle's side that may touch the surface in a part of `dt`; the surface as it is when it begins.
+/// Lists the needle points that may touch the surface in a substep of `dt`, with the surface at its beginning.
 pub(super) fn sides(
     solid: &Solid,
     state: &SutureState,
@@ -112,7 +113,7 @@ pub(super) fn sides(
     let length = shape.length();
     let speed = state.needle.velocity(solid).norm() + state.needle.spin(solid).norm() * 2.0 * shape.radius;
     let reach = NEAR + 1.5 * dt * speed;
-    // What comes to the surface behind the tip in this part comes there after it.
+    // The part behind the tip that reaches the surface in this substep makes contact in the next one.
     let behind = (length - POINT - 1.5 * dt * speed).max(0.0);
     let count = (behind / SPACING).floor().clamp(0.0, f64::from(SAMPLES_MAX - 1)) as u32;
     for sample in 0..=count {
@@ -138,7 +139,7 @@ pub(super) fn sides(
         (low, high) = (low.inf(&side.point.coords), high.sup(&side.point.coords));
     }
     let (low, high) = (low - Vector3::repeat(room), high + Vector3::repeat(room));
-    // Per place the nearest so far; its signed distance and its foot.
+    // The nearest so far for each point: signed distance and foot point.
     let mut nearest: [Option<(f64, f64, Point3<f64>)>; SAMPLES_MAX as usize] = [None; SAMPLES_MAX as usize];
     for triangle in tissue.mesh().surface() {
         let corners = triangle.map(|node| tissue.before()[node as usize]);

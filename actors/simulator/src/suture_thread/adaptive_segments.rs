@@ -1,8 +1,8 @@
-//! Adaptive segments: edges as short as a knot needs where strands come near to each other or the thread bends sharply, long
-//! ones elsewhere (Spillmann, Teschner, *An adaptive contact model for the robust simulation of knots*, 2008).
+//! Adaptive segments: short edges where strands are near to each other or the thread bends sharply, long ones elsewhere
+//! (Spillmann, Teschner, *An adaptive contact model for the robust simulation of knots*, 2008).
 //!
-//! An edge is divided where it lies, so that no contact becomes deeper and length, mass and momentum stay; two edges become
-//! one only where the thread is all but straight and touches nothing, so that nothing is near that the chord could pass.
+//! An edge is divided on its straight line, which deepens no contact and keeps length, mass and momentum; two edges are
+//! merged only where the thread is almost straight and free of contact, so that the chord cannot pass through anything.
 
 use nalgebra::Vector3;
 use trocar_collision::primitive::closest_segments;
@@ -12,39 +12,39 @@ use super::contact::nearest_segments;
 use super::state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 use super::{Thread, ThreadError};
 
-/// Edges grow by this share of the way from where they have to be short.
+/// Growth rate of the edge length with distance from where edges have to be short.
 const GRADE: f64 = 0.5;
-/// An edge turns by this much at most from the one before, else it is to be shorter \[rad\].
+/// Largest angle between consecutive edges before they are to be shorter \[rad\].
 const TURN_MAX: f64 = 0.5;
-/// An edge is divided when it is longer than it should be by more than this, as a factor: of one that is hardly longer the
-/// halves would be needlessly short.
+/// An edge is divided when it exceeds its target length by this factor; halves of an edge just above the target would
+/// be needlessly short.
 const TOLERATED: f64 = 1.15;
-/// Two edges become one where they turn by less than this \[rad\],
+/// Two edges are merged where their angle is below this \[rad\],
 const STRAIGHT: f64 = 0.1;
-/// and are together no longer than this share of what may be, so that they are not divided again at once.
+/// and their total length below this fraction of the target, so that they are not divided again at once.
 const HYSTERESIS: f64 = 0.95;
 
-/// How long edges may be.
+/// Target edge lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fineness {
-    /// Near to another strand, and where it bends sharply \[m\], but for a seventh: 1.3 diameters hold a knot.
+    /// Near another strand and in sharp bends \[m\], to within a seventh: 1.3 diameters hold a knot.
     pub fine: f64,
-    /// Elsewhere, but for a seventh \[m\].
+    /// Elsewhere, to within a seventh \[m\].
     pub coarse: f64,
-    /// Strands whose surfaces are not further apart are near \[m\]: more than they come nearer until the next time.
+    /// Surface distance at which strands count as near \[m\]: more than they approach before the next adaptation.
     pub reach: f64,
-    /// Nodes at most; where there are that many, edges stay as long as they are.
+    /// Maximum number of nodes; once it is reached, no edge is divided.
     pub nodes_max: usize,
 }
 
-/// Where nodes and edges are to be found now.
+/// New numbers of nodes and edges.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Renumbered {
-    /// Of each former node, unless it is gone.
+    /// New number of each former node, unless it was removed.
     pub nodes: Vec<Option<u32>>,
-    /// Of each former edge the first and the last that lie where it did.
+    /// First and last new edge in place of each former edge.
     pub edges: Vec<[u32; 2]>,
-    /// Edges that are longer than they should be, for want of nodes.
+    /// Edges that stayed too long because of the node limit.
     pub too_long: usize,
 }
 
@@ -71,21 +71,20 @@ impl Fineness {
 }
 
 impl Thread {
-    /// Makes edges as short as they have to be, and no shorter where they need not; the nodes in `keep` stay. `None` when all
-    /// are as they should be.
+    /// Adapts edge lengths to the targets; the nodes in `keep` stay. `None` when nothing changes.
     ///
     /// # Errors
-    /// A fineness that makes no sense, by name. The thread is then what it was.
+    /// The name of an invalid target. The thread is then unchanged.
     pub fn adapt(&mut self, fineness: &Fineness, keep: &[usize]) -> Result<Option<Renumbered>, ThreadError> {
         self.state.adapt(self.material.radius, fineness, keep)
     }
 }
 
 impl ThreadState {
-    /// The same of the state of a thread of `radius` \[m\].
+    /// The same for the state of a thread of `radius` \[m\].
     ///
     /// # Errors
-    /// A fineness that makes no sense, by name. The state is then what it was.
+    /// The name of an invalid target. The state is then unchanged.
     pub fn adapt(
         &mut self,
         radius: f64,
@@ -103,12 +102,13 @@ impl ThreadState {
     }
 }
 
-/// How long each edge may be \[m\].
+/// Target length of each edge \[m\].
 fn wanted_lengths(state: &ThreadState, radius: f64, fineness: &Fineness) -> Vec<f64> {
     let (points, rest) = (&state.positions, &state.rest_lengths);
     let mut wanted = vec![fineness.coarse; rest.len()];
     let arcs = state.arcs();
-    // Along x by where they begin: who begins beyond where another ends is not near to it, nor is anyone after.
+    // Sweep along x, sorted by lower bounds: an edge that begins beyond the end of another is not near to it, nor are
+    // later ones.
     let near = 2.0 * radius + fineness.reach;
     let range = |edge: usize| {
         let (a, b) = (points[edge].x, points[edge + 1].x);
@@ -127,7 +127,8 @@ fn wanted_lengths(state: &ThreadState, radius: f64, fineness: &Fineness) -> Vec<
                 continue;
             }
             let distance = closest_segments(&segment(low), &segment(high)).distance_squared.sqrt();
-            // The same strand is as far apart as it is long; a strand that comes back to itself is nearer.
+            // Distance along the strand rules out neighbours; a strand that returns to itself is nearer in space than
+            // along itself.
             let along = arcs[high] - arcs[low + 1];
             if distance < near && along > std::f64::consts::FRAC_PI_2 * distance.max(2.0 * radius) {
                 (wanted[low], wanted[high]) = (fineness.fine, fineness.fine);
@@ -155,22 +156,22 @@ fn tangent(state: &ThreadState, edge: usize) -> Vector3<f64> {
     (state.positions[edge + 1] - state.positions[edge]).normalize()
 }
 
-/// By how much the thread turns at a node \[rad\].
+/// Turning angle of the thread at a node \[rad\].
 fn turning(state: &ThreadState, node: usize) -> f64 {
     let (before, after) = (tangent(state, node - 1), tangent(state, node));
     before.cross(&after).norm().atan2(before.dot(&after))
 }
 
-/// What becomes of an edge.
+/// What happens to an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Deed {
-    /// It becomes so many.
+    /// It is divided into this many.
     Parts(usize),
-    /// It becomes one with the next one.
+    /// It is merged with the next one.
     Joined,
 }
 
-/// The state with edges that are no longer than wanted, and no shorter than need be; `None` where nothing is to be done.
+/// The state with edges no longer than their targets and no shorter than necessary; `None` where nothing changes.
 fn divided(
     state: &ThreadState,
     wanted: &[f64],
@@ -185,7 +186,7 @@ fn divided(
             touched[contact.key.feature as usize] = true;
         }
     }
-    // Three nodes are the least of each thread.
+    // Each thread has at least three nodes.
     let mut spare: Vec<usize> = vec![0; count];
     for [first, last] in state.threads() {
         spare[first..last].fill(last + 1 - first - 3);
@@ -262,7 +263,7 @@ fn divided(
     Some((to, renumbered))
 }
 
-/// Adds the parts of an edge, and the nodes at their ends.
+/// Appends the parts of a divided edge, and the nodes at their ends.
 fn divide(state: &ThreadState, edge: usize, parts: usize, to: &mut ThreadState) {
     let [from, end] = [state.positions[edge], state.positions[edge + 1]];
     for part in 1..=parts {
@@ -276,8 +277,8 @@ fn divide(state: &ThreadState, edge: usize, parts: usize, to: &mut ThreadState) 
     }
 }
 
-/// By which share of the twist between two edges the one in their place is turned against the first: as far round as the two
-/// were on average, but that the ends of the thread stay as they are.
+/// Rotation of a merged edge against the first of the two, as a fraction of the twist between them: the average of
+/// both, but the ends of the thread keep theirs.
 fn turned(state: &ThreadState, edge: usize) -> f64 {
     let rest = &state.rest_lengths;
     if edge == 0 || !state.joins(edge - 1) {
@@ -289,7 +290,7 @@ fn turned(state: &ThreadState, edge: usize) -> f64 {
     }
 }
 
-/// Adds one edge in place of two.
+/// Appends one edge in place of two.
 fn join(state: &ThreadState, edge: usize, to: &mut ThreadState) {
     let rest = [state.rest_lengths[edge], state.rest_lengths[edge + 1]];
     let second = rest[1] / (rest[0] + rest[1]);
@@ -306,7 +307,7 @@ fn join(state: &ThreadState, edge: usize, to: &mut ThreadState) {
     to.tensions.push(mean(&state.tensions));
 }
 
-/// Twists at the ends of what was joined: what was between the two is before and after them now.
+/// Twists at the ends of merged edges: the twist between the two is distributed to the nodes before and after.
 fn twist(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
     let mut more = vec![0.0; to.twists.len()];
     let (mut at, mut edge) = (0, 0);
@@ -337,13 +338,13 @@ fn twist(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
     (to.twists[0], to.twists[last]) = (0.0, 0.0);
 }
 
-/// Velocities: between the ends of what was divided; of what was joined the neighbours take over the momentum.
+/// Velocities: interpolated at new nodes; neighbours of a removed node take over its momentum.
 fn move_on(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
     let half = |rest: &[f64], node: usize| {
         let before = if node > 0 { rest[node - 1] } else { 0.0 };
         0.5 * (before + rest.get(node).copied().unwrap_or(0.0))
     };
-    // Momentum over mass per length, edge by edge: half of each edge goes with either of its ends.
+    // Momentum over mass per length, edge by edge: half of each edge belongs to either end.
     let mut momentum = vec![Vector3::zeros(); to.positions.len()];
     let (mut at, mut edge) = (0, 0);
     while edge < deeds.len() {
@@ -362,7 +363,7 @@ fn move_on(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
                 at += parts;
             }
             Deed::Joined => {
-                // Of what the node between had, each end takes what it lacks of its new mass.
+                // Of the removed node's momentum, each end takes the part of its added mass.
                 momentum[at] += velocity(0) * (0.5 * rest(0)) + velocity(1) * (0.5 * rest(1));
                 momentum[at + 1] += velocity(2) * (0.5 * rest(1)) + velocity(1) * (0.5 * rest(0));
                 at += 1;
@@ -374,7 +375,7 @@ fn move_on(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
     to.velocities = momentum.iter().enumerate().map(|(node, of)| of / half(&to.rest_lengths, node)).collect();
 }
 
-/// What contacts remember, under their new names.
+/// Contact memories under their new numbers.
 fn contacts(state: &ThreadState, renumbered: &Renumbered) -> Vec<ContactMemory> {
     let mut found: Vec<ContactMemory> = Vec::with_capacity(state.contacts.len());
     for contact in &state.contacts {
@@ -390,7 +391,7 @@ fn contacts(state: &ThreadState, renumbered: &Renumbered) -> Vec<ContactMemory> 
             let key = ContactKey { with: 0, edge: part(key.edge, s), feature: part(key.feature, t) };
             found.push(ContactMemory { key, ..*contact });
         } else {
-            // Where along the edge it was is not remembered: wherever it is found again, it has not slid.
+            // The position along the former edge is not stored: the new contact starts without slip.
             let parts = f64::from(last - first + 1);
             found.extend((first..=last).map(|edge| ContactMemory {
                 key: ContactKey { edge, ..key },

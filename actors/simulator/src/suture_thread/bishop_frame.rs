@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-/// Below this the two directions are opposite for all we know, and the transport between them is arbitrary.
+/// Below this the two directions are numerically opposite and the transport between them is arbitrary.
 const OPPOSITE: f64 = 1e-9;
 
 /// `vector` turned by the smallest rotation that takes the unit direction `from` to the unit direction `to`.
@@ -40,7 +40,8 @@ pub(crate) fn unwrapped(angle: f64, near: f64) -> f64 {
     angle + ((near - angle) / std::f64::consts::TAU).round() * std::f64::consts::TAU
 }
 
-/// `vector` made perpendicular to the unit direction `axis` and of length 1; any such where it has no such part.
+/// `vector` made perpendicular to the unit direction `axis` and normalised; any perpendicular unit vector where it is
+/// parallel to `axis`.
 #[must_use]
 pub(crate) fn perpendicular(vector: &Vector3<f64>, axis: &Vector3<f64>) -> Vector3<f64> {
     let flat = vector - axis * axis.dot(vector);

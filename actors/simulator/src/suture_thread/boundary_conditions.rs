@@ -1,20 +1,20 @@
-//! What holds and pulls a thread: nodes held in place, edges kept from turning, forces on nodes.
+//! Boundary conditions of a thread: nodes with prescribed motion, edges with held rotation, forces on nodes.
 
 use nalgebra::{Point3, Vector3};
 
-/// What a hold gives way at most under a newton: 1 µm \[N/m\].
+/// Default stiffness of a hold: 1 µm per newton \[N/m\].
 pub const HOLD_STIFFNESS: f64 = 1e6;
 
-/// A node that is led to a place, as by a jaw. Two neighbouring ones clamp the direction as well.
+/// A node with a prescribed position, as in a jaw. Two neighbouring ones also clamp the direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hold {
-    /// Which.
+    /// The node.
     pub node: usize,
-    /// Where it is at the end of the step, in the world \[m\]; led there in a straight line.
+    /// Target at the end of the step, in the world \[m\]; approached in a straight line.
     pub to: Point3<f64>,
-    /// Of the grip \[N/m\].
+    /// Stiffness of the grip \[N/m\].
     pub stiffness: f64,
-    /// Beyond this the node slips through the grip \[N\]; infinite for a clamp.
+    /// Force limit at which the node slips through the grip \[N\]; infinite for a clamp.
     pub force_max: f64,
 }
 
@@ -26,30 +26,30 @@ impl Hold {
     }
 }
 
-/// Edges that an obstacle does not stop: what jaws hold lies between them.
+/// Edges that ignore an obstacle, because jaws hold them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Spared {
-    /// The obstacle's place in the list.
+    /// The obstacle's index.
     pub obstacle: usize,
     /// First and last edge.
     pub edges: [usize; 2],
 }
 
-/// An edge whose director is led to a direction, so that it cannot turn about itself.
+/// An edge with a prescribed director, so that it cannot rotate about its own axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TwistHold {
-    /// Which.
+    /// The edge.
     pub edge: usize,
-    /// Where the director points at the end of the step; what lies along the edge does not count. No further than
-    /// half a turn from where it was.
+    /// Direction of the director at the end of the step; its component along the edge is ignored. At most half a turn
+    /// from the previous direction.
     pub director: Vector3<f64>,
 }
 
 /// A force on a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Load {
-    /// Which.
+    /// The node.
     pub node: usize,
-    /// In the world \[N\].
+    /// The force, in the world \[N\].
     pub force: Vector3<f64>,
 }

@@ -1,41 +1,42 @@
-//! A thread that is cut, or breaks: two threads from there on, whose ends are a diameter apart, so that they do not touch. What
-//! was between them is gone, as what blades have crushed.
+//! Cutting or breaking a thread: it becomes two threads, whose new ends are one diameter apart, so that they do not
+//! touch. The piece between them is removed, as if crushed by the blades.
 //!
-//! The cut is where it was made, to within half a radius: edges are divided there. Ends are left as they were otherwise:
-//! position, velocity, twist and tension of what is left change by nothing, only what was tied together is so no longer.
+//! The cut is placed with an accuracy of half a radius; the edge is divided there. The remaining nodes keep position,
+//! velocity, twist and tension.
 
 use nalgebra::{Point3, Vector3};
 
 use super::state::{ContactKey, ContactMemory, ThreadState};
 use super::{Thread, ThreadError};
 
-/// What a cut leaves on either side is no shorter, in radii: shorter ones have nothing that could bend.
+/// Least length of either piece, in radii: a shorter one has no node at which it could bend.
 const LEAST: f64 = 4.0;
-/// A node that is nearer to where an end is to be becomes that end, in radii: no edge is shorter.
+/// A node nearer than this to the new end becomes the end, in radii; no edge is shorter.
 const NEAR: f64 = 0.5;
 
 /// Where a thread is cut.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CutAt {
-    /// On which edge.
+    /// The edge.
     pub edge: usize,
-    /// At which share of it.
+    /// The fraction along the edge.
     pub share: f64,
 }
 
-/// Where nodes and edges are to be found after a cut.
+/// New numbers of nodes and edges after a cut.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parted {
-    /// Of each former node, unless it is gone.
+    /// New number of each former node, unless it was removed.
     pub nodes: Vec<Option<u32>>,
-    /// Of each former edge that is whole.
+    /// New number of each former edge that was left whole.
     pub edges: Vec<Option<u32>>,
-    /// Where each node is: on which former edge, at which share of it; the very last node at the end of the last edge.
+    /// Where each new node lies: a former edge and the fraction along it; the very last node lies at the end of the
+    /// last edge.
     pub at: Vec<CutAt>,
 }
 
 impl Parted {
-    /// What nodes are of which the former ones were `before`, one value each \[m\].
+    /// Values at the new nodes, interpolated from the values `before` at the former nodes \[m\].
     #[must_use]
     pub fn places(&self, before: &[Point3<f64>]) -> Vec<Point3<f64>> {
         self.at.iter().map(|at| between(before, at)).collect()
@@ -43,7 +44,7 @@ impl Parted {
 }
 
 fn between(points: &[Point3<f64>], at: &CutAt) -> Point3<f64> {
-    // A node to the bit.
+    // An unmoved node keeps its value bit for bit.
     match at.share {
         0.0 => points[at.edge],
         1.0 => points[at.edge + 1],
@@ -52,17 +53,17 @@ fn between(points: &[Point3<f64>], at: &CutAt) -> Point3<f64> {
 }
 
 impl Thread {
-    /// Cuts it. `None` where it is cut already, or less than two diameters would be left on a side.
+    /// Cuts the thread. `None` where it is already cut, or a piece would be shorter than two diameters.
     ///
     /// # Errors
-    /// It would have more nodes than a thread may have. It is then what it was.
+    /// The number of nodes would exceed the limit. The thread is then unchanged.
     pub fn cut(&mut self, at: CutAt) -> Result<Option<Parted>, ThreadError> {
         self.state.cut(self.material.radius, at)
     }
 }
 
 impl ThreadState {
-    /// The same of the state of a thread of `radius` \[m\].
+    /// The same for the state of a thread of `radius` \[m\].
     ///
     /// # Errors
     /// As [`Thread::cut`].
@@ -74,11 +75,11 @@ impl ThreadState {
     }
 }
 
-/// Nodes of what is left on one side, as lengths from its outer end \[m\], of those that there were; it is `end` long \[m\], or
-/// a little less.
+/// Nodes of one remaining piece, as lengths from its outer end \[m\], chosen from the existing nodes; the piece is
+/// `end` long \[m\], or slightly less.
 fn side(lengths: &[f64], end: f64, radius: f64) -> Vec<f64> {
     let mut kept: Vec<f64> = lengths.iter().copied().take_while(|at| *at <= end).collect();
-    // The outer end is one of them: a side is longer than that.
+    // The outer end is always kept: a piece is longer than that.
     if kept.last().is_some_and(|last| end - last > NEAR * radius) {
         kept.push(end);
     }
@@ -107,7 +108,8 @@ fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, 
     let lengths: Vec<f64> = arcs.iter().rev().map(|arc| length - arc).collect();
     let mut after = side(&lengths, length - at - radius, radius);
     after.reverse();
-    // Back to edges and shares. Arcs of nodes are what they were, but for rounding from the other end.
+    // Back to edges and fractions. Arc lengths of nodes are unchanged, except for rounding when measured from the other
+    // end.
     let place = |arc: f64| {
         let near = 1e-9 * length;
         let edge = arcs.partition_point(|node| *node <= arc + near).clamp(1, arcs.len() - 1) - 1;
@@ -132,7 +134,7 @@ fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, 
     Some(rebuilt(state, nodes, end))
 }
 
-/// The state with these nodes, and nothing between node `end` and the next.
+/// The state with these nodes, and a dummy edge between node `end` and the next.
 fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Parted) {
     let mut to = ThreadState::default();
     let count = state.positions.len();
@@ -160,7 +162,7 @@ fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Par
             to.tensions.push(0.0);
             continue;
         }
-        // An edge begins where its node is.
+        // A node at the end of an edge begins the next edge.
         let edge = if place.share == 1.0 { place.edge + 1 } else { place.edge };
         let from = if place.share == 1.0 { 0.0 } else { place.share };
         let until = if following.edge == edge { following.share } else { 1.0 };
@@ -178,7 +180,7 @@ fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Par
     (to, parted)
 }
 
-/// What a contact remembers, under its new name; nothing of an edge that is whole no longer.
+/// A contact's memory under its new numbers; none for an edge that is no longer whole.
 fn renumbered(contact: &ContactMemory, edges: &[Option<u32>]) -> Option<ContactMemory> {
     let now = |edge: u32| edges.get(edge as usize).copied().flatten();
     let edge = now(contact.key.edge)?;
@@ -216,7 +218,7 @@ mod tests {
             assert!((middle - wanted).abs() <= 0.5 * radius, "{share}: at {middle} m of {wanted} m");
             let gap = state.positions[begin].x - state.positions[end].x;
             assert!((2.0 - 1e-9..=3.0).contains(&(gap / radius)), "{share}: {gap} m");
-            // What is left is as long as it lies.
+            // The pieces keep their current lengths.
             for [first, last] in pieces {
                 let (long, lies): (f64, f64) = (
                     state.rest_lengths[first..last].iter().sum(),
@@ -247,7 +249,7 @@ mod tests {
             one.cut(radius, CutAt { edge: 0, share }).expect("sound").expect("a cut");
             assert!(one.threads().all(|[first, last]| last - first >= 2), "{share}");
         }
-        // Until nothing is left that could be cut.
+        // Until no piece is long enough to be cut.
         let mut cuts = 0;
         let longest = |state: &ThreadState| {
             let edges = (0..state.rest_lengths.len()).filter(|edge| state.joins(*edge));

@@ -2,11 +2,11 @@
 //! Grinspun 2010): forces of stretch, bending and twist of an isotropic, naturally straight rod, and the matrix of an
 //! implicit step.
 //!
-//! The matrix is the Gauss–Newton one of the bending and twisting energy, so it is positive definite at any shape.
-//! Stretch enters with its tension as an unknown of its own (the primal–dual form of Macklin, Müller, *XPBD*, 2016,
-//! carried to the whole rod by the direct solver, as Deul et al. 2018 do): the stiffness across a pulled edge comes
-//! from the tension that was solved for, not from the strain of an iterate that has not converged.
-// One index walks several arrays.
+//! The matrix is the Gauss–Newton approximation of the bending and twisting energy's Hessian, so it is positive
+//! definite at any shape. Tensions are additional unknowns (the primal–dual form of Macklin, Müller, *XPBD*, 2016,
+//! solved directly for the whole rod as in Deul et al. 2018): the geometric stiffness across a stretched edge comes
+//! from the solved tension, not from the strain of an unconverged iterate.
+// One index runs over several arrays.
 #![allow(clippy::needless_range_loop)]
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -16,14 +16,15 @@ use super::bishop_frame::{angle_about, perpendicular, transport, turn, unwrapped
 use super::state::ThreadState;
 use crate::linear_algebra::block_banded::{Block, BlockBand, Cell};
 
-/// `1 + cos` of the angle between two edges is kept above this: a rod folded back further than 169° bends no stiffer.
+/// `1 + cos` of the angle between two edges is clamped below at this value: bending stiffness no longer grows beyond
+/// 169°.
 const FOLD: f64 = 0.02;
 
-/// A shape on the way to the end of the step.
+/// A Newton iterate of the shape at the end of the step.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Iterate {
     pub positions: Vec<Point3<f64>>,
-    /// How far each edge has turned about itself since the beginning of the step \[rad\].
+    /// Rotation of each edge about its own axis since the beginning of the step \[rad\].
     pub turns: Vec<f64>,
     pub tangents: Vec<Vector3<f64>>,
     pub lengths: Vec<f64>,
@@ -33,7 +34,7 @@ pub(crate) struct Iterate {
 }
 
 impl Iterate {
-    /// Begins at the state.
+    /// Starts from the state.
     pub fn begin(&mut self, state: &ThreadState) {
         self.positions.clone_from(&state.positions);
         self.twists.clone_from(&state.twists);
@@ -60,8 +61,8 @@ impl Iterate {
         }
     }
 
-    /// Carries the directors along with the edges after positions and turns have changed: time-parallel from the
-    /// beginning of the step, then the turn.
+    /// Updates the directors after positions and turns have changed: time-parallel transport from the beginning of the
+    /// step, then the turn.
     pub fn follow(&mut self, start: &ThreadState) {
         self.measure(start);
         for edge in 0..self.tangents.len() {
@@ -85,19 +86,19 @@ impl Iterate {
     }
 }
 
-/// Mass that belongs to a node: half of either edge \[kg\].
+/// Lumped mass of a node: half of each adjacent edge \[kg\].
 pub(crate) fn node_mass(material: &ThreadMaterial, rest_lengths: &[f64], node: usize) -> f64 {
     let before = if node > 0 { rest_lengths[node - 1] } else { 0.0 };
     let after = rest_lengths.get(node).copied().unwrap_or(0.0);
     0.5 * material.mass_per_length * (before + after)
 }
 
-/// Moment of inertia of an edge about itself \[kg·m²\].
+/// Moment of inertia of an edge about its own axis \[kg·m²\].
 pub(crate) fn edge_inertia(material: &ThreadMaterial, rest_length: f64) -> f64 {
     0.5 * material.mass_per_length * rest_length * material.radius * material.radius
 }
 
-/// Curvature binormal at a node, and how it changes with the edge before and after it.
+/// Curvature binormal at a node, and its derivatives by the edge before and after it.
 pub(crate) struct Curvature {
     pub binormal: Vector3<f64>,
     pub by_before: Matrix3<f64>,
@@ -117,8 +118,8 @@ pub(crate) fn curvature(t: &Vector3<f64>, u: &Vector3<f64>, le: f64, lf: f64) ->
     Curvature { binormal, by_before: across(by_t, t, le), by_after: across(by_u, u, lf) }
 }
 
-/// Adds the rod's own forces at the iterate to `right` and the matrix of an implicit step of `dt` to `matrix`: inertia,
-/// drag, gravity, stretch, bending, twist, damping.
+/// Adds the rod's internal and body forces at the iterate to `right`, and the implicit matrix of a step of `dt` to
+/// `matrix`: inertia, drag, gravity, stretch, bending, twist, damping.
 pub(crate) fn assemble(
     material: &ThreadMaterial,
     start: &ThreadState,

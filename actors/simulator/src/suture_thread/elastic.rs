@@ -1,7 +1,6 @@
-//! An elastic body that a thread is tied around: linear and quasi-static, by its precomputed compliance
-//! ([`Compliance`]). Contacts of the thread with its surface see each other through the body as they do through the thread,
-//! in one problem per step: nothing is exchanged between two solvers, so nothing can build up between them however stiff
-//! either is.
+//! An elastic body that a thread is tied around: linear, quasi-static, represented by its precomputed compliance
+//! ([`Compliance`]). The thread's contacts with its surface are coupled through the body and through the thread in one
+//! problem per step. No forces are exchanged between two solvers, so the coupling is stable for any stiffness.
 
 use std::sync::Arc;
 
@@ -11,44 +10,44 @@ use trocar_dynamics::tet_mesh::TetMesh;
 
 use crate::linear_fem::Compliance;
 
-/// A place on the surface of a body.
+/// A point on the surface of a body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SurfacePlace {
     /// Nodes of the triangle.
     pub nodes: [u32; 3],
-    /// Weights, their sum 1.
+    /// Barycentric weights; their sum is 1.
     pub weights: [f64; 3],
 }
 
-/// A force on a body, at a place of its surface.
+/// A force on a body at a point of its surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Press {
-    /// Where.
+    /// The point.
     pub at: SurfacePlace,
-    /// In the frame of the body \[N\].
+    /// The force, in the frame of the body \[N\].
     pub force: Vector3<f64>,
 }
 
-/// No node of a compliance.
+/// Marks a node without a row in the compliance.
 const FIXED: u32 = u32::MAX;
 
-/// A body, and what deforms it.
+/// An elastic body and the forces that deform it.
 #[derive(Clone, Debug)]
 pub struct ElasticBody {
     rest: Vec<Point3<f64>>,
     triangles: Vec<[u32; 3]>,
     compliance: Arc<Compliance>,
-    /// Where each node stands in the compliance.
+    /// Row of each node in the compliance.
     row: Vec<u32>,
     positions: Vec<Point3<f64>>,
     presses: Vec<Press>,
-    /// Forces on the nodes of the compliance, and how they move.
+    /// Forces and displacements of the nodes in the compliance.
     on_nodes: Vec<Vector3<f64>>,
     moved: Vec<f32>,
 }
 
 impl ElasticBody {
-    /// One at rest.
+    /// An undeformed body.
     #[must_use]
     pub fn new(mesh: &TetMesh, compliance: impl Into<Arc<Compliance>>) -> Self {
         let compliance = compliance.into();
@@ -71,25 +70,25 @@ impl ElasticBody {
         }
     }
 
-    /// Where its nodes are, in its frame \[m\]. Those inside stay where they were at rest.
+    /// Positions of the nodes, in its frame \[m\]. Interior nodes keep their rest positions.
     #[must_use]
     pub fn positions(&self) -> &[Point3<f64>] {
         &self.positions
     }
 
-    /// Corners of the triangles of its surface.
+    /// Corners of the surface triangles.
     #[must_use]
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.triangles
     }
 
-    /// What deforms it: all that it needs to go on from here.
+    /// The forces that deform it: its whole state.
     #[must_use]
     pub fn presses(&self) -> &[Press] {
         &self.presses
     }
 
-    /// Deforms it by these forces and no others; those at nodes that it does not have are left out.
+    /// Deforms the body by exactly these forces; forces at nodes that it does not have are ignored.
     pub fn deform(&mut self, presses: &[Press]) {
         let nodes = self.rest.len();
         self.presses.clear();
@@ -120,8 +119,8 @@ impl ElasticBody {
         }
     }
 
-    /// How a place moves for a force at another one \[m/N\]; the transpose is the same the other way round. Of its own nodes
-    /// only.
+    /// Compliance of one surface point to a force at another one \[m/N\]; swapping the points transposes it. Only for
+    /// nodes of this body.
     #[must_use]
     pub(crate) fn between(&self, place: &SurfacePlace, by: &SurfacePlace) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
@@ -147,12 +146,12 @@ impl ElasticBody {
         sum
     }
 
-    /// How far a place is from rest under forces \[m\].
+    /// Displacement of a surface point under forces \[m\].
     pub(crate) fn displacement(&self, place: &SurfacePlace, presses: &[Press]) -> Vector3<f64> {
         presses.iter().map(|press| self.between(place, &press.at) * press.force).sum()
     }
 
-    /// The sum of what presses it, and its moment about the origin of its frame \[N\], \[N·m\].
+    /// Resultant force, and moment about the origin of its frame \[N\], \[N·m\].
     #[must_use]
     pub fn load(&self) -> [Vector3<f64>; 2] {
         let mut sum = [Vector3::zeros(); 2];

@@ -1,105 +1,105 @@
-//! What can be wrong with a thread, and with a step of it.
+//! Errors of a thread and of its steps.
 
 use thiserror::Error;
 
-/// Why a thread was refused.
+/// Why a thread was rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ThreadError {
-    /// A number of the material.
+    /// An invalid material parameter.
     #[error("thread material: {name} is {value}; valid: {valid}")]
     Material {
-        /// Of the field.
+        /// The parameter.
         name: &'static str,
-        /// What was given.
+        /// The given value.
         value: f64,
-        /// What is accepted.
+        /// The valid range.
         valid: &'static str,
     },
     /// Too few or too many nodes.
     #[error("a thread of {0} nodes; valid: 3 to {max}", max = super::NODES_MAX)]
     Nodes(usize),
-    /// Nodes whose numbers are not finite.
+    /// Nodes with non-finite values.
     #[error("nodes with numbers that are not finite: {0:?}")]
     NotFinite(Vec<usize>),
-    /// Edges that are shorter than a hundredth of the radius, or have no positive rest length.
+    /// Edges shorter than a hundredth of the radius, or without a positive rest length.
     #[error("edges without length: {0:?}")]
     NoLength(Vec<usize>),
-    /// Edges that fold back onto the one before.
+    /// Edges folded back onto the previous one.
     #[error("nodes at which the thread folds back onto itself: {0:?}")]
     Folded(Vec<usize>),
-    /// A list of a state that does not fit the others.
+    /// A list of the state whose length does not match the others.
     #[error("thread state: {list} has {found} entries, expected {expected}")]
     Length {
         /// Which list.
         list: &'static str,
-        /// How long it is.
+        /// Its length.
         found: usize,
-        /// How long it has to be.
+        /// The required length.
         expected: usize,
     },
 }
 
-/// Why a step was not taken; the thread is as it was before.
+/// Why a step was rejected; the thread is unchanged.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ThreadStepError {
-    /// The time step.
+    /// An invalid time step.
     #[error("a step of {0} s; valid: above 0, at most {max} s", max = super::STEP_MAX)]
     Step(f64),
-    /// Something given for the step names what is not there or is no number.
+    /// An input of the step with an invalid index or a non-finite value.
     #[error("{what} {index}: {why}")]
     Given {
         /// `hold`, `load`, `obstacle`, `gravity`, …
         what: &'static str,
-        /// Which one of the list.
+        /// Its index in the list.
         index: usize,
         /// What is wrong with it.
         why: String,
     },
-    /// No step was short enough.
+    /// The step did not converge even when divided.
     #[error("node {node} at {time} s into the step: {why}, even with steps of {shortest} s")]
     Diverged {
-        /// At which node.
+        /// The node.
         node: usize,
-        /// Where in the step \[s\].
+        /// Time within the step \[s\].
         time: f64,
-        /// What was seen.
+        /// The cause.
         why: Trouble,
-        /// The shortest step that was tried \[s\].
+        /// The shortest substep that was tried \[s\].
         shortest: f64,
     },
 }
 
-/// What was seen at a node when a step had to be refused.
+/// Why a step failed at a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum Trouble {
-    /// A number that is not finite.
+    /// A non-finite value.
     #[error("a number is not finite")]
     NotFinite,
-    /// The rod's matrix.
+    /// The rod's matrix is not positive definite.
     #[error("the matrix of the rod is not positive definite")]
     NotPositive,
-    /// The rod is longer or shorter than it can be.
+    /// The strain of the rod is beyond its limit.
     #[error("the strain is beyond what the rod can take")]
     Strain,
     /// Two strands, or a strand and an obstacle, would pass through each other.
     #[error("a contact would be passed through")]
     PassedThrough,
-    /// Iterations that do not come to an end.
+    /// Newton's iterations did not converge.
     #[error("the iterations do not end")]
     Wanders,
-    /// No forces were found that obey the rules of what it is tied to.
+    /// No forces satisfy the laws of the coupled bodies.
     #[error("the forces of what it is tied to were not found")]
     Unsettled,
-    /// A needle at its end would go further in a step than it can be followed.
+    /// A held needle would move further in a step than can be tracked.
     #[error("the needle would go too far")]
     TooFar,
-    /// A needle that cannot be moved.
+    /// A needle without inertia.
     #[error("the needle has no inertia")]
     NoInertia,
-    /// More of a tissue is touched than can be followed.
+    /// Contact with more of a tissue than can be handled.
     #[error("more of the tissue is touched than can be followed")]
     Full,
-    /// More contacts than are handled.
+    /// More contacts than can be handled.
     #[error("more than {max} contacts", max = super::CONTACTS_MAX)]
     TooManyContacts,
 }

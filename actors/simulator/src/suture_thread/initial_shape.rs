@@ -1,34 +1,35 @@
-//! How a thread lies before anything has moved it: through places, or tied loosely by throws.
+//! Initial shape of a thread: through given points, or tied loosely by throws.
 
 use std::f64::consts::PI;
 
 use nalgebra::Point3;
 
-/// Strands of a throw are about each other at so many radii.
+/// Distance between the strands of a loose throw, in radii.
 const LOOSE: f64 = 1.5;
 
-/// Throws tied with both ends of a loop, loosely: the knot about the origin, its loop below it (−z), its ends to both sides
-/// (±x).
+/// Throws tied loosely with both ends of a loop: the knot about the origin, the loop below it (−z), the two ends at its
+/// sides (±x).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Throws<'a> {
-    /// Half turns of each throw, the first one first: 3 for one that is single and right-handed, −3 for a left-handed one,
-    /// 5 for a double one.
+    /// Half turns of each throw, in order of tying: 3 for a single right-handed throw, −3 for a left-handed one, 5 for
+    /// a double throw.
     pub half_turns: &'a [i32],
-    /// Places that the loop goes through, from the left (−x) to the right \[m\].
+    /// Points that the loop passes through, from the left (−x) to the right \[m\].
     pub around: &'a [Point3<f64>],
-    /// Of the thread \[m\].
+    /// Radius of the thread \[m\].
     pub radius: f64,
-    /// From one throw to the next \[m\]: what is not far lies as near as it can.
+    /// Distance between consecutive throws \[m\]; a small value gives the closest spacing possible.
     pub apart: f64,
-    /// From the knot to where the loop begins, on either side \[m\].
+    /// Distance from the knot to where the loop begins, on either side \[m\].
     pub arm: f64,
-    /// Ends beyond the last throw \[m\].
+    /// Length of the free ends (ears) beyond the last throw \[m\].
     pub ear: f64,
     /// Length of edges: within `arm` of the knot, and elsewhere \[m\].
     pub edges: [f64; 2],
 }
 
-/// A line resampled at even distances, its ends included. Nothing for fewer than two points or no spacing.
+/// A polyline resampled at even spacing, end points included. Empty for fewer than two points or without a positive
+/// spacing.
 #[must_use]
 pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
     let total: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
@@ -51,7 +52,7 @@ pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
     even
 }
 
-/// Nodes from the end of the left ear through knot, loop and knot again to the end of the other ear.
+/// Nodes from the end of the left ear through knot, loop and knot to the end of the right ear.
 #[must_use]
 pub fn throws(tied: &Throws<'_>) -> Vec<Point3<f64>> {
     let circle = LOOSE * tied.radius;

@@ -1,4 +1,4 @@
-//! What a knot does as a whole: where along the thread its strands lie, how far apart they are.
+//! Measures of a knot: where along the thread its strands lie, and how far apart they are.
 
 use nalgebra::Vector3;
 use trocar_collision::primitive::closest_segments;
@@ -7,19 +7,20 @@ use super::contact::nearest_segments;
 use super::state::PARTED;
 use super::{Thread, ThreadState};
 
-/// The two strands of a knot, each as the middle of the places where it touches, weighed by how hard it is pressed there;
-/// along the thread from its first node, without strain \[m\].
+/// The two strands of a knot, each as the mean position of its contacts weighted by contact force; in rest arc length
+/// from the first node \[m\].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Strands {
-    /// Of the first and of the second strand.
+    /// Arc lengths of the first and of the second strand.
     pub middles: [f64; 2],
-    /// Sum of all pushes of the thread on itself \[N\].
+    /// Sum of all self-contact forces of the thread \[N\].
     pub pressed: f64,
 }
 
 impl Strands {
-    /// Of the loop between the strands \[m\]: it grows by what slips through the knot. Of two threads that are tied together,
-    /// the end of the first and the beginning of the second: what is left of them beyond the knot.
+    /// Length of the loop between the strands \[m\]: it grows by the length that slips through the knot. For two
+    /// threads tied together: the end of the first plus the beginning of the second, that is their length beyond the
+    /// knot.
     #[must_use]
     pub fn loop_length(&self) -> f64 {
         self.middles[1] - self.middles[0]
@@ -27,8 +28,9 @@ impl Strands {
 }
 
 impl ThreadState {
-    /// Which threads are tangled: of those that touch each other, directly or through others, the ones with most contacts; nodes
-    /// of each, first and last. Pieces that have been cut off and lie elsewhere are not among them.
+    /// The threads in the knot, as first and last node of each: of the groups of threads that touch each other,
+    /// directly or through others, the group with most contacts. Pieces that were cut off and lie elsewhere do not
+    /// belong to it.
     #[must_use]
     pub fn tangled(&self) -> Vec<[usize; 2]> {
         let threads: Vec<[usize; 2]> = self.threads().collect();
@@ -36,7 +38,7 @@ impl ThreadState {
             return threads;
         }
         let of = |edge: u32| threads.partition_point(|[first, _]| *first <= edge as usize).saturating_sub(1);
-        // By the first thread of each tangle.
+        // Each group is named by its first thread.
         let mut tangle: Vec<usize> = (0..threads.len()).collect();
         let pairs: Vec<[usize; 2]> = self
             .contacts
@@ -54,7 +56,7 @@ impl ThreadState {
         chosen.map(|thread| threads[thread]).collect()
     }
 
-    /// The strands of a thread that touches itself, the loop being the longest part between two touches.
+    /// The strands of a thread that touches itself; the loop is the longest part between two contacts.
     #[must_use]
     pub fn strands(&self) -> Option<Strands> {
         let state = self;
@@ -85,8 +87,8 @@ impl ThreadState {
     }
 }
 
-/// How near to each other centre lines of strands are at least \[m\]. Edges nearer along the thread than half a turn of its
-/// tightest bend are the same strand.
+/// Least distance between centre lines of strands \[m\]. Edges nearer along the thread than half a turn of the tightest
+/// bend belong to the same strand.
 #[must_use]
 pub fn nearest_edges(thread: &Thread) -> f64 {
     let (points, state) = (thread.positions(), thread.state());

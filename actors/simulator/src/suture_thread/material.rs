@@ -1,38 +1,38 @@
-//! What a thread is made of.
+//! Material of a thread.
 
 use serde::{Deserialize, Serialize};
 
 use super::ThreadError;
 
-/// A round thread. Axial, bending and twisting stiffness are independent of each other: a braid is nearly inextensible
-/// and yet bends a thousand times more easily than a solid rod of the same axial stiffness.
+/// A round thread. Axial, bending and twisting stiffness are independent: a braid is nearly inextensible and yet a
+/// thousand times more flexible in bending than a solid rod of the same axial stiffness.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ThreadMaterial {
-    /// Of the cross-section \[m\].
+    /// Radius of the cross-section \[m\].
     pub radius: f64,
     /// Mass per length \[kg/m\].
     pub mass_per_length: f64,
-    /// `EA`, force per strain \[N\].
+    /// `EA`, force per unit strain \[N\].
     pub axial_stiffness: f64,
-    /// `EI`, moment per curvature \[N·m²\].
+    /// `EI`, moment per unit curvature \[N·m²\].
     pub bending_stiffness: f64,
-    /// `GJ`, moment per twist \[N·m²\].
+    /// `GJ`, moment per unit twist \[N·m²\].
     pub twisting_stiffness: f64,
-    /// Moment per rate of curvature or twist, as a multiple of the stiffness \[s\].
+    /// Damping: moment per rate of curvature or twist, as a multiple of the stiffness \[s\].
     pub damping: f64,
-    /// Drag of the surroundings per mass \[1/s\].
+    /// Drag of the surrounding medium per mass \[1/s\].
     pub drag: f64,
-    /// Coulomb's coefficient of the thread on itself.
+    /// Coulomb's friction coefficient of the thread on itself.
     pub friction: f64,
-    /// How much one strand gives way in a contact \[m/N\].
+    /// Contact compliance of one strand \[m/N\].
     pub contact_compliance: f64,
 }
 
 impl ThreadMaterial {
-    /// Braided silk, USP size 2-0: 0.3 mm thick, 1.3 g/cm³; strain 0.06 % at 2 N. Bending stiffness: a hundredth of that of a
-    /// solid silk rod (3.5e-6 N·m², from the modulus of Naleway et al. 2015), for a braid bends far more easily; twisting
-    /// stiffness near that of the solid rod; friction in the middle of what is reported of sutures. These three are
-    /// chosen, not measured.
+    /// Braided silk, USP size 2-0: 0.3 mm thick, 1.3 g/cm³; strain 0.06 % at 2 N. Bending stiffness: a hundredth of
+    /// that of a solid silk rod (3.5e-6 N·m², from the modulus of Naleway et al. 2015), since a braid is far more
+    /// flexible; twisting stiffness near that of the solid rod; friction in the middle of the values reported for
+    /// sutures. These three are chosen, not measured.
     #[must_use]
     pub fn silk_2_0() -> Self {
         Self {
@@ -48,13 +48,13 @@ impl ThreadMaterial {
         }
     }
 
-    /// Thickness \[m\].
+    /// Diameter \[m\].
     #[must_use]
     pub fn diameter(&self) -> f64 {
         2.0 * self.radius
     }
 
-    /// Refuses what no thread has.
+    /// Rejects invalid values.
     pub(crate) fn check(&self) -> Result<(), ThreadError> {
         let positive = [
             ("radius", self.radius),

@@ -1,33 +1,33 @@
-//! Suture thread: a nearly inextensible elastic rod that bends, twists, touches itself and what is around it, and stays
-//! where friction holds it.
+//! Suture thread: a nearly inextensible elastic rod with bending, twist, self-contact, contact with obstacles and
+//! static friction.
 //!
 //! | Part | File |
 //! |---|---|
 //! | Discrete elastic rod, implicit | `discrete_elastic_rod.rs` |
-//! | Direct solvers along the rod, and where its strands push each other | `block_band.rs`, `block_sparse.rs` |
+//! | Direct solvers for the rod's banded matrix, and its sparse matrix with strand contacts | `linear_algebra/block_banded.rs`, `linear_algebra/block_sparse_lu.rs` |
 //! | Contact with static friction | `contact/` |
-//! | One step of rod and contacts together, and of companions: a needle, a tissue | `island/` |
+//! | One step of rod, contacts and coupled bodies (needle, tissue) | `island/` |
 //! | Elastic bodies that it is tied around | [`elastic`] |
-//! | Soft bodies that it lies on and that others move | [`soft_support`] |
-//! | Short edges where they are needed | `adaptive_segments.rs` |
-//! | Cut or broken | `cut.rs` |
-//! | Which knot it is | [`knot`] |
-//! | How it lies at the beginning | [`initial_shape`] |
+//! | Soft bodies that it lies on, integrated by other solvers | [`soft_support`] |
+//! | Adaptive segments: short edges in knots and bends | `adaptive_segments.rs` |
+//! | Cutting and breaking | `cut.rs` |
+//! | Classification of knots | [`knot`] |
+//! | Initial shapes | [`initial_shape`] |
 //!
-//! Several threads are one state whose nodes follow one after the other, with an edge that joins nothing between two of them
-//! ([`Thread::several`]): its blocks of the matrix are empty, and a thread that touches another is one strand that touches
-//! another.
+//! Several threads share one state, numbered consecutively, with a dummy edge between two of them
+//! ([`Thread::several`]): its matrix blocks are empty, and contact between threads is handled as contact between
+//! strands.
 //!
 //! # Why this method
-//! A thread of 2-0 silk weighs 41 ng per segment of a millimetre's half and carries newtons: explicit steps would have
-//! to be under a microsecond, and iterative projection needs as many sweeps as there are segments before a pull at one
-//! end is felt at the other. Here one factorisation along the rod, O(n), carries any tension over its whole length in
-//! one iteration. Contacts with obstacles are springs within that factorisation, O(n) as well. So are contacts of strands
-//! with each other, in an order of elimination that makes use of how long and thin a knot is, so that a knot under load is
-//! one problem and not a sequence of collisions; beside companions and what gives way they see each other through the
-//! compliance of the rod with those springs. All obey Coulomb's law as a function of where the surfaces are, which gives way
-//! a little (`contact/law.rs`), so that Newton's method finds it in a few steps even where dozens of places stick and slide
-//! on each other: 180 contacts of a thread at rest on a table cost one factorisation.
+//! A segment of half a millimetre of 2-0 silk weighs 41 ng and carries newtons: explicit steps would have to be under a
+//! microsecond, and iterative projection needs as many sweeps as there are segments to transmit a pull from one end to
+//! the other. Here one O(n) factorisation along the rod transmits any tension over the whole length in one iteration.
+//! Contacts with obstacles are springs in that factorisation, also O(n). So are contacts between strands, with an
+//! elimination order that exploits that a knot is long and thin: a loaded knot is one problem, not a sequence of
+//! collisions. Beside coupled or compliant bodies, strand contacts are instead coupled through the compliance of the
+//! rod with those springs. All contacts obey Coulomb's law as a function of surface displacement, with a small
+//! compliance (`contact/coulomb.rs`), so that Newton's method converges in a few steps even with dozens of sticking and
+//! sliding contacts: 180 contacts of a thread at rest on a table cost one factorisation.
 
 pub(crate) mod adaptive_segments;
 pub(crate) mod bishop_frame;
@@ -58,70 +58,70 @@ pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 use elastic::{ElasticBody, Press};
 use nalgebra::{Point3, Vector3};
 
-/// The longest step \[s\].
+/// Longest step \[s\].
 pub const STEP_MAX: f64 = 2e-3;
 
-/// Newton steps on the contacts of strands of one linearised solution at most, unless told otherwise.
+/// Default limit of Newton steps on strand contacts per linearised solution.
 pub const SWEEPS: usize = 200;
 
-/// What acts on a thread during one step. Everything is in the world.
+/// Surroundings of a thread during one step. All quantities in the world frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Surroundings<'a> {
-    /// \[m/s²\].
+    /// Gravity \[m/s²\].
     pub gravity: Vector3<f64>,
-    /// Nodes that are led.
+    /// Nodes with a prescribed motion.
     pub holds: &'a [Hold],
-    /// Edges that are kept from turning.
+    /// Edges whose rotation is held.
     pub twist_holds: &'a [TwistHold],
     /// Forces on nodes.
     pub loads: &'a [Load],
-    /// What the thread can touch; an obstacle keeps its place in the list from step to step.
+    /// Obstacles; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
-    /// What of the thread does not touch which of them.
+    /// Parts of the thread that ignore some of the obstacles.
     pub spared: &'a [Spared],
-    /// One of the obstacles gives way: it is the surface of an elastic body.
+    /// The obstacle, if any, that is the surface of an elastic body.
     pub elastic: Option<Elastic<'a>>,
 }
 
-/// An obstacle that gives way within the step. Its shape is the mesh of the body as it is when the step begins, in its place
-/// from beginning to end; what presses it then is [`Thread::presses`], by which it is to be deformed.
+/// An obstacle that deforms within the step. Its shape is the mesh of the body at the beginning of the step, at a fixed
+/// pose; deform the body by [`Thread::presses`] afterwards.
 #[derive(Clone, Copy, Debug)]
 pub struct Elastic<'a> {
-    /// Which obstacle.
+    /// The obstacle's index.
     pub obstacle: usize,
     /// The body.
     pub body: &'a ElasticBody,
 }
 
-/// How a step went.
+/// Statistics of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ThreadReport {
-    /// Parts into which the step had to be divided; 1 when it went as a whole.
+    /// Number of substeps; 1 when the step was not divided.
     pub parts: usize,
-    /// Solutions of the linearised rod, over all parts.
+    /// Linear solutions of the rod, over all substeps.
     pub iterations: usize,
-    /// Contacts that push at the end.
+    /// Contacts with non-zero force at the end.
     pub contacts: usize,
-    /// Newton steps on the laws of the contacts, over all parts: factorisations with their springs, and solutions of the dense
-    /// problem of companions.
+    /// Newton steps on the contact laws, over all substeps: factorisations with contact springs, and solutions of the
+    /// dense problem of coupled bodies.
     pub sweeps: usize,
-    /// The largest strain of an edge, up to sign.
+    /// Largest strain of an edge, as a magnitude.
     pub strain_max: f64,
-    /// How deep a contact is at most \[m\].
+    /// Largest penetration depth \[m\].
     pub penetration_max: f64,
 }
 
-/// Force and torque of the thread on an obstacle, in the world, the torque about the obstacle's origin at the end of the
-/// step.
+/// Force and torque of the thread on an obstacle, in the world; the torque is about the obstacle's origin at the end of
+/// the step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reaction {
-    /// \[N\].
+    /// Force \[N\].
     pub force: Vector3<f64>,
-    /// \[N·m\].
+    /// Torque \[N·m\].
     pub torque: Vector3<f64>,
 }
 
-/// A thread.
+/// A thread, or several: material, state and solver.
 #[derive(Clone, Debug)]
 pub struct Thread {
     material: ThreadMaterial,
@@ -131,24 +131,24 @@ pub struct Thread {
 }
 
 impl Thread {
-    /// One at rest through `positions` \[m\], without strain or twist, as long as they are.
+    /// A thread at rest through `positions` \[m\], unstrained and untwisted.
     ///
     /// # Errors
-    /// What is wrong with the material, or which nodes and edges are not a thread.
+    /// What is wrong with the material, or which nodes and edges are invalid.
     pub fn new(material: ThreadMaterial, positions: &[Point3<f64>]) -> Result<Self, ThreadError> {
         Self::restore(material, ThreadState::at_rest(positions))
     }
 
-    /// Several of one material at rest, each through its own positions \[m\]: their nodes follow one after the other, and
-    /// they touch each other as they touch themselves, in one problem per step.
+    /// Several threads of one material at rest, each through its own positions \[m\]: numbered consecutively, and in
+    /// contact with each other as with themselves, in one problem per step.
     ///
     /// # Errors
-    /// As [`Thread::new`], by the numbers of nodes of all together.
+    /// As [`Thread::new`], with node numbers over all threads.
     pub fn several(material: ThreadMaterial, threads: &[&[Point3<f64>]]) -> Result<Self, ThreadError> {
         Self::restore(material, ThreadState::of_several(threads))
     }
 
-    /// One that goes on from `state`, bit for bit.
+    /// Restores a thread from `state`, bit for bit.
     ///
     /// # Errors
     /// As [`Thread::new`], and lists of different lengths.
@@ -158,34 +158,34 @@ impl Thread {
         Ok(Self { material, state, island: island::Island::new(SWEEPS), presses: Vec::new() })
     }
 
-    /// How many Newton steps on the contacts of strands a linearised solution may take; [`SWEEPS`] unless told, 1 to
-    /// 10,000. A thread at rest takes none or one, one that slides about ten.
+    /// Limits the Newton steps on strand contacts per linearised solution; default [`SWEEPS`], range 1 to 10,000. A
+    /// thread at rest takes none or one, a sliding one about ten.
     pub fn set_sweeps(&mut self, sweeps: usize) {
         self.island.sweeps_max = sweeps.clamp(1, 10_000);
     }
 
-    /// Of what it is made.
+    /// Its material.
     #[must_use]
     pub fn material(&self) -> &ThreadMaterial {
         &self.material
     }
 
-    /// Everything needed to go on from here.
+    /// Its state: all that a restart needs.
     #[must_use]
     pub fn state(&self) -> &ThreadState {
         &self.state
     }
 
-    /// Of the nodes, in the world \[m\].
+    /// Positions of the nodes, in the world \[m\].
     #[must_use]
     pub fn positions(&self) -> &[Point3<f64>] {
         &self.state.positions
     }
 
-    /// Goes on by `dt` \[s\].
+    /// Advances the thread by `dt` \[s\].
     ///
     /// # Errors
-    /// Input that makes no sense, by name; or the node at which no step could be found. The state is then what it was.
+    /// The name of an invalid input, or the node at which no step converged. The state is then unchanged.
     pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
         check_step(dt)?;
         self.check_around(around)?;
@@ -207,12 +207,12 @@ impl Thread {
         done
     }
 
-    /// Goes on by `dt` \[s\] with one of the obstacles giving way: the surface of a soft body that somebody else moves, a mesh
-    /// whose triangles are turned outwards, its vertices where the nodes of `surface` are. What became of these that tells
+    /// Advances by `dt` \[s\] on a soft body that another solver integrates: one of the obstacles is a mesh with
+    /// outward triangles whose vertices are the nodes of `surface`. Read the motion of these nodes from `surface`
     /// afterwards.
     ///
     /// # Errors
-    /// As [`Thread::step`]; what has become of the surface means nothing then.
+    /// As [`Thread::step`]; the result in `surface` is then meaningless.
     pub fn step_on(
         &mut self,
         dt: f64,
@@ -259,26 +259,26 @@ impl Thread {
         self.island.hold_torques()
     }
 
-    /// What the thread did to the obstacles in the last step, in their order.
+    /// Reactions of the obstacles to the thread in the last step, in their order.
     #[must_use]
     pub fn reactions(&self) -> &[Reaction] {
         self.island.reactions()
     }
 
-    /// What the thread did to the elastic body at the end of the last step.
+    /// Forces of the thread on the elastic body at the end of the last step.
     #[must_use]
     pub fn presses(&self) -> &[Press] {
         &self.presses
     }
 }
 
-/// Refuses a step that is none.
+/// Rejects an invalid step length.
 pub(crate) fn check_step(dt: f64) -> Result<(), ThreadStepError> {
     if dt.is_nan() || dt <= 0.0 || dt > STEP_MAX { Err(ThreadStepError::Step(dt)) } else { Ok(()) }
 }
 
 impl Surroundings<'_> {
-    /// Corners of the triangle of a surface that a contact is with.
+    /// Corners of the surface triangle of a contact.
     pub(crate) fn face(&self, key: &ContactKey) -> Option<[u32; 3]> {
         match self.obstacles.get((key.with as usize).checked_sub(1)?)?.shape {
             Shape::Mesh { triangles, .. } => triangles.get(key.feature as usize).copied(),
@@ -286,7 +286,7 @@ impl Surroundings<'_> {
         }
     }
 
-    /// Refuses what makes no sense for a thread of so many nodes.
+    /// Rejects surroundings that are invalid for a thread of this many nodes.
     pub(crate) fn check(&self, nodes: usize) -> Result<(), ThreadStepError> {
         let around = self;
         let given = |what, index, why: &str| Err(ThreadStepError::Given { what, index, why: why.to_owned() });

@@ -1,6 +1,7 @@
-//! A soft body that a thread lies on and that somebody else moves: the nodes of its surface as mass points that give way to
-//! the thread within the step ([`GhostNode`]), in one problem with it. What the thread gives them is told afterwards, so that
-//! whoever moves the body can be given the same numbers: action and reaction are the same impulses.
+//! A soft body that a thread lies on and that another solver integrates: its surface nodes are mass points
+//! ([`GhostNode`]) that yield to the thread within the step, solved in one problem with it. The thread's impulses on
+//! them are reported afterwards, so that the other solver can apply the same numbers: action and reaction are identical
+//! impulses.
 
 use std::collections::BTreeMap;
 
@@ -11,41 +12,41 @@ use super::Trouble;
 use super::elastic::SurfacePlace;
 use super::island::coupled_body::{Companion, ComplianceRows, Link};
 
-/// Cosine of the angle between faces beyond which they meet in a ridge: 40°.
+/// Cosine of the dihedral angle beyond which an edge between faces counts as a sharp ridge: 40°.
 const SHARP: f64 = 0.77;
 
-/// The surface of such a body, and what becomes of it in a step. In the frame of the thread.
+/// The surface of such a body, and its state during a step, in the frame of the thread.
 #[derive(Clone, Debug, Default)]
 pub struct SoftSurface {
     triangles: Vec<[u32; 3]>,
-    /// Of each triangle, which is beyond each rim.
+    /// The neighbouring triangle across each edge of each triangle.
     beyond: Vec<[Option<u32>; 3]>,
-    /// And whether the two meet there in a ridge.
+    /// Whether that edge is a sharp ridge.
     sharp: Vec<[bool; 3]>,
     normals: Vec<Vector3<f64>>,
-    /// Where the nodes are when the step begins, and as the part does \[m\].
+    /// Nodes at the beginning of the step, and of its current part \[m\].
     start: Vec<Point3<f64>>,
     began: Vec<Point3<f64>>,
-    /// The nodes as the part begins.
+    /// The nodes at the beginning of the part.
     now: Vec<GhostNode>,
-    /// Where they would be at the end of the part if nobody touched them \[m\], and how far they go for a force \[m/N\].
+    /// Where the nodes would be at the end of the part without contact \[m\], and their compliance \[m/N\].
     free: Vec<Point3<f64>>,
     yields: Vec<f64>,
-    /// Where they are at the iterate \[m\].
+    /// Nodes at the iterate \[m\].
     at: Vec<Point3<f64>>,
     /// Forces on the nodes \[N\].
     forces: Vec<Vector3<f64>>,
-    /// How fast each is put right in this step \[m/s\].
+    /// Correction velocity of each node in this step \[m/s\].
     drift: Vec<Vector3<f64>>,
-    /// How long the part is \[s\].
+    /// Duration of the part \[s\].
     part: f64,
     moved: Vec<GhostMoved>,
 }
 
 impl SoftSurface {
-    /// Has these nodes and triangles when a step begins: those of the obstacle, in their order. During the step each node is
-    /// moved at a velocity of `drift` \[m/s\], if there are any, beside what it does by itself: where it was taken to be may not
-    /// be where it is, and a surface that jumped could jump past the thread.
+    /// Sets the nodes and triangles at the beginning of a step, those of the obstacle in the same order. During the
+    /// step each node also moves with its `drift` velocity \[m/s\], if given, to correct the prediction error of its
+    /// position: a surface that jumped could jump past the thread.
     pub fn begin(
         &mut self,
         guests: impl Iterator<Item = GhostNode>,
@@ -73,7 +74,7 @@ impl SoftSurface {
     }
 
     fn find_neighbours(&mut self) {
-        // Neighbours run along a rim in opposite directions.
+        // Neighbouring triangles traverse a common edge in opposite directions.
         let mut across = BTreeMap::new();
         for (index, triangle) in self.triangles.iter().enumerate() {
             for k in 0..3 {
@@ -99,7 +100,7 @@ impl SoftSurface {
         }));
     }
 
-    /// What has become of the nodes in the step.
+    /// The nodes at the end of the step.
     #[must_use]
     pub fn moved(&self) -> &[GhostMoved] {
         &self.moved
@@ -111,13 +112,13 @@ impl SoftSurface {
         }
     }
 
-    /// How far a place has come from where these nodes were \[m\], by where they go if nobody touches them.
+    /// Displacement of a surface point from these node positions \[m\], by the free motion of the nodes.
     fn drift(&self, place: &SurfacePlace, from: &[Point3<f64>]) -> Vector3<f64> {
         let of = |(node, weight): (&u32, f64)| (self.free[*node as usize] - from[*node as usize]) * weight;
         place.nodes.iter().zip(place.weights).map(of).sum()
     }
 
-    /// How far a place goes for a force at another one, in any direction \[m/N\].
+    /// Compliance of one surface point to a force at another one, isotropic \[m/N\].
     fn between(&self, place: &SurfacePlace, other: &SurfacePlace) -> f64 {
         let mut sum = 0.0;
         for (node, weight) in place.nodes.iter().zip(place.weights) {
@@ -130,7 +131,7 @@ impl SoftSurface {
         sum
     }
 
-    /// Forces on the nodes by those of the links on the thread.
+    /// Distributes the link forces on the thread to the nodes, with opposite sign.
     fn gather(&mut self, links: &[Link], forces: &[[f64; 3]]) {
         self.forces.clear();
         self.forces.resize(self.now.len(), Vector3::zeros());
@@ -144,10 +145,10 @@ impl SoftSurface {
     }
 }
 
-/// It in a step.
+/// A soft surface during a step.
 pub(crate) struct LyingOn<'a> {
     pub surface: &'a mut SoftSurface,
-    /// Its place in the list of obstacles.
+    /// The obstacle's index.
     pub obstacle: usize,
 }
 
@@ -180,7 +181,8 @@ impl Companion for LyingOn<'_> {
         Some([&self.surface.began, &self.surface.at])
     }
 
-    /// Gaps were measured to the surface as it was when the step began, slides are counted from the beginning of the part.
+    /// Gaps were measured to the surface as it was at the beginning of the step; slides are counted from the beginning
+    /// of the part.
     fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
         let soft = &*self.surface;
         let rows = 3 * links.len();

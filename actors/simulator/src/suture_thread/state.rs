@@ -1,4 +1,4 @@
-//! Everything a thread needs to continue bit for bit.
+//! State of a thread: all that a bit-exact restart needs.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -7,32 +7,32 @@ use super::ThreadError;
 use super::bishop_frame::{perpendicular, transport};
 use crate::clone_in_place::clones_in_place;
 
-/// Nodes of a thread at most.
+/// Maximum number of nodes.
 pub const NODES_MAX: usize = 4096;
 
-/// What lies between two edges of different threads \[m\]: more than any thread is long.
+/// Arc length that separates two threads of one state \[m\]: longer than any thread.
 pub(crate) const PARTED: f64 = 1e3;
 
-/// The whole state of a thread of `n` nodes and `n − 1` edges; or of several threads, whose nodes follow one after the other.
-/// The edge from the last node of one to the first of the next joins nothing: it has no length, mass or stiffness.
+/// State of a thread of `n` nodes and `n − 1` edges, or of several threads whose nodes are numbered consecutively. The
+/// edge from the last node of one thread to the first node of the next is a dummy: it has no length, mass or stiffness.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ThreadState {
-    /// Of the nodes, in the world \[m\].
+    /// Positions of the nodes, in the world \[m\].
     pub positions: Vec<Point3<f64>>,
-    /// Of the nodes \[m/s\].
+    /// Velocities of the nodes \[m/s\].
     pub velocities: Vec<Vector3<f64>>,
-    /// Of the edges, without strain \[m\]; 0 of one that joins nothing.
+    /// Rest lengths of the edges \[m\]; 0 for a dummy edge between threads.
     pub rest_lengths: Vec<f64>,
-    /// A direction across each edge that turns with its material; unit.
+    /// Material director of each edge: a unit vector perpendicular to it.
     pub directors: Vec<Vector3<f64>>,
-    /// How far each edge's director is turned from that of the edge before \[rad\], whole turns included; one for each
-    /// node, that of the ends is 0.
+    /// Twist angle of each edge's director against that of the previous edge \[rad\], whole turns included; one per
+    /// node, 0 at the end nodes.
     pub twists: Vec<f64>,
-    /// How fast each edge turns about itself \[rad/s\].
+    /// Spin of each edge about its own axis \[rad/s\].
     pub spins: Vec<f64>,
-    /// Of the edges \[N\]; positive where pulled.
+    /// Tensions of the edges \[N\]; positive when stretched.
     pub tensions: Vec<f64>,
-    /// What the contacts remember, in the order of their keys.
+    /// Warm-start memory of the contacts, sorted by key.
     pub contacts: Vec<ContactMemory>,
 }
 
@@ -47,31 +47,31 @@ clones_in_place!(ThreadState {
     contacts,
 });
 
-/// Which two things are in contact.
+/// The two features in contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ContactKey {
-    /// 0 for another edge of the thread, else 1 + the obstacle's place in the list.
+    /// 0 for another edge of the thread, else 1 + the obstacle's index.
     pub with: u32,
-    /// Edge of the thread.
+    /// The edge of the thread.
     pub edge: u32,
     /// The other edge, or the triangle of the obstacle.
     pub feature: u32,
 }
 
-/// What a contact remembers from step to step.
+/// What a contact keeps from step to step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ContactMemory {
-    /// Of what.
+    /// The contact's features.
     pub key: ContactKey,
-    /// On the edge, by the other, in the world \[N\].
+    /// Force on the edge by the other feature, in the world \[N\].
     pub force: Vector3<f64>,
-    /// How far the surfaces have been drawn from where they stick, in the world \[m\]: static friction is a place, not a
-    /// velocity.
+    /// Displacement of the surfaces from their sticking point, in the world \[m\]: static friction is a spring to that
+    /// point, not a function of velocity.
     pub drawn: Vector3<f64>,
 }
 
 impl ThreadState {
-    /// A thread at rest, without strain or twist, through `positions` \[m\].
+    /// A thread at rest through `positions` \[m\], unstrained and untwisted.
     #[must_use]
     pub fn at_rest(positions: &[Point3<f64>]) -> Self {
         let n = positions.len();
@@ -122,13 +122,13 @@ impl ThreadState {
         all
     }
 
-    /// Whether an edge is part of a thread, and not what lies between the ends of two.
+    /// Whether an edge is part of a thread, not the dummy edge between two threads.
     #[must_use]
     pub fn joins(&self, edge: usize) -> bool {
         self.rest_lengths.get(edge).is_some_and(|rest| *rest > 0.0)
     }
 
-    /// Nodes of each thread, first and last.
+    /// First and last node of each thread.
     pub fn threads(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         let last = self.positions.len().saturating_sub(1);
         let breaks = || (0..last).filter(|edge| self.rest_lengths[*edge] == 0.0);
@@ -138,8 +138,8 @@ impl ThreadState {
             .map(<[usize; 2]>::from)
     }
 
-    /// Edges that join something, each with where along the thread it begins and ends, without strain, from the first node
-    /// \[m\]; those of different threads are further apart than any thread is long.
+    /// Real edges, each with the arc lengths of its ends at rest, from the first node \[m\]; arc lengths of different
+    /// threads are further apart than any thread is long.
     pub fn spans(&self) -> impl Iterator<Item = (usize, [f64; 2])> + '_ {
         let spans = self.rest_lengths.iter().enumerate().scan(0.0, |arc, (edge, rest)| {
             let begin = *arc;
@@ -149,7 +149,7 @@ impl ThreadState {
         spans.filter(|(_, _, joins)| *joins).map(|(edge, span, _)| (edge, span))
     }
 
-    /// Where along the thread each of several begins and ends, as [`ThreadState::spans`] of its edges \[m\].
+    /// Arc lengths of the ends of each thread, as in [`ThreadState::spans`] \[m\].
     pub(crate) fn pieces(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
         let mut spans = self.spans().peekable();
         std::iter::from_fn(move || {
@@ -161,8 +161,8 @@ impl ThreadState {
         })
     }
 
-    /// Where along the thread each node is, without strain, from the first one \[m\]; nodes of different threads are further
-    /// apart than any thread is long.
+    /// Rest arc length of each node, from the first one \[m\]; nodes of different threads are further apart than any
+    /// thread is long.
     pub(crate) fn arcs(&self) -> Vec<f64> {
         let mut arcs = Vec::with_capacity(self.positions.len());
         arcs.push(0.0);
@@ -172,13 +172,13 @@ impl ThreadState {
         arcs
     }
 
-    /// Length without strain \[m\].
+    /// Total rest length \[m\].
     #[must_use]
     pub fn rest_length(&self) -> f64 {
         self.rest_lengths.iter().sum()
     }
 
-    /// Refuses a state that no thread of this radius can be in; lists every bad element.
+    /// Rejects a state that is impossible for a thread of this radius; lists every invalid element.
     pub(crate) fn check(&self, radius: f64) -> Result<(), ThreadError> {
         let n = self.positions.len();
         if !(3..=NODES_MAX).contains(&n) {
@@ -208,7 +208,7 @@ impl ThreadState {
         };
         let mut bad: Vec<_> = (0..n).filter(|i| !place(i)).collect();
         if bad.is_empty() {
-            // Directors follow from positions: of one bad node they are all bad.
+            // Directors depend on positions: one invalid node makes all of them invalid.
             bad = (0..n).filter(|i| !edge(i)).collect();
         }
         if !bad.is_empty() {

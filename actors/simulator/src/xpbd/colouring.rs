@@ -1,28 +1,28 @@
-//! Constraints in groups of which no two share a node: within a group their order does not matter, so that it can be taken
-//! on any number of threads with the same result.
+//! Graph colouring of constraints: no two constraints of one colour share a node. Within a colour their order does not
+//! matter, so that any number of threads gives the same result.
 //!
-//! Which group a constraint is in is a matter of all that came before it. So those that come later, where a mesh comes apart,
-//! take the first group that is free about them and leave all others where they are; and whoever goes on from there has
-//! to be told the groups.
+//! A constraint's colour depends on all constraints before it. Constraints added later, where a mesh is cut, take the
+//! first free colour at their nodes and leave all others unchanged. A solver that continues from a saved state
+//! therefore has to be given the colours.
 
 use trocar_dynamics::faulty::Faulty;
 
 use super::constraint::Constraint;
 use crate::mass_spring::{Edits, NetworkError};
 
-/// The group of what is no constraint.
+/// The colour of a missing constraint.
 pub(super) const NONE: u16 = u16::MAX;
-/// Groups at most; a node that is of more constraints than that makes no body.
+/// Maximum number of colours; a node with more constraints is rejected.
 pub(super) const GROUPS_MAX: usize = 4096;
 
-/// Groups that are taken, 64 to a word.
+/// Set of used colours, 64 to a word.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Taken {
     words: Vec<u64>,
 }
 
 impl Taken {
-    /// Takes one.
+    /// Marks one as used.
     pub fn take(&mut self, group: u16) {
         let word = group as usize / 64;
         self.words.resize(self.words.len().max(word + 1), 0);
@@ -31,7 +31,7 @@ impl Taken {
     fn has(&self, group: u16) -> bool {
         self.words.get(group as usize / 64).is_some_and(|word| word & (1 << (group % 64)) != 0)
     }
-    /// The first that none of them has.
+    /// The first colour free in all of the sets.
     pub fn first_free<'a>(of: impl Iterator<Item = &'a Self> + Clone) -> u16 {
         let used = |word: usize| {
             of.clone().fold(0, |used, taken| used | taken.words.get(word).copied().unwrap_or(0))
@@ -41,12 +41,12 @@ impl Taken {
     }
 }
 
-/// The group of each element: the first that has none of its nodes yet, for each in turn; or as they are `known`, where those
-/// that are gone are in nobody's way.
+/// Colour of each element: greedily the first that is free at its nodes, in order; or the `known` ones, where removed
+/// elements block none.
 ///
 /// # Errors
-/// One has as many neighbours as there are groups; known groups of another number of elements, or one that has a node
-/// twice.
+/// An element with as many neighbours as there are colours; known colours for another number of elements, or two
+/// elements of one colour at a node.
 pub(super) fn groups<const N: usize>(
     kind: &'static str,
     nodes: usize,
@@ -87,20 +87,20 @@ pub(super) fn groups<const N: usize>(
     Ok(groups)
 }
 
-/// Constraints group by group, in each in the order of the list that they were given in.
+/// Constraints colour by colour, within each in the order of the given list.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Coloured<C> {
     pub groups: Vec<Vec<C>>,
-    /// The group of each of the list.
+    /// The colour of each constraint of the list.
     pub of: Vec<u16>,
 }
 
-/// A constraint that a mesh made.
+/// A constraint derived from a mesh.
 pub(super) trait OfMesh<const N: usize>: Constraint + Copy + PartialEq {
-    /// For messages.
+    /// Name of the kind, for messages.
     const KIND: &'static str;
     fn nodes(&self) -> [u32; N];
-    /// The edge that it is along or across; on a mesh there is one of a kind at each.
+    /// Its edge; a mesh has at most one of a kind at each.
     fn edge(&self) -> [u32; 2] {
         let nodes = self.nodes();
         [nodes[0], nodes[1]]
@@ -108,7 +108,7 @@ pub(super) trait OfMesh<const N: usize>: Constraint + Copy + PartialEq {
 }
 
 impl<C> Coloured<C> {
-    /// Of a list; `known` are the groups of each, if somebody has said so.
+    /// From a list; `known` are saved colours, if any.
     ///
     /// # Errors
     /// As [`groups`].
@@ -128,13 +128,13 @@ impl<C> Coloured<C> {
         Ok(coloured)
     }
 
-    /// All of them, group by group.
+    /// All constraints, colour by colour.
     pub fn all(&self) -> impl Iterator<Item = &C> {
         self.groups.iter().flatten()
     }
 
-    /// Follows the list `all`, which is in ascending order of edges, of which something has become. `edges` are those of the
-    /// elements about a node.
+    /// Updates to the changed list `all`, which is sorted by edge. `edges` gives the edges of the elements around a
+    /// node.
     pub fn follow<const N: usize, T>(
         &mut self,
         all: &[T],
@@ -149,7 +149,7 @@ impl<C> Coloured<C> {
             self.take_out(self.of[*at], &made(was).edge());
         }
         edits.carry(&mut self.of, NONE);
-        // What reaches to other nodes than before may have to be of another group.
+        // A constraint with other nodes may need another colour.
         let mut come = edits.come.clone();
         for (at, was) in &edits.changed {
             let (was, is) = (made(was), made(&all[*at]));

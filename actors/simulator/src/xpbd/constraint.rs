@@ -1,4 +1,4 @@
-//! Distances and hinges, and how one of them moves its nodes.
+//! Distance and bending constraints of XPBD, and their projections.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -6,22 +6,22 @@ use serde::{Deserialize, Serialize};
 use super::colouring::OfMesh;
 use crate::mass_spring::{Hinge, NEARLY_FLAT, Network, Spring};
 
-/// Two nodes at a distance: a spring of finite stiffness, however stiff.
+/// Distance constraint between two nodes: a spring of finite, possibly very high stiffness.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Distance {
-    /// Which two.
+    /// The nodes.
     pub nodes: [u32; 2],
-    /// Length without force \[m\].
+    /// Rest length \[m\].
     pub rest: f64,
-    /// One over the stiffness \[m/N\]; 0 for a rod.
+    /// Inverse stiffness \[m/N\]; 0 for a rigid rod.
     pub compliance: f64,
 }
 
-/// Holds a sheet or a line against bending: the curvature vector of a [`Hinge`] at its length at rest (Bergou et al., *A
-/// quadratic bending model for inextensible surfaces*, 2006), its stiffness that of the hinge.
+/// Bending constraint of a sheet or a line: keeps the curvature vector of a [`Hinge`] at its rest length (Bergou et
+/// al., *A quadratic bending model for inextensible surfaces*, 2006), with the hinge's stiffness.
 pub type Bend = Hinge;
 
-/// Elasticity of a volume.
+/// Elastic material of a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Elasticity {
     /// Young's modulus \[Pa\].
@@ -33,17 +33,17 @@ pub struct Elasticity {
 }
 
 impl From<&Spring> for Distance {
-    /// One without stiffness gives way like one of next to none.
+    /// A spring without stiffness becomes one of negligible stiffness.
     fn from(spring: &Spring) -> Self {
         let compliance = 1.0 / spring.stiffness.max(SLACK);
         Self { nodes: spring.nodes, rest: spring.rest, compliance }
     }
 }
 
-/// Stiffness of a spring below which it is as good as none \[N/m\].
+/// Spring stiffness that counts as none \[N/m\].
 const SLACK: f64 = 1e-12;
 
-/// The springs of a network as distances, in their order.
+/// The springs of a network as distance constraints, in their order.
 #[must_use]
 pub fn distances_of(network: &Network) -> Vec<Distance> {
     network.springs.iter().map(Distance::from).collect()
@@ -63,10 +63,10 @@ impl OfMesh<4> for Bend {
     }
 }
 
-/// The nodes during a step: place \[m\] and one over the mass \[1/kg\], 0 where held; a spare one that is held at the end.
+/// The nodes during a step: positions \[m\] and inverse masses \[1/kg\], 0 where held; the last one is a held dummy.
 pub(super) struct Nodes<'a> {
     pub places: &'a mut [[f64; 4]],
-    /// One over the squared step \[1/s²\].
+    /// Inverse squared substep \[1/s²\].
     pub rate: f64,
 }
 
@@ -85,13 +85,13 @@ impl Nodes<'_> {
     }
 }
 
-/// What a sweep goes over: where the nodes of one are to be can be computed without moving them.
+/// A constraint of a sweep, whose position corrections can be computed without applying them.
 pub(super) trait Constraint: Sync {
     type Multiplier: Copy + Default + Send + Sync;
     type Moved: Send;
     fn project(&self, nodes: &Nodes<'_>, multiplier: Self::Multiplier) -> Self::Moved;
     fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut Self::Multiplier);
-    /// Calls `each` with every node and the impulse that a multiplier gives it \[N·s²\], where the nodes are now.
+    /// Calls `each` with every node and its impulse for a given multiplier \[N·s²\], at the current positions.
     fn impulses(
         &self,
         nodes: &Nodes<'_>,
@@ -102,7 +102,7 @@ pub(super) trait Constraint: Sync {
 
 impl Constraint for Distance {
     type Multiplier = f64;
-    /// By how much the two move, and the multiplier.
+    /// Corrections of the two nodes, and the multiplier.
     type Moved = ([Vector3<f64>; 2], f64);
 
     #[inline]
@@ -134,9 +134,9 @@ impl Constraint for Distance {
 }
 
 impl Constraint for Bend {
-    /// Of the three components of the curvature vector; where it has a length at rest only the first counts.
+    /// One per component of the curvature vector; with a non-zero rest length only the first is used.
     type Multiplier = Vector3<f64>;
-    /// What acts on the vector, and the multiplier.
+    /// Impulse on the curvature vector, and the multiplier.
     type Moved = (Vector3<f64>, Vector3<f64>);
 
     #[inline]
@@ -155,7 +155,7 @@ impl Constraint for Bend {
         let length = vector.norm();
         let [a, b, c, d] = places.map(|of| of.0);
         let turned = self.side * (b - a).cross(&(c - a)).dot(&(d - a)) < 0.0;
-        // Inside out it has to pass through flat, where the vector has no direction to push along.
+        // Turned inside out, it has to pass through the flat state, where the vector has no direction.
         let off = if turned { length + self.rest } else { length - self.rest };
         let slope = vector / length.max(NEARLY_FLAT * self.rest);
         let change = (-off - soft * multiplier.x) / (yields * slope.norm_squared() + soft);

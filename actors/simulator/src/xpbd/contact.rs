@@ -1,17 +1,17 @@
-//! Contacts during one part of a step: they push and do not pull, and friction holds a place while it can.
+//! Contact constraints of XPBD during a substep: unilateral, with static and dynamic friction.
 
 use nalgebra::{Point3, Vector3};
 
 use super::constraint::Nodes;
 use crate::mass_spring::Contact;
 
-/// What a contact has done so far.
+/// State of a contact.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Pressed {
-    /// Where its point was at the beginning of the step, and of the part \[m\].
+    /// Contact point at the beginning of the step, and of the substep \[m\].
     pub touched: Vector3<f64>,
     before: Vector3<f64>,
-    /// Multipliers along the normal and across it \[N·s²\], of the part.
+    /// Normal and tangential multipliers of the substep \[N·s²\].
     along: f64,
     across: Vector3<f64>,
     /// Impulse of the step \[N·s\].
@@ -24,14 +24,15 @@ impl Pressed {
         Self { touched: contact.point(positions), ..Self::default() }
     }
 
-    /// At the beginning of a part, before anything has moved.
+    /// At the beginning of a substep, before anything has moved.
     pub fn begin(&mut self, contact: &Contact, nodes: &Nodes<'_>) {
         self.before = place(contact, nodes);
         self.along = 0.0;
         self.across = Vector3::zeros();
     }
 
-    /// One iteration; `since` the beginning of the step, at the end of the part \[s\], which takes `h`.
+    /// One iteration in a substep of length `h`; `since` is the time from the beginning of the step to the end of the
+    /// substep \[s\].
     pub fn project(&mut self, contact: &Contact, nodes: &mut Nodes<'_>, since: f64, h: f64) {
         if contact.stiffness == 0.0 {
             return;
@@ -46,7 +47,7 @@ impl Pressed {
         let now = place(contact, nodes);
         let gap = normal.dot(&(now - self.touched - contact.velocity * since)) - contact.depth;
         let slip = now - self.before - contact.velocity * h;
-        // Damping beside the spring, as Macklin et al. (2016) have it: its time is its share of the stiffness.
+        // Damping parallel to the spring, as in Macklin et al. (2016): its ratio to the stiffness is a time.
         let drag = contact.damping / (contact.stiffness * h);
         let change = (-gap - soft * self.along - drag * normal.dot(&slip)) / ((1.0 + drag) * yields + soft);
         let pressed = (self.along + change).max(0.0);
@@ -67,7 +68,7 @@ impl Pressed {
         }
     }
 
-    /// At the end of a part.
+    /// At the end of a substep.
     pub fn end(&mut self, contact: &Contact, h: f64) {
         self.impulse += (contact.normal * self.along + self.across) / h;
     }

@@ -1,25 +1,25 @@
-//! Bodies that are stepped as one problem, and everybody who takes part in their step.
+//! Islands: several bodies stepped as one problem, with the external nodes and ties that couple them.
 
 use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState};
 use trocar_dynamics::particles::StepError;
 
 use super::{Xpbd, XpbdConfig, XpbdInput};
 
-/// A body that is stepped together with others.
+/// A body of an island.
 #[derive(Debug)]
 pub struct Member<'a> {
     /// The body.
     pub body: &'a mut Xpbd,
-    /// What acts on it; its own company does not count.
+    /// Its inputs; their `company` is ignored.
     pub input: XpbdInput<'a>,
 }
 
-/// Steps bodies by `dt` seconds that ties join, as one problem: in as many parts and iterations as the one has that has most.
-/// Ties name nodes through all bodies, each body having a spare one behind its own.
+/// Steps bodies coupled by ties by `dt` seconds as one problem, with the largest number of substeps and iterations of
+/// any. Ties number the nodes through all bodies, with one spare node after those of each.
 ///
 /// # Errors
-/// The number of the body, and what is wrong with its input or its result. With its input nothing has been stepped, and
-/// nothing has become of anybody; of a result that cannot be that body is as it was.
+/// The index of the body, and what is wrong with its input or result. After invalid input, no body has changed; after
+/// an invalid result, that body is unchanged.
 pub fn step_together(
     dt: f64,
     members: &mut [Member<'_>],
@@ -42,7 +42,7 @@ pub fn step_together(
     let (parts, iterations) = (most(|config| config.parts), most(|config| config.iterations));
     let parts = parts.unwrap_or(1);
     let h = dt / f64::from(parts);
-    // Nobody else's nodes: nothing to gather in every part.
+    // Without external nodes there is nothing to gather in each substep.
     let has_company = !(company.guests.is_empty() && company.ties.is_empty());
     for index in 1..=parts {
         if has_company {
@@ -69,7 +69,7 @@ pub fn step_together(
     done
 }
 
-/// Where all nodes are, the spare ones of each body behind its own.
+/// Positions of all nodes, with the spare node of each body after its own.
 fn all_places<'a>(members: &'a mut [Member<'_>]) -> Vec<&'a mut [[f64; 4]]> {
     members.iter_mut().map(|member| &mut member.body.scratch.places[..]).collect()
 }

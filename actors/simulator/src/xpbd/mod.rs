@@ -1,14 +1,15 @@
-//! Extended position-based dynamics with small steps (Macklin, Müller and Chentanez, *XPBD: position-based simulation of
-//! compliant constrained dynamics*, 2016; Macklin et al., *Small steps in physics simulation*, 2019): distances with a real
-//! stiffness, bending of sheets and lines, volumes as two constraints per tetrahedron, and contacts with friction.
+//! Extended position-based dynamics with small steps (Macklin, Müller and Chentanez, *XPBD: position-based simulation
+//! of compliant constrained dynamics*, 2016; Macklin et al., *Small steps in physics simulation*, 2019): distance
+//! constraints with physical stiffness, bending of sheets and lines, two constraints per tetrahedron for volumes, and
+//! contacts with friction.
 //!
-//! A sweep that has not converged is soft: what a load does at rest is too much by a share that falls with the square of a
-//! part's length, and with the iterations. So a step is better spent on parts than on iterations. The share grows with
-//! the stiffness over the mass of an element: soft tissue at centimetres converges in a few parts, a stiff or fine body
-//! does not, and `dynamic_fem` is for those.
+//! An unconverged solution is too soft: static deflections are too large by a fraction that decreases with the square
+//! of the substep and with the number of iterations. Substeps are therefore a better use of time than iterations. The
+//! fraction grows with an element's ratio of stiffness to mass: soft tissue with centimetre elements converges in a few
+//! substeps; stiff or fine bodies do not and need `dynamic_fem`.
 //!
-//! Constraints are taken in groups that share no node, four tetrahedra side by side, sequentially or on the rayon pool
-//! that the caller runs in: the bits are the same.
+//! Constraints are coloured, four tetrahedra at a time, and projected sequentially or on the caller's rayon pool, with
+//! bit-identical results.
 
 mod colouring;
 mod constraint;
@@ -34,51 +35,51 @@ use constraint::{Constraint, Nodes};
 use contact::Pressed;
 use tetrahedra::{Pack, Tets};
 
-/// Constraints of a group (packs of tetrahedra count as one) from which on threads are worth their while.
+/// Constraints of a colour (packs of tetrahedra count as one) above which threads pay off.
 const PARALLEL: usize = 512;
-/// What a body is made of.
+/// Definition of a body.
 #[derive(Clone, Debug, Default)]
 pub struct Body<'a> {
     /// Rest shape \[m\].
     pub rest: &'a [Point3<f64>],
-    /// Mass of each node beside what tetrahedra give it \[kg\]; may be empty where all nodes have tetrahedra.
+    /// Mass of each node besides that of tetrahedra \[kg\]; may be empty where all nodes have tetrahedra.
     pub masses: &'a [f64],
-    /// Distances.
+    /// Distance constraints.
     pub distances: &'a [Distance],
-    /// Bending; the hinges of a network are such.
+    /// Bending constraints, from the hinges of a network.
     pub bends: &'a [Bend],
     /// Tetrahedra, positively oriented.
     pub tets: &'a [[u32; 4]],
-    /// Of the tetrahedra.
+    /// Material of the tetrahedra.
     pub elasticity: Option<Elasticity>,
-    /// Tetrahedra that are gone: their numbers are kept.
+    /// Removed tetrahedra: their numbers are kept.
     pub gone: &'a [u32],
-    /// The groups in which an earlier life took its constraints; empty where there was none.
+    /// Saved colours of the constraints; empty for a new body.
     pub groups: Groups<'a>,
 }
 
-/// The group of each constraint, in the order in which a body lists them. Constraints of a kind are taken group by group, and
-/// which they are in is a matter of all changes of the mesh so far.
+/// Colour of each constraint, in the order of a body's lists. Constraints of a kind are projected colour by colour, and
+/// their colours depend on the whole history of mesh changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Groups<'a> {
-    /// Of distances.
+    /// Colours of distance constraints.
     pub distances: &'a [u16],
-    /// Of bends.
+    /// Colours of bending constraints.
     pub bends: &'a [u16],
-    /// Of tetrahedra.
+    /// Colours of tetrahedra.
     pub tets: &'a [u16],
 }
 
-/// How a body is stepped.
+/// Solver settings of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct XpbdConfig {
-    /// Equal parts of a step, 1 to 1000.
+    /// Number of equal substeps, 1 to 1000.
     pub parts: u32,
-    /// Iterations over all constraints in each part, 1 to 1000. Small steps want 1.
+    /// Iterations over all constraints in each substep, 1 to 1000. With small steps, use 1.
     pub iterations: u32,
-    /// Damping of every motion \[1/s\].
+    /// Global damping rate \[1/s\].
     pub damping: f64,
-    /// Speed \[m/s\] above which a node has lost its way.
+    /// Speed limit \[m/s\]; a faster node counts as diverged.
     pub speed_max: f64,
 }
 
@@ -88,18 +89,18 @@ impl Default for XpbdConfig {
     }
 }
 
-/// What acts during one step.
+/// Inputs of one step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct XpbdInput<'a> {
-    /// Acceleration of everything \[m/s²\].
+    /// Gravity \[m/s²\].
     pub gravity: Vector3<f64>,
     /// Forces on nodes.
     pub forces: &'a [NodeForce],
-    /// Nodes that are led, moving evenly; of two entries for one node the last counts.
+    /// Nodes with a prescribed position, approached at constant velocity; of two entries for one node the last counts.
     pub prescribed: &'a [Prescribed],
     /// Contacts.
     pub contacts: &'a [Contact],
-    /// Nodes of other bodies, and what joins this one to them.
+    /// External nodes of other bodies, and the ties to them.
     pub company: ExternalNodes<'a>,
 }
 
@@ -113,9 +114,9 @@ pub struct Xpbd {
     distances: Coloured<Distance>,
     bends: Coloured<Bend>,
     tets: Tets,
-    /// Of the tetrahedra \[kg/m³\].
+    /// Density of the tetrahedra \[kg/m³\].
     density: f64,
-    /// Masses beside what tetrahedra give; empty where there are none \[kg\].
+    /// Masses besides those of tetrahedra; empty where there are none \[kg\].
     own: Vec<f64>,
     pinned: Vec<u32>,
     scratch: Scratch,
@@ -133,11 +134,11 @@ struct Scratch {
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<Pack>,
-    /// One over the squared length of the last part \[1/s²\].
+    /// Inverse squared length of the last substep \[1/s²\].
     rate: f64,
 }
 
-/// Room for a sweep.
+/// Workspace of a sweep.
 #[derive(Clone, Debug)]
 struct Sweep<C: Constraint> {
     multipliers: Vec<C::Multiplier>,
@@ -150,7 +151,7 @@ impl<C: Constraint> Default for Sweep<C> {
 }
 
 impl Xpbd {
-    /// At rest in its rest shape, the listed nodes pinned.
+    /// A body at rest in its rest shape, with the listed nodes pinned.
     ///
     /// # Errors
     /// Whatever is wrong with mesh, material or configuration, elements by their index.
@@ -226,7 +227,7 @@ impl Xpbd {
             mobility: vec![0.0; nodes],
             masses: vec![0.0; nodes],
             distances: Coloured::new(nodes, body.distances, body.groups.distances)?,
-            // On a line the middle stands twice: a group only needs to know that it is there.
+            // On a line the middle node appears twice: for colouring it is enough that it appears.
             bends: Coloured::new(nodes, body.bends, body.groups.bends)?,
             tets,
             density: body.elasticity.map_or(0.0, |elasticity| elasticity.density),
@@ -242,7 +243,7 @@ impl Xpbd {
         Ok(solver)
     }
 
-    /// Finds the mass of a node, and whether anything moves it: not where it is pinned, nor where nothing is left of it.
+    /// Computes the mass of a node and whether it is free: a pinned node is not, nor one without remaining elements.
     fn weigh(&mut self, node: u32) {
         let index = node as usize;
         let own = self.own.get(index).copied().unwrap_or(0.0);
@@ -255,8 +256,8 @@ impl Xpbd {
         }
     }
 
-    /// Takes tetrahedra out, and their masses; those that are out already stay so. A node of which nothing is left stays
-    /// where it is.
+    /// Removes tetrahedra and their masses; already removed ones are ignored. A node without remaining elements keeps
+    /// its position.
     pub fn remove(&mut self, tets: &[u32]) {
         for &number in tets {
             let Some(corners) = self.tets.remove(number) else { continue };
@@ -264,7 +265,7 @@ impl Xpbd {
         }
     }
 
-    /// Makes a tetrahedron so many times as stiff, and so many times as long at rest, as it was at first, as heat does.
+    /// Sets stiffness and rest length of a tetrahedron, as factors of the original values, as heating does.
     pub fn alter(&mut self, tet: u32, stiffness: f64, length: f64) {
         self.tets.alter(tet, stiffness, length);
     }
@@ -272,19 +273,19 @@ impl Xpbd {
     /// Continues from a state, bit for bit.
     ///
     /// # Errors
-    /// When it is of another body, or not finite; nothing has changed then.
+    /// A state of another body, or a non-finite one; nothing has changed then.
     pub fn restore(&mut self, state: State) -> Result<(), NetworkError> {
         crate::mass_spring::check_state(&state, self.mobility.len())?;
         self.state = state;
         Ok(())
     }
 
-    /// Where every node is, and how it moves.
+    /// Positions and velocities of the nodes.
     #[must_use]
     pub fn state(&self) -> &State {
         &self.state
     }
-    /// Tetrahedra whose volume has turned, by their index.
+    /// Inverted tetrahedra, by their index.
     #[must_use]
     pub fn inverted(&self) -> Faulty {
         let all = self.tets.inverted(&self.state.positions);
@@ -295,17 +296,17 @@ impl Xpbd {
     pub fn masses(&self) -> &[f64] {
         &self.masses
     }
-    /// One over each node's mass, 0 where it is held \[1/kg\].
+    /// Inverse mass of each node, 0 where it is held \[1/kg\].
     #[must_use]
     pub fn mobility(&self) -> &[f64] {
         &self.mobility
     }
-    /// The groups of its constraints: what another life needs to go on with the same bits.
+    /// The colours of its constraints, needed to continue bit for bit.
     #[must_use]
     pub fn groups(&self) -> Groups<'_> {
         Groups { distances: &self.distances.of, bends: &self.bends.of, tets: &self.tets.groups }
     }
-    /// How many tetrahedra it has.
+    /// Number of tetrahedra.
     #[must_use]
     pub fn tets(&self) -> usize {
         self.tets.count
@@ -315,13 +316,13 @@ impl Xpbd {
     pub fn contact_forces(&self) -> &[Vector3<f64>] {
         &self.scratch.contact_forces
     }
-    /// What has become in the last step of the nodes of other bodies.
+    /// Impulses on external nodes in the last step.
     #[must_use]
     pub fn company(&self) -> &GhostImpulses {
         self.scratch.company.moved()
     }
-    /// What distances, bends, tetrahedra and ties exerted on these nodes (ascending) in the last part of the last step \[N\], of
-    /// ties the mean of the step: what jaws that hold them feel. Zero before the first step.
+    /// Total force of distances, bends, tetrahedra and ties on these nodes (ascending) in the last substep of the last
+    /// step \[N\], for ties the mean over the step: the reaction on jaws that hold them. Zero before the first step.
     #[must_use]
     pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
         let Scratch { places, distances, bends, tets, rate, company, .. } = &mut self.scratch;
@@ -340,7 +341,7 @@ impl Xpbd {
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
         sum * *rate + company.pull_on(nodes)
     }
-    /// What distances, bends and tetrahedra hold \[J\]; of distances without compliance nothing.
+    /// Elastic energy of distances, bends and tetrahedra \[J\]; distances without compliance hold none.
     #[must_use]
     pub fn elastic_energy(&self) -> f64 {
         let positions = &self.state.positions;
@@ -357,7 +358,7 @@ impl Xpbd {
         }
         energy
     }
-    /// What motion holds \[J\].
+    /// Kinetic energy \[J\].
     #[must_use]
     pub fn kinetic_energy(&self) -> f64 {
         let of = |(mass, velocity): (&f64, &Vector3<f64>)| 0.5 * mass * velocity.norm_squared();
@@ -367,7 +368,7 @@ impl Xpbd {
     /// Steps by `dt` seconds.
     ///
     /// # Errors
-    /// When the input is wrong or the result not finite or too fast; the state is then as it was.
+    /// Invalid input, or a result that is not finite or too fast; the state is then unchanged.
     pub fn step(&mut self, dt: f64, input: &XpbdInput<'_>) -> Result<(), StepError> {
         let mut company = std::mem::take(&mut self.scratch.company);
         let done =
@@ -403,7 +404,7 @@ impl Xpbd {
         for (position, mobility) in self.state.positions.iter().zip(&self.mobility) {
             scratch.places.push([position.x, position.y, position.z, *mobility]);
         }
-        // The spare one.
+        // The spare node.
         scratch.places.push([0.0; 4]);
         for (velocity, mobility) in scratch.next.velocities.iter_mut().zip(&self.mobility) {
             if *mobility == 0.0 {
@@ -423,7 +424,7 @@ impl Xpbd {
         scratch.contacts.extend(input.contacts.iter().map(|contact| Pressed::new(contact, positions)));
     }
 
-    /// At the beginning of a part of `h` seconds: everything flies.
+    /// Prediction at the beginning of a substep of `h` seconds.
     fn predict(&mut self, h: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         let velocities = &mut scratch.next.velocities;
@@ -437,7 +438,7 @@ impl Xpbd {
             velocities.iter_mut().zip(nodes.places.iter_mut()).zip(&scratch.forces)
         {
             if place[3] > 0.0 {
-                // What acts is not damped, else all that hangs would weigh too little.
+                // External accelerations are not damped: otherwise hanging bodies would weigh too little.
                 *velocity = *velocity * kept + (input.gravity + force * place[3]) * h;
             }
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
@@ -448,7 +449,7 @@ impl Xpbd {
         scratch.tets.reset(&self.tets.packs);
     }
 
-    /// One iteration of a part, which ends `since` seconds after the step began.
+    /// One iteration of a substep that ends `since` seconds after the beginning of the step.
     fn sweep(&mut self, h: f64, since: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         let mut nodes = Nodes { places: &mut scratch.places, rate: scratch.rate };
@@ -460,7 +461,7 @@ impl Xpbd {
         }
     }
 
-    /// At the end of a part: what moved is how it moves.
+    /// End of a substep: velocities from displacements.
     fn settle(&mut self, h: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
@@ -505,7 +506,7 @@ impl<C: Constraint> Sweep<C> {
         self.multipliers.resize(groups.iter().map(Vec::len).sum(), C::Multiplier::default());
     }
 
-    /// All constraints of a kind once, group by group.
+    /// Projects all constraints of a kind once, colour by colour.
     fn run(&mut self, groups: &[Vec<C>], nodes: &mut Nodes<'_>) {
         let mut from = 0;
         for group in groups {

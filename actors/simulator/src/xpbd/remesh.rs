@@ -1,5 +1,5 @@
-//! A body of positions that follows its mesh: constraints of what has changed are derived anew and take groups that are free
-//! about them, all else stays where it is.
+//! Remeshing of an XPBD body: constraints at changed elements are rebuilt and take the first free colours; all others
+//! are kept.
 
 use nalgebra::Point3;
 use trocar_dynamics::faulty::Faulty;
@@ -9,20 +9,20 @@ use super::constraint::{Bend, Distance};
 use super::{Xpbd, tetrahedra};
 use crate::mass_spring::{Followed, Network, NetworkError, Patch};
 
-/// Tetrahedra that have got other corners, or are new.
+/// Tetrahedra that are new or have other corners.
 #[derive(Clone, Copy)]
 pub struct SplitTets<'a> {
-    /// All nodes at rest \[m\].
+    /// Rest positions of all nodes \[m\].
     pub rest: &'a [Point3<f64>],
-    /// Corners of all.
+    /// Corners of all tetrahedra.
     pub tets: &'a [[u32; 4]],
-    /// Which have changed, ascending; new ones are numbered behind all others, and all of them are named.
+    /// Changed tetrahedra, ascending; new ones are numbered after all others, and all of them are listed.
     pub changed: &'a [u32],
 }
 
 impl Xpbd {
-    /// Follows a network that has followed its mesh: cloth that is cut, torn or burned. `carry` gives new nodes a state,
-    /// `stays` says which nodes are pinned. How many constraints were put in, taken out or given other numbers.
+    /// Updates the body to a network updated to its mesh: cloth that is cut, torn or burned. `carry` gives new nodes a
+    /// state, `stays` tells which nodes are pinned. Returns the number of constraints added, removed or renumbered.
     ///
     /// # Errors
     /// A state that does not fit.
@@ -44,11 +44,12 @@ impl Xpbd {
         Ok(followed.springs.count() + followed.hinges.count())
     }
 
-    /// Follows tetrahedra that have been halved or have parted. Each is as stiff and as long as its shape at rest is; `carry`
-    /// gives new nodes a state, `stays` says which nodes are pinned. How many tetrahedra were put in.
+    /// Updates the body to tetrahedra that were subdivided or separated. Their stiffness and rest length follow from
+    /// their rest shape; `carry` gives new nodes a state, `stays` tells which nodes are pinned. Returns the number of
+    /// tetrahedra added.
     ///
     /// # Errors
-    /// Those without volume, or with corners that are not there; nothing has changed then. A state that does not fit.
+    /// Tetrahedra without volume or with missing corners; nothing has changed then. A state that does not fit.
     pub fn split(
         &mut self,
         split: &SplitTets<'_>,
@@ -81,7 +82,7 @@ impl Xpbd {
         Ok(changed.len())
     }
 
-    /// New nodes, and others whose mass is another.
+    /// Adds new nodes, and updates nodes whose mass changed.
     fn grow(
         &mut self,
         nodes: usize,

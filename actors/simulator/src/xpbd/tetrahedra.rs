@@ -1,10 +1,10 @@
-//! Tetrahedra four at a time: what keeps their shape, what keeps their volume.
+//! Tetrahedral constraints, four at a time with SIMD: one for shape, one for volume.
 //!
-//! Shape is the size of the strain that changes no volume to first order, ‖E − tr(E)/3‖ with Green's strain E, volume
-//! the volume ratio less one; together, for small strains, the isotropic material asked for. Both are zero at rest. The
-//! pair of Macklin and Müller (*A constraint-based formulation of stable neo-Hookean materials*, 2021), ‖F‖ and
-//! det F − γ, is not: at rest each of the two pulls with the whole modulus against the other, and what a sweep that has not
-//! converged leaves of that difference is noise and softness that no load has caused.
+//! The shape constraint is the norm of the deviatoric strain, ‖E − tr(E)/3‖ with Green's strain E; the volume
+//! constraint is the volume ratio less one. For small strains they give the isotropic material. Both are zero at rest.
+//! The pair of Macklin and Müller (*A constraint-based formulation of stable neo-Hookean materials*, 2021), ‖F‖ and det
+//! F − γ, is not: at rest each of the two pulls with the full modulus against the other, and the residual of that
+//! difference in an unconverged sweep is noise and softness that no load has caused.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::tet_mesh::Stars;
@@ -14,51 +14,51 @@ use super::constraint::{Constraint, Elasticity, Nodes};
 use crate::mass_spring::NetworkError;
 use crate::simd::f32x4::{LANES, Vectors, Wide, cross, dot, plus, sum, times};
 
-/// Four tetrahedra that share no node. Those that are there to fill up push nothing, whatever their corners.
+/// Four tetrahedra without common nodes. Padding tetrahedra exert nothing, whatever their corners.
 #[derive(Clone, Debug)]
 pub(super) struct Pack {
     nodes: [[u32; LANES]; 4],
-    /// Rows of the inverse of the edges at rest.
+    /// Rows of the inverse rest edge matrix.
     inverse: [Vectors; 3],
     /// Compliances of shape and of volume \[1/J\].
     compliance: [Wide; 2],
 }
 
-/// The impulses of the last three corners by axis, times the part's length \[N·s²\], and the multipliers. The first corner
-/// bears the opposite of their sum, in double precision, so that no momentum is made by rounding.
+/// Impulses on the last three corners by axis, times the substep \[N·s²\], and the multipliers. The first corner gets
+/// the opposite of their sum in double precision, so that rounding creates no momentum.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Moved {
     impulses: [Vectors; 3],
     multipliers: [Wide; 2],
 }
 
-/// Packs in the order in which they are taken, group by group.
+/// Packs in their order of projection, colour by colour.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tets {
     pub packs: Vec<Vec<Pack>>,
-    /// Tetrahedra, the fillers left out.
+    /// Number of tetrahedra without padding.
     pub count: usize,
-    /// The group of each tetrahedron, also of one that is gone.
+    /// Colour of each tetrahedron, including removed ones.
     pub groups: Vec<u16>,
-    /// Number of each lane's tetrahedron.
+    /// Tetrahedron number in each lane.
     numbers: Vec<Vec<[u32; LANES]>>,
-    /// Lanes of each group that have been given away.
+    /// Number of used lanes of each colour.
     given: Vec<usize>,
-    /// Where in its group each tetrahedron is: its pack and lane; `None` when it is gone.
+    /// Pack and lane of each tetrahedron within its colour; `None` when removed.
     lanes: Vec<Option<(u32, u8)>>,
-    /// Corners, and edges from the first one at rest \[m\], of each.
+    /// Corners, and rest edges from the first one \[m\], of each.
     matter: Vec<([u32; 4], Matrix3<f64>)>,
-    /// Who is about each node.
+    /// Tetrahedra around each node.
     stars: Stars,
-    /// Of shape and of volume \[Pa\].
+    /// Shape and volume moduli \[Pa\].
     moduli: [f64; 2],
 }
 
-/// The node that lanes without a tetrahedron have: nothing pushes it, so that it may be any.
+/// Node of padding lanes: nothing moves it, so that it may be any.
 const SPARE: u32 = 0;
 
 impl Tets {
-    /// All positively oriented; `known` are the groups of each, if somebody has said so.
+    /// From positively oriented tetrahedra; `known` are saved colours, if any.
     pub fn new(
         rest: &[Point3<f64>],
         tets: &[[u32; 4]],
@@ -81,7 +81,7 @@ impl Tets {
         Ok(all)
     }
 
-    /// Appends one to a group.
+    /// Appends one to a colour.
     fn add(&mut self, tet: [u32; 4], edges: Matrix3<f64>, group: u16) {
         let number = self.matter.len() as u32;
         let at = group as usize;
@@ -108,7 +108,7 @@ impl Tets {
         self.count += 1;
     }
 
-    /// Takes one out; its corners, or nothing when there is none.
+    /// Removes one; returns its corners, or `None` when it did not exist.
     pub fn remove(&mut self, number: u32) -> Option<[u32; 4]> {
         let (pack, lane) = self.lanes.get_mut(number as usize)?.take()?;
         let (tet, _) = self.matter[number as usize];
@@ -120,7 +120,7 @@ impl Tets {
         Some(tet)
     }
 
-    /// Makes one so many times as stiff, and so many times as long, as it was at first.
+    /// Sets stiffness and rest length of one, as factors of the original values.
     pub fn alter(&mut self, number: u32, stiffness: f64, length: f64) {
         let Some(Some((pack, lane))) = self.lanes.get(number as usize) else { return };
         let (tet, edges) = &self.matter[number as usize];
@@ -129,8 +129,8 @@ impl Tets {
         self.packs[group][*pack as usize].fill(*lane as usize, tet, &(edges * length), moduli);
     }
 
-    /// Gives one that is there other corners, or appends the next one, in the first group that is free about it: one that has
-    /// got other corners for some of its own meets nobody there whom it has not met before. The corners that it had.
+    /// Replaces the corners of one, or appends the next one, in the first colour free at its nodes; one that exchanged
+    /// some of its own corners gets no new neighbours there. Returns its previous corners.
     pub fn put(&mut self, rest: &[Point3<f64>], number: u32, tet: [u32; 4]) -> Option<[u32; 4]> {
         let index = number as usize;
         let Some(lane) = self.lanes.get(index) else {
@@ -152,13 +152,13 @@ impl Tets {
         Some(was.0)
     }
 
-    /// A node's share of the mass of those about it, besides what it has of its own \[kg\].
+    /// Mass of a node: its own plus its share of the tetrahedra around it \[kg\].
     pub fn mass(&self, node: u32, own: f64, density: f64) -> f64 {
         let share = |tet: &u32| 0.25 * density * extent(&self.matter[*tet as usize].1);
         self.stars.about(node).iter().map(share).fold(own, |sum, share| sum + share)
     }
 
-    /// Tetrahedra whose volume has turned, ascending.
+    /// Inverted tetrahedra, ascending.
     pub fn inverted(&self, positions: &[Point3<f64>]) -> Vec<u32> {
         let mut inverted: Vec<u32> = Vec::new();
         for (pack, numbers) in self.packs.iter().flatten().zip(self.numbers.iter().flatten()) {
@@ -172,7 +172,7 @@ impl Tets {
         inverted
     }
 
-    /// What they hold \[J\].
+    /// Elastic energy \[J\].
     pub fn energy(&self, positions: &[Point3<f64>]) -> f64 {
         let mut energy = 0.0;
         for (pack, numbers) in self.packs.iter().flatten().zip(self.numbers.iter().flatten()) {
@@ -191,21 +191,21 @@ impl Tets {
     }
 }
 
-/// Edges from the first corner at rest \[m\].
+/// Rest edges from the first corner \[m\].
 fn edges(rest: &[Point3<f64>], tet: &[u32; 4]) -> Matrix3<f64> {
     let [a, b, c, d] = tet.map(|node| rest[node as usize]);
     Matrix3::from_columns(&[b - a, c - a, d - a])
 }
 
-/// Volume at rest below which there is no tetrahedron \[m³\].
+/// Smallest valid rest volume \[m³\].
 pub(super) const LEAST: f64 = 1e-30;
 
-/// Volume at rest \[m³\].
+/// Rest volume \[m³\].
 pub(super) fn volume_of(rest: &[Point3<f64>], tet: &[u32; 4]) -> f64 {
     extent(&edges(rest, tet))
 }
 
-/// Volume by the edges \[m³\].
+/// Volume from the edges \[m³\].
 fn extent(edges: &Matrix3<f64>) -> f64 {
     edges.column(0).cross(&edges.column(1)).dot(&edges.column(2)) / 6.0
 }
@@ -215,7 +215,7 @@ fn place(positions: &[Point3<f64>], node: usize) -> [f64; 3] {
     [point.x, point.y, point.z]
 }
 
-/// A constraint and its slope by the columns of the gradient.
+/// A constraint and its gradient by the columns of the deformation gradient.
 type Strain = (Wide, [Vectors; 3]);
 
 #[inline(always)]
@@ -267,7 +267,7 @@ impl Pack {
         self.compliance.iter_mut().for_each(|of| of.0[lane] = 1.0);
     }
 
-    /// The edges from the first corner.
+    /// Edges from the first corner.
     #[inline(always)]
     fn edges(&self, place: impl Fn(usize) -> [f64; 3]) -> [Vectors; 3] {
         let first = corner(&self.nodes[0], &place);
@@ -282,7 +282,7 @@ impl Pack {
         [edge(1), edge(2), edge(3)]
     }
 
-    /// The impulses of one constraint on the last three corners, and by how much its multiplier changes.
+    /// Impulses of one constraint on the last three corners, and the change of its multiplier.
     #[inline(always)]
     fn pull(
         &self,
@@ -310,7 +310,7 @@ impl Pack {
     }
 }
 
-/// Coordinates of four nodes, each kind side by side.
+/// Coordinates of four nodes, as structure of arrays.
 #[inline(always)]
 fn corner(of: &[u32; LANES], place: &impl Fn(usize) -> [f64; 3]) -> [[f64; LANES]; 3] {
     let [a, b] = [place(of[0] as usize), place(of[1] as usize)];
@@ -322,7 +322,7 @@ impl Constraint for Pack {
     type Multiplier = [Wide; 2];
     type Moved = Moved;
 
-    /// Shape, then volume, each from where the one before has left the nodes.
+    /// Projects shape, then volume, each from the positions left by the previous one.
     #[inline(always)]
     fn project(&self, nodes: &Nodes<'_>, multipliers: [Wide; 2]) -> Moved {
         let mut edges = self.edges(|node| {

@@ -1,5 +1,5 @@
-//! A membrane of positions that has grown onto finite elements, each moved by a controller of its own: what passes between
-//! them is in the scene, so that either can begin another life.
+//! A membrane by XPBD attached to finite elements, each with its own controller: everything exchanged is in the scene,
+//! so that either can restart.
 
 use std::sync::Arc;
 
@@ -50,7 +50,7 @@ impl Controller for Both {
             let period = trocar_scene::SimTime(tick.period.0 * RATE);
             return self.slow.tick(&Tick { period, ..*tick }, scene, out);
         }
-        // It steps in every tick; in those of the organ it is a tick late, as it may be live.
+        // It steps in every tick; the organ's outputs arrive one tick late, as they may in live mode.
         self.fast.tick(tick, scene, out)
     }
 }
@@ -100,7 +100,7 @@ fn either_side_of_a_coupling_begins_another_life_to_the_bit() {
 fn what_hangs_on_an_organ_weighs_on_it_and_what_nobody_moves_is_a_wall() {
     let mut stage = Stage::new(scene(&grown(JOINED)), 500.0, Both::new);
     (0..1500).for_each(|_| stage.tick());
-    // All that it was given in a second is its weight.
+    // The total impulse received in a second equals its weight.
     let given = |stage: &Stage<Both>| -> Vector3<f64> {
         stage.get::<CouplingGiven>("membrane").to[0].ghosts.given().iter().sum()
     };
@@ -110,7 +110,7 @@ fn what_hangs_on_an_organ_weighs_on_it_and_what_nobody_moves_is_a_wall() {
     let weight = GRAVITY * (0.5 * 0.03 * 0.02) * 0.8;
     let pulled = given(&stage) - before;
     assert!((pulled - weight).norm() < 0.02 * weight.norm(), "{pulled:?} of {weight:?} N·s");
-    // The organ is told of nothing any longer: after half a second it stands for the membrane like a wall.
+    // The organ no longer gets any impulses: after half a second it acts as a wall for the membrane.
     let still = stage.get::<VertexPositions>("organ").positions;
     stage.put("organ", Frozen { reason: "a test".into(), since: stage.now() });
     stage.rebuild(Both::new);
@@ -159,7 +159,7 @@ fn what_cannot_be_coupled_is_refused_by_name() {
 
 #[test]
 fn what_cannot_be_stops_the_one_body_that_it_is_about() {
-    // Beside the two another organ and another cloth, of the same controllers, that fall freely.
+    // Besides the two, another organ and another cloth of the same controllers fall freely.
     let more = "[[entity]]\nname = \"other\"\npose = { translation = [1.0, 0.0, 0.0] }\n\
                 mesh = { block = { size = [0.02, 0.02, 0.02], cells = [2, 2, 2] } }\n\
                 dynamic_fem = { mass_damping = 0.0 }\n\
@@ -170,7 +170,7 @@ fn what_cannot_be_stops_the_one_body_that_it_is_about() {
     let mut stage = Stage::new(scene(&(grown(JOINED) + more)), 500.0, Both::new);
     (0..50).for_each(|_| stage.tick());
     let height = |stage: &Stage<Both>, name: &str| stage.get::<VertexPositions>(name).positions[0].z;
-    // Impulses that sum up to no number any longer.
+    // Impulses that no longer have a finite sum.
     let mut given = stage.get::<CouplingGiven>("membrane");
     let text = serde_json::to_string(&given.to[0].ghosts).expect("numbers");
     let from = text.find("\"given\":[[").expect("they are told");
@@ -180,7 +180,7 @@ fn what_cannot_be_stops_the_one_body_that_it_is_about() {
     let (organ, membrane) = (stage.get::<VertexPositions>("organ"), height(&stage, "membrane"));
     let before = [height(&stage, "other"), height(&stage, "cloth")];
     stage.put("membrane", given);
-    // The membrane tells its own again; the organ is told before that, in the first of the next five ticks that is its own.
+    // The membrane publishes its own impulses again, and the organ takes them in the first of its own ticks after that.
     while !(stage.ticks + 1).is_multiple_of(RATE) {
         stage.ticks += 1;
     }
@@ -195,16 +195,16 @@ fn what_cannot_be_stops_the_one_body_that_it_is_about() {
     for (name, before) in ["other", "cloth"].into_iter().zip(before) {
         assert!(before - height(&stage, name) > 0.01, "'{name}' falls on");
     }
-    // Another life finds it standing still.
+    // After a restart it is at rest.
     stage.rebuild(Both::new);
     (0..20).for_each(|_| stage.tick());
     assert_eq!(stage.get::<VertexPositions>("organ"), organ);
 }
 
-/// Steps of the membrane for one of the organ that is a hundred times as heavy.
+/// Steps of the membrane per step of an organ a hundred times as heavy.
 const FLYING_RATE: u64 = 10;
 
-/// Two controllers whose bodies fly: ten ticks are the membrane's, the next one is the organ's and as long as all of them.
+/// Two controllers with free-flying bodies: ten ticks of the membrane, then one of the organ over the same time.
 struct Flying(Both);
 
 impl Flying {
@@ -265,7 +265,7 @@ fn controllers_of_a_light_membrane_on_a_heavy_organ_lose_no_momentum_and_gain_no
         let [of_organ, of_membrane] = masses(&stage);
         let total = |masses: &[f64]| masses.iter().sum::<f64>();
         assert!((total(&of_organ) / total(&of_membrane) - 100.0).abs() < 1e-6);
-        // Until the organ has told of itself it is a wall.
+        // Until the organ has published its state, it acts as a wall.
         (0..2 * (FLYING_RATE + 1)).for_each(|_| stage.tick());
         let thrown = Vector3::new(0.2, 0.0, 0.3);
         let rest = stage.get::<VertexPositions>("membrane").positions;
@@ -273,7 +273,7 @@ fn controllers_of_a_light_membrane_on_a_heavy_organ_lose_no_momentum_and_gain_no
         let velocities = rest.iter().map(|at| thrown + spin.cross(&at.coords)).collect();
         stage.put("membrane", VertexVelocities { velocities: Arc::new(velocities) });
         stage.rebuild(Flying::new);
-        // Sums over both bodies: momentum, what is under way between them included, and kinetic energy.
+        // Sums over both bodies: momentum, including impulses in transit, and kinetic energy.
         let sums = |stage: &Stage<Flying>| {
             let (mut momentum, mut energy) = (Vector3::zeros(), 0.0);
             for (name, masses) in [("organ", &of_organ), ("membrane", &of_membrane)] {
@@ -313,7 +313,7 @@ fn controllers_of_a_light_membrane_on_a_heavy_organ_lose_no_momentum_and_gain_no
             .zip(&of_organ)
             .map(|(velocity, mass)| velocity * *mass)
             .sum();
-        // What the membrane had is the organ's by now, nearly all of it.
+        // The membrane's momentum is almost completely the organ's now.
         assert!((organ - before).norm() < 0.2 * before.norm(), "{organ:?} of {before:?} N·s");
         let lost = (sums(&stage).0 - before).norm();
         assert!(lost <= 1e-6 * exchanged, "{lost:e} N·s of {exchanged:e} N·s");

@@ -1,5 +1,5 @@
-//! Bodies of different methods at different rates, joined at points: a mass ratio of 1:100 at a rate ratio of 10:1 loses
-//! no momentum and gains no energy.
+//! Coupling of bodies of different methods at different rates by ghost nodes: at a mass ratio of 1:100 and a rate ratio
+//! of 10:1, no momentum is lost and no energy gained.
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::Surface;
@@ -14,10 +14,10 @@ use trocar_simulator::xpbd::{Body, Distance, Xpbd, XpbdConfig, XpbdInput};
 const FAST: f64 = 1e-3;
 const SLOW: f64 = 1e-2;
 const RATE: usize = 10;
-/// What momentum may be lost of what was exchanged.
+/// Largest momentum loss relative to the exchanged momentum.
 const MOMENTUM: f64 = 1e-6;
 
-/// A faster body and the ghosts that it meets.
+/// A faster body and its ghost nodes.
 struct Faster {
     body: Xpbd,
     ghosts: Ghosts,
@@ -66,7 +66,7 @@ fn tie(node: u32, ghost: u32, stiffness: f64, damping: f64) -> Tie {
     Tie { node, guests: [(ghost, 1.0), (ghost, 0.0), (ghost, 0.0), (ghost, 0.0)], stiffness, damping }
 }
 
-/// Masses that fly freely, one node each.
+/// Free-flying point masses.
 fn loose(masses: &[f64], places: &[Point3<f64>], velocities: &[Vector3<f64>]) -> Xpbd {
     let body = Body { rest: places, masses, ..Body::default() };
     let config = XpbdConfig { parts: 1, ..XpbdConfig::default() };
@@ -77,7 +77,7 @@ fn loose(masses: &[f64], places: &[Point3<f64>], velocities: &[Vector3<f64>]) ->
     body
 }
 
-/// A mass that flies.
+/// A free-flying mass.
 struct Mass {
     mass: f64,
     place: Point3<f64>,
@@ -131,8 +131,8 @@ impl Mass {
 const STIFFNESS: f64 = 1000.0;
 const THROWN: Vector3<f64> = Vector3::new(0.4, 0.0, -0.1);
 
-/// Largest energy at any meeting over that at the beginning, momentum lost over what was exchanged, and how far apart the
-/// masses were at most.
+/// Largest relative energy at any exchange, momentum lost relative to the exchanged momentum, and largest distance of
+/// the masses.
 fn linked(masses: [f64; 2], damping: f64) -> [f64; 3] {
     let mut slow = Mass::new(masses[1]);
     let body = loose(&masses[..1], &[slow.place], &[THROWN]);
@@ -154,7 +154,8 @@ fn linked(masses: [f64; 2], damping: f64) -> [f64; 3] {
     [most / first, lost / fast.ghosts.exchanged(), apart]
 }
 
-/// The control: the faster mass on a spring to where the slower one was last, which takes the mean force.
+/// The control: the faster mass on a spring to the slower one's last position, with the mean force applied to the
+/// slower one.
 fn held(masses: [f64; 2]) -> f64 {
     let [mut fast, mut slow] = masses.map(Mass::new);
     fast.velocity = THROWN;
@@ -192,10 +193,10 @@ fn masses_of_one_to_a_hundred_at_rates_of_ten_to_one_keep_momentum_and_gain_no_e
 struct Organ {
     body: DynamicFem,
     masses: Vec<f64>,
-    /// Which of its nodes have ghosts.
+    /// Its nodes with ghosts.
     ghosts: Vec<u32>,
     taken: Vec<Vector3<f64>>,
-    /// What it took last.
+    /// The impulses that it took last.
     last: Vec<Vector3<f64>>,
     received: f64,
     given_work: f64,
@@ -231,7 +232,7 @@ impl Organ {
         }
     }
 
-    /// Flies and turns.
+    /// Flying and rotating.
     fn thrown() -> Self {
         let mut organ = Self::new(|_| false, Config::default());
         let spin = Vector3::new(0.5, 0.0, 2.0);
@@ -246,7 +247,7 @@ impl Organ {
         self.ghosts.iter().map(|&node| self.body.positions()[node as usize]).collect()
     }
 
-    /// Triangles of the top, of ghosts.
+    /// Triangles of the top, by ghost number.
     fn top(&self) -> Vec<[u32; 3]> {
         let number = |node: u32| self.ghosts.iter().position(|&ghost| ghost == node).map(|at| at as u32);
         let surface = self.body.mesh().surface();
@@ -319,7 +320,7 @@ impl Organ {
     }
 }
 
-/// After how many steps of the faster body it hears of the slower one's: at once, and as late as live.
+/// Delay of the slower body's state in steps of the faster one: none, and the largest in live mode.
 const LATE: [usize; 2] = [0, 6];
 
 /// A membrane of a hundredth of the organ's mass that covers its top.
@@ -376,7 +377,7 @@ fn a_membrane_of_positions_is_carried_by_finite_elements() {
 
 #[test]
 fn what_hangs_from_finite_elements_hangs_still() {
-    // The block is held by its lower side; a weight is drawn upwards at the middle of its top by 0.2 N.
+    // The block is held at its lower side; a mass is pulled upwards at the middle of its top by 0.2 N.
     for (mass, late) in [0.02, 2e-5].into_iter().flat_map(|mass| LATE.map(|late| (mass, late))) {
         let config = Config { stiffness_damping: 0.005, ..Config::default() };
         let mut organ = Organ::new(|at| at.z < 1e-9, config);
@@ -407,7 +408,7 @@ fn what_hangs_from_finite_elements_hangs_still() {
         };
         let [low, high] = range(0);
         let [weak, strong] = range(1);
-        // The same under the same force without any ghost.
+        // The same under the same force without ghosts.
         let mut alone = Organ::new(|at| at.z < 1e-9, config);
         let force = [(alone.ghosts[middle], Vector3::z() * 0.2)];
         for _ in 0..400 {
@@ -415,7 +416,7 @@ fn what_hangs_from_finite_elements_hangs_still() {
         }
         let expected = alone.places()[middle].z;
         let at = organ.places()[middle].z;
-        // A heavy one that is heard of late takes longer to come to rest.
+        // A heavy mass with delayed states takes longer to come to rest.
         let calm = if late > 0 && mass > 1e-3 { 100.0 } else { 1.0 };
         assert!((at - expected).abs() < 1e-5 * calm * (expected - 0.03), "{at} for {expected}");
         let off = (strong + 0.2).abs().max((weak + 0.2).abs());

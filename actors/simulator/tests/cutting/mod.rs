@@ -1,4 +1,4 @@
-//! Surfaces, lines and volumes that are cut and torn.
+//! Cutting and tearing of surfaces, lines and volumes.
 
 mod remesh;
 mod scissors;

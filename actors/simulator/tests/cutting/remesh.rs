@@ -1,6 +1,5 @@
-//! What follows from a mesh follows its changes: springs, hinges, constraints, their groups, masses and the safe step are
-//! what they would be if they were derived anew from the whole mesh, and what it takes to follow is a matter of the change and
-//! not of the body.
+//! Incremental updates after remeshing: springs, hinges, constraints, their colours, masses and the stable step equal
+//! those rebuilt from the whole mesh, and the cost depends on the change, not on the size of the body.
 
 use std::collections::BTreeMap;
 
@@ -35,7 +34,7 @@ fn carry(state: &mut State, born: &[Birth]) {
     }
 }
 
-/// One thing that happens to a body, at a place of it and of a size, each by shares.
+/// A random change of a body: place and size as fractions.
 #[derive(Clone, Copy, Debug)]
 enum Event {
     Burn { at: f64 },
@@ -58,7 +57,7 @@ fn event() -> impl Strategy<Value = Event> {
     ]
 }
 
-/// A volume that comes apart, with the two solvers that follow it.
+/// A volume that is cut, with the two solvers updated incrementally.
 struct Apart {
     volume: Volume,
     slit: Slit,
@@ -69,7 +68,7 @@ struct Apart {
     held: usize,
     springs: MassSpring,
     positions: Xpbd,
-    /// Edges, nodes and tetrahedra that were derived in the last change.
+    /// Edges, nodes and tetrahedra rebuilt in the last change.
     derived: usize,
 }
 
@@ -201,7 +200,7 @@ impl Apart {
         self.derived += followed.edges + followed.nodes;
     }
 
-    /// Compares all that was followed with what is made anew, and what becomes of it.
+    /// Compares everything updated incrementally with a rebuild, and the motion of both.
     fn agrees(&mut self) {
         let rest = self.volume.rest();
         let loose = self.volume.orphans();
@@ -226,7 +225,7 @@ impl Apart {
         let held: Vec<u32> = (0..self.held as u32).collect();
         let body =
             Body { rest, tets: &self.tets, elasticity: Some(MATTER), gone: &gone, groups, ..Body::default() };
-        // No two of a group share a node, or it would not be made.
+        // Two elements of one colour at a node would be rejected.
         let mut anew = Xpbd::new(&body, &held, XpbdConfig::default()).expect("a solver");
         for (tet, of) in (0..).zip(&self.altered).filter(|(_, of)| **of != Alteration::GONE) {
             anew.alter(tet, of.stiffness, of.length);
@@ -235,7 +234,7 @@ impl Apart {
         assert_eq!(anew.masses(), self.positions.masses());
         assert_eq!(anew.tets(), self.positions.tets());
         assert_eq!(anew.elastic_energy().to_bits(), self.positions.elastic_energy().to_bits());
-        // In groups that are found anew it is the same matter: another order of the same sum.
+        // With new colours the material is the same: only the order of sums differs.
         let other = Body { groups: Default::default(), ..body };
         let mut other = Xpbd::new(&other, &held, XpbdConfig::default()).expect("a solver");
         for (tet, of) in (0..).zip(&self.altered).filter(|(_, of)| **of != Alteration::GONE) {
@@ -277,11 +276,11 @@ proptest! {
     }
 }
 
-/// A membrane that comes apart, with the two solvers that follow it.
+/// A membrane that is cut, with the two solvers updated incrementally.
 struct Cloth {
     sheet: Sheet,
     n: u32,
-    /// Of each triangle what heat has made of it.
+    /// Alteration of each triangle by heat.
     altered: Vec<Alteration>,
     springs: MassSpring,
     network: Network,
@@ -291,7 +290,7 @@ struct Cloth {
 
 /// Corners of a square of 1 cm for each of `n` × `n` cells.
 fn grid(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    // A little uneven, so that hinges are bent at rest.
+    // Slightly uneven, so that hinges are bent at rest.
     let up = |i: u32, j: u32| 0.001 * f64::from(i).sin() * f64::from(j).cos();
     let point = |i: u32, j: u32| Point3::new(0.01 * f64::from(i), 0.01 * f64::from(j), up(i, j));
     let points = (0..=n).flat_map(|j| (0..=n).map(move |i| point(i, j))).collect();
@@ -358,7 +357,7 @@ impl Cloth {
         }
     }
 
-    /// A held vertex is one that lies at the border at rest.
+    /// Vertices on the border at rest are held.
     fn stays(sheet: &Sheet, vertex: u32) -> bool {
         sheet.rest()[vertex as usize].y == 0.0 || sheet.about(vertex).is_empty()
     }
@@ -427,7 +426,7 @@ impl Cloth {
     }
 }
 
-/// What a change in the middle of a body takes, by how large the body is.
+/// Cost of a change in the middle of a body, by the size of the body.
 #[test]
 fn what_it_takes_to_follow_is_a_matter_of_the_change_and_not_of_the_body() {
     let mut taken: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
@@ -472,7 +471,7 @@ fn what_it_takes_to_follow_is_a_matter_of_the_change_and_not_of_the_body() {
     for (what, taken) in &taken {
         let [small, middle, large] = taken[..] else { panic!("three bodies") };
         assert!(small > 0 && middle > 0 && large > 0, "{what}: {taken:?}");
-        // A body of 64 times as many elements.
+        // A body with 64 times as many elements.
         assert!(large <= 2 * small && middle <= 2 * small && large < 400, "{what}: {taken:?}");
     }
 }

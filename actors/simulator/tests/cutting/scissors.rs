@@ -1,5 +1,5 @@
-//! Scissors on a scene: what is between their blades is cut when they close, whichever method moves it; what is beside them is
-//! not, and blades that open or wait open cut nothing.
+//! Scissors on a scene: closing blades cut what is between them, for every method; nothing beside them, and nothing
+//! while they open or stay open.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn tool(jaw_length: f64) -> String {
 const MEMBRANE: &str = "sheet = { size = [0.04, 0.04], cells = [16, 16] }";
 const LINE: &str = "line = { length = 0.04, segments = 16, radius = 0.0003 }";
 
-/// A membrane or a line of 4 cm, held where it ends to either side, that has been drawn apart by a twentieth.
+/// A membrane or a line of 4 cm, held at its ends and stretched by a twentieth.
 fn taut<C: Controller>(
     mesh: &str,
     body: &str,
@@ -77,7 +77,7 @@ fn turn<C: Controller>(stage: &mut Stage<C>, at: [f64; 3], from: f64, to: f64) {
     }
 }
 
-/// How far apart the lips are where they are the farthest: vertices that were one at rest.
+/// Largest opening of the lips: distance of vertices that coincide at rest.
 fn gapes<C: Controller>(stage: &Stage<C>) -> f64 {
     let (rest, now) =
         (stage.get::<RestPositions>("body").positions, stage.get::<VertexPositions>("body").positions);
@@ -115,7 +115,7 @@ fn cuts_a_membrane<C: Controller>(
     for height in [0.0, 0.0017, -0.0012] {
         let stage = one_bite([at[0], at[1], height], OPEN, 0.0, false);
         let (length, gap) = (stage.measured("body.cut_length_m"), gapes(&stage));
-        // Nearer to the hinge than where the blade is when it is open, it is not between them.
+        // Nearer to the hinge than the open blade: not between the blades.
         let wanted = 0.018 - f64::max(0.002, f64::abs(height) / f64::sin((OPEN - 0.12) / 2.0));
         assert!((length - wanted).abs() < 0.0026, "{body} {height}: {length} m of {wanted} m");
         assert!(gap > 5e-4, "{body} {height}: its lips are {gap} m apart");
@@ -126,7 +126,7 @@ fn cuts_a_membrane<C: Controller>(
     };
     let whole = end(&one_bite(at, OPEN, 0.0, false));
     assert_eq!(end(&one_bite(at, OPEN, 0.0, true)), whole, "another life goes on to the bit");
-    // The controls: above the membrane, beyond its rim, blades that open about it, and that wait open.
+    // The controls: above the membrane, beyond its rim, blades that open around it, and blades that stay open.
     for (at, from, to) in [
         ([0.0011, -0.004, 0.012], OPEN, 0.0),
         ([0.0011, -0.0215, 0.0], OPEN, 0.0),
@@ -136,7 +136,7 @@ fn cuts_a_membrane<C: Controller>(
         let stage = one_bite(at, from, to, false);
         assert_eq!(stage.measured("body.cut_length_m"), 0.0, "{body} {at:?} from {from} to {to}");
     }
-    // Bite after bite, and forwards in between: all the way through.
+    // Bite after bite, moving forwards in between, all the way through.
     let mut stage = taut(MEMBRANE, body, build);
     let mut tip = -0.01;
     let mut cut = 0.0;
@@ -167,11 +167,11 @@ fn blades_that_close_cut_the_taut_membrane_between_them_by_springs() {
     );
 }
 
-/// In steps of 2 ms, whether or not it says so.
+/// In steps of 2 ms, whether or not the scenario says so.
 const WARPED: &str = "mass_spring = { springs = { surface = { membrane_stiffness = 60.0, bending_stiffness = 1e-6, \
                       density = 1.0 } }, damping = 20.0, method = \"implicit\" }";
 
-/// A bite at 0.06 s, another at the given tick, 2.2 s in all; in which ticks the controller begins another life.
+/// A bite at 0.06 s, another at the given tick, 2.2 s in all; restarts the controller in the given ticks.
 fn bitten(body: &str, again: u32, lives: &[u32], mut watch: impl FnMut(u32, &Stage<MassSpringController>)) {
     let mut stage = taut(MEMBRANE, body, springs);
     for tick in 0..1_100_u32 {
@@ -188,7 +188,7 @@ fn bitten(body: &str, again: u32, lives: &[u32], mut watch: impl FnMut(u32, &Sta
 
 #[test]
 fn a_membrane_that_is_cut_gets_its_factor_back_beside_the_ticks_and_goes_on_to_the_bit() {
-    // The second bite comes while the factor after the first one is being made: that one never serves.
+    // The second bite comes while the factor after the first one is being computed: that one is discarded.
     let (bite, again) = (30, 30 + 20 + 170);
     let mut known = Vec::new();
     let mut iterations = Vec::new();
@@ -216,7 +216,7 @@ fn a_membrane_that_is_cut_gets_its_factor_back_beside_the_ticks_and_goes_on_to_t
     let back = (again..1_100).find(|tick| !lacks(*tick)).expect("it gets one back");
     assert!((again + 150..again + 300).contains(&back), "in tick {back}");
     assert_eq!(known[1_099].map(|known| known.jobs), Some(2));
-    // With it a step is solved in fewer iterations than without, as before it was cut.
+    // With the factor a step takes fewer iterations than without, as before the cut.
     let mean = |ticks: std::ops::Range<u32>| {
         ticks.clone().map(|tick| iterations[tick as usize]).sum::<f64>() / ticks.len() as f64
     };
@@ -227,7 +227,7 @@ fn a_membrane_that_is_cut_gets_its_factor_back_beside_the_ticks_and_goes_on_to_t
     );
     let [whole, killed] = &mut ends;
     assert!(whole == killed, "other lives go on to the bit");
-    // However it is solved: it hangs where it hangs by the nodes' own blocks.
+    // The result does not depend on the solver: the same with block Jacobi.
     let blocks = WARPED.replace("\"implicit\"", "\"implicit\", solver = \"node_blocks\"");
     let mut far = f64::INFINITY;
     bitten(&blocks, again, &[], |tick, stage| {
@@ -248,7 +248,7 @@ fn blades_that_close_cut_the_taut_membrane_between_them_by_positions() {
     );
 }
 
-/// A column of 2 cm by 2 cm by 6 cm that hangs from its upper end, and blades of 10 cm about its middle.
+/// A hanging column of 2 cm by 2 cm by 6 cm, and blades of 10 cm around its middle.
 fn cuts_a_column<C: Controller>(
     body: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -324,7 +324,7 @@ fn cuts_a_line<C: Controller>(
         run(&mut stage, 5);
         let safe = is_explicit.then(|| stage.measured("body.safe_step_s"));
         assert_eq!(stage.measured("body.pieces"), 1.0);
-        // Open blades that wait, and blades that close beside it, cut nothing.
+        // Open blades, and blades that close beside it, cut nothing.
         (0..10).for_each(|_| {
             place(&mut stage, at, OPEN);
             run(&mut stage, 1);
@@ -375,7 +375,7 @@ fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
     cuts_a_line(rod, false, xpbd);
 }
 
-/// A line that is drawn by a twentieth, torn at a limit below that and whole at one above it.
+/// A line stretched by a twentieth tears at a limit below that, and not at one above it.
 fn tears_a_line<C: Controller>(
     body: impl Fn(f64) -> String,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -404,7 +404,7 @@ fn a_rod_of_positions_tears_where_it_is_drawn_too_far_and_not_before() {
 
 #[test]
 fn a_line_of_springs_tears_where_it_is_drawn_too_far_and_not_before() {
-    // Damped, so that what draws back does not swing to as much again.
+    // Damped, so that the recoil does not swing back as far.
     for method in ["explicit", "implicit"] {
         let body = |tears_at: f64| {
             format!(

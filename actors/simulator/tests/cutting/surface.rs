@@ -1,4 +1,4 @@
-//! Cutting: what comes apart, how large it is, what the springs make of it.
+//! Cutting of surfaces: pieces, their areas, and the effect on the springs.
 
 use crate::support::sheet::follow;
 use nalgebra::{Point3, Vector3};
@@ -26,7 +26,7 @@ fn grid(n: u32, size: f64) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     (points, triangles.collect())
 }
 
-/// A blade that stands across the plane, moved from one place to another.
+/// A blade perpendicular to the plane, moved from one point to another.
 fn stab(from: [f64; 2], to: [f64; 2]) -> Sweep {
     let edge = |[x, y]: [f64; 2]| [Point3::new(x, y, -0.02), Point3::new(x, y, 0.02)];
     Sweep { before: edge(from), after: edge(to) }
@@ -54,7 +54,8 @@ fn areas(sheet: &Sheet) -> Vec<f64> {
     areas
 }
 
-/// Every triangle has area and lies as it did, every edge has one or two triangles, the lists about vertices are right.
+/// Every triangle has area and its original orientation, every edge one or two triangles, and the adjacency lists are
+/// right.
 fn check(sheet: &Sheet) {
     let mut edges = Vec::new();
     for (index, &[a, b, c]) in sheet.triangles().iter().enumerate() {
@@ -101,7 +102,7 @@ fn a_straight_cut_from_edge_to_edge_makes_two_of_one() {
     }
 }
 
-/// Scissors: a whole blade comes down through the sheet and the line that it leaves begins at the border.
+/// Scissors: a whole blade comes down through the sheet, and its cut begins at the border.
 #[test]
 fn blades_that_close_cut_their_whole_length_at_once() {
     let (points, triangles) = grid(20, 0.1);
@@ -113,7 +114,7 @@ fn blades_that_close_cut_their_whole_length_at_once() {
     check(&sheet);
     assert_eq!(areas(&sheet).len(), 1);
     assert!((0.033..0.042).contains(&change.length), "{}", change.length);
-    // The next bite goes on from the tip to the other side.
+    // The next bite continues from the tip to the other side.
     let edge = |height: f64| [Point3::new(-0.012, 0.007, height), Point3::new(0.07, 0.003, height)];
     sheet.cut(&positions, &[Sweep { before: edge(0.003), after: edge(-0.002) }]).expect("a cut");
     check(&sheet);
@@ -145,7 +146,7 @@ fn what_belongs_to_vertices_and_triangles_follows() {
     }
     assert_eq!(parents.len(), sheet.triangles().len());
     assert!(change.vertices.iter().any(|change| matches!(change, VertexChange::Copy { .. })));
-    // It can be told to others as it is.
+    // The change can be serialised.
     let text = serde_json::to_string(&change).expect("text");
     assert_eq!(serde_json::from_str::<TopologyChange>(&text).expect("a change"), change);
     let again = Sheet::restore(
@@ -166,7 +167,7 @@ fn a_thousand_random_cuts_never_halve_the_safe_step_and_springs_stay_those_of_th
     let (at_first, mass) = (solver.safe_step(), solver.network().masses.iter().sum::<f64>());
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let (mut done, mut tried, mut least) = (0, 0, f64::INFINITY);
-    // What falls beside the sheet, or into what is cut already, is none.
+    // A sweep beside the sheet, or in an existing cut, cuts nothing.
     while done < 1000 {
         tried += 1;
         assert!(tried < 20_000, "only {done} cuts did anything");
@@ -190,10 +191,10 @@ fn a_thousand_random_cuts_never_halve_the_safe_step_and_springs_stay_those_of_th
     let after: f64 = solver.network().masses.iter().sum();
     assert!((after / mass - 1.0).abs() < 1e-9);
     assert!((areas(&sheet).iter().sum::<f64>() - 0.01).abs() < 1e-12);
-    // Half of the first step is a step: refused it would be if it were too large. All pieces fall or hang, and what they move
-    // and stretch with is what they have lost in height.
+    // Half of the initial stable step is still accepted; a larger than stable one would be rejected. All pieces fall or
+    // hang, and their kinetic and elastic energy equals the loss of potential energy.
     falls(&mut solver, 0.5 * at_first, 2000).expect("no energy comes from nowhere");
-    // The control: ten times as large a one is none, taken as it is.
+    // The control: a step ten times as large is unstable.
     let too_large = TooLarge::Accept;
     let config = Config { integrator: Integrator::Explicit { too_large }, ..Config::default() };
     let (network, state) = (solver.network().clone(), solver.state().clone());
@@ -201,7 +202,7 @@ fn a_thousand_random_cuts_never_halve_the_safe_step_and_springs_stay_those_of_th
     falls(&mut reckless, 10.0 * at_first, 2000).expect_err("it blows up");
 }
 
-/// Lets a network fall so many steps, and books its energy: whether none was made.
+/// Lets a network fall for some steps and checks that no energy was created.
 fn falls(solver: &mut MassSpring, step: f64, steps: u32) -> Result<(), String> {
     let gravity = Vector3::new(0.0, 0.0, -9.81);
     let height = |solver: &MassSpring| -> f64 {
@@ -220,7 +221,7 @@ fn falls(solver: &mut MassSpring, step: f64, steps: u32) -> Result<(), String> {
     Ok(())
 }
 
-/// What the restriction is for: the same cuts where any edge may be split anywhere.
+/// Why splits are restricted: the same cuts with unrestricted splits.
 #[test]
 fn without_the_limits_slivers_come() {
     let (points, triangles) = grid(16, 0.1);
@@ -245,8 +246,8 @@ fn without_the_limits_slivers_come() {
     assert!(step(&sheet, &positions) < 0.1 * at_first);
 }
 
-/// A circle of 4 cm out of 10 × 10 cm, from the border in along a radius, with the gauze in a frame and a grasper at the
-/// middle: left to itself what is nearly cut out hangs down and away from the blade.
+/// A circle of 4 cm out of 10 × 10 cm, starting from the border along a radius, with the gauze in a frame and a grasper
+/// in the middle: otherwise the cut part hangs down, away from the blade.
 #[test]
 fn a_circle_cut_out_of_gauze_has_the_right_area() {
     let n = 64;
@@ -297,7 +298,7 @@ fn a_circle_cut_out_of_gauze_has_the_right_area() {
         areas[1],
         100.0 * (areas[1] / wanted - 1.0)
     );
-    // Let go, what is out falls, and the frame holds the rest.
+    // Once released, the disc falls, and the frame holds the rest.
     let mut clips = solver.pinned().to_vec();
     clips.retain(|&node| !middle(&sheet.rest()[node as usize]));
     solver.pin(&clips).expect("pins");
@@ -310,7 +311,7 @@ fn a_circle_cut_out_of_gauze_has_the_right_area() {
     assert!(solver.state().positions[inside].z < before - 0.01);
 }
 
-/// Under tension the lips of a slit come apart, and a sheet pulled beyond what it bears tears through.
+/// Under tension the lips of a slit open, and a sheet stretched beyond its limit tears.
 #[test]
 fn tension_opens_a_slit_and_tears_beyond_the_limit() {
     let n = 16;

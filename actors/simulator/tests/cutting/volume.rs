@@ -1,4 +1,4 @@
-//! Volumes that come apart on a scene: burned through, cut, torn, by every method that moves volumes of elements.
+//! Volumes that are burned through, cut or torn on a scene, by every method for volumes.
 
 use std::sync::Arc;
 
@@ -90,7 +90,7 @@ fn burns_through<C: Controller>(
         run(&mut stage, 20);
         let before = lowest(&stage);
         let triangles = stage.get::<SurfaceMesh>("column").triangles.len();
-        // Half of the layer: it holds, and what was inside is outside.
+        // Half of the layer: the body still holds, and former interior faces are on the surface.
         let half = &layer[..layer.len() / 2];
         stage.put("column", removed(half));
         run(&mut stage, 10);
@@ -107,7 +107,7 @@ fn burns_through<C: Controller>(
         // It falls freely: half of g t² in 30 ticks.
         let fallen = before - lowest(&stage);
         assert!((0.05..0.16).contains(&fallen), "{fallen} m");
-        // What nothing uses any longer stays where it was, and the surface is closed.
+        // Unused nodes keep their positions, and the surface is closed.
         let edges = |corners: &[u32; 3]| [0, 1, 2].map(|k| [corners[k], corners[(k + 1) % 3]]);
         let mut open: Vec<[u32; 2]> =
             stage.get::<SurfaceMesh>("column").triangles.iter().flat_map(edges).collect();
@@ -131,7 +131,7 @@ fn coagulates<C: Controller>(
     body: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
 ) {
-    // Where it hangs, by how stiff and how long its elements are.
+    // Sag, by stiffness and rest length of its elements.
     let hangs = |stiffness: f64, length: f64, kill: bool| {
         let mut stage = Stage::new(scene(&column(body, "", "probe")), 200.0, build);
         let all = 0..stage.get::<TetMesh>("column").tets.len() as u32;
@@ -149,7 +149,7 @@ fn coagulates<C: Controller>(
     let (soft, stiff) = (sag(hangs(1.0, 1.0, false).0), sag(hangs(4.0, 1.0, false).0));
     assert!(soft > 3e-4, "{soft} m");
     assert!((soft / stiff - 4.0).abs() < 0.2, "{soft} m against {stiff} m");
-    // The upper end is held, so that it does not become narrower there: but below it does, and shorter.
+    // The upper end is held and cannot become narrower; below it shrinks in width and length.
     let (low, whole) = hangs(4.0, 0.9, false);
     let shrunk = low + 0.03;
     assert!((shrunk - 0.1 * 0.06).abs() < 6e-4, "{shrunk} m");
@@ -163,7 +163,7 @@ fn coagulated_elements_are_stiffer_and_shorter() {
     coagulates(SPRINGS, springs);
 }
 
-/// `cut` is what makes blades cut it, `halved` whether they halve its elements.
+/// `cut` enables cutting, `halved` tells whether elements are subdivided.
 fn is_cut<C: Controller>(
     body: &str,
     cut: &str,
@@ -196,7 +196,7 @@ fn is_cut<C: Controller>(
     let (count, low, whole, mut stage) = sweep(cut, 0.0, false);
     assert_eq!(stage.measured("column.pieces"), 2.0);
     assert!(count > nodes && low < -0.06, "{count} vertices, down to {low} m");
-    // Volume and mass are those of before: every element is there.
+    // Volume and mass are unchanged: no element is missing.
     assert_eq!(stage.measured("column.elements_left"), stage.get::<TetMesh>("column").tets.len() as f64);
     let cuts = stage.get::<VolumeCuts>("column");
     assert_eq!(cuts.births.len(), count - nodes);
@@ -210,14 +210,14 @@ fn is_cut<C: Controller>(
     if halved {
         burns_where_it_was_cut(&mut stage, build);
     }
-    // The controls: open blades, and what blades do not cut.
+    // The controls: open blades, and a body that cannot be cut.
     for (more, angle) in [(cut, 0.6)].into_iter().chain((!cut.is_empty()).then_some(("", 0.0))) {
         let (count, low, ..) = sweep(more, angle, false);
         assert!(count == nodes && low > -0.04, "{more} {angle}: {count} vertices, down to {low} m");
     }
 }
 
-/// The lips are where the blades passed, and what goes of an element of the first mesh goes with all its parts.
+/// The lips are where the blades passed, and burning an element of the original mesh removes all its parts.
 fn burns_where_it_was_cut<C: Controller>(
     stage: &mut Stage<C>,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -229,7 +229,7 @@ fn burns_where_it_was_cut<C: Controller>(
     let heights: Vec<f64> = halves.map(|(_, place)| place.z).collect();
     let mean = heights.iter().sum::<f64>() / heights.len() as f64;
     let off = heights.iter().map(|z| (z - mean).abs()).fold(0.0, f64::max);
-    // Elements have edges of 7 mm; the column bulges a little where it hangs.
+    // Elements have edges of 7 mm; the hanging column bulges slightly.
     assert!(heights.len() > 20 && off < 6e-4, "{} nodes up to {off} m from a plane", heights.len());
     let of = cuts.parts_of[0];
     let parts = cuts.parts_of.iter().filter(|part| **part == of).count();
@@ -247,7 +247,7 @@ fn closed_blades_that_pass_through_a_column_cut_it_through() {
     is_cut(XPBD, ", cut = true", true, xpbd);
     is_cut(FEM, ", cut = true", true, fem);
     is_cut(SPRINGS, "", true, springs);
-    // Halved elements would take shorter steps: explicit springs part between elements.
+    // Halved elements would need shorter steps: explicit springs separate between elements.
     is_cut(&SPRINGS.replace("implicit", "explicit"), "", false, springs);
 }
 
@@ -294,7 +294,7 @@ fn springs_tear_by_what_is_of_their_mesh() {
     assert!(cloth.contains("surfaces and lines have 'tears_at'"), "{cloth}");
 }
 
-/// A membrane of 4 cm that is held along its four edges and hangs.
+/// A membrane of 4 cm that is held along its four edges and sags.
 fn membrane(body: &str, cauterised: &str) -> String {
     format!(
         "[[entity]]\nname = \"column\"\n{cauterised}\n\
@@ -317,14 +317,14 @@ fn burns_as_a_membrane<C: Controller>(
         let (hanging, middle) = (lowest(&stage), 8 * 17 + 8);
         let drawn = |stage: &Stage<C>| stage.get::<VertexPositions>("column").positions[middle].x;
         assert!(hanging < -1e-4 && drawn(&stage).abs() < 1e-4, "{hanging} m, {} m", drawn(&stage));
-        // The left half shrinks: it draws the middle to itself.
+        // The left half shrinks and pulls the middle towards itself.
         let left = first.iter().enumerate().filter(|(_, t)| t.iter().all(|&n| rest[n as usize].x < 1e-6));
         let elements =
             left.map(|(at, _)| Coagulated { element: at as u32, stiffness: 3.0, length }).collect();
         stage.put("column", CoagulatedElements { elements: Arc::new(elements) });
         run(&mut stage, 200);
         let drawn = drawn(&stage);
-        // A strip in the middle goes: two flaps hang from the two edges.
+        // A strip in the middle is removed: two flaps hang from two edges.
         let strip = |t: &[u32; 3]| t.iter().all(|&n| rest[n as usize].x.abs() < 0.0026);
         let gone: Vec<u32> = (0..first.len() as u32).filter(|&t| strip(&first[t as usize])).collect();
         assert_eq!(gone.len(), 2 * 2 * 16);
@@ -361,7 +361,7 @@ fn a_membrane_that_burns_shrinks_and_comes_apart() {
     );
 }
 
-/// A membrane that has burned in its middle is cut through beside that, by blades that point along y.
+/// A membrane burned in its middle is cut beside that, by blades that point along y.
 fn is_cut_as_a_membrane<C: Controller>(
     body: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -389,7 +389,7 @@ fn is_cut_as_a_membrane<C: Controller>(
             stage.put("tool", place(0.005 - 0.02 * f64::from(tick) / 29.0));
             run(&mut stage, 1);
         }
-        // What burns now are parts of first elements that the blades have divided.
+        // The elements burned now are parts of original elements divided by the blades.
         let cuts = stage.get::<SurfaceElements>("column");
         let mut divided = cuts.elements.to_vec();
         divided.sort_unstable();

@@ -1,4 +1,4 @@
-//! The controller of dynamic finite elements: another life of it goes on to the bit.
+//! The controller of dynamic finite elements: a restart continues bit for bit.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
@@ -40,6 +40,6 @@ fn another_life_goes_on_to_the_bit() {
     };
     let whole = run(None, false);
     assert_eq!(run(Some(23), false), whole);
-    // The control: without its memory it goes on near by, but not to the bit.
+    // The control: without its saved state it continues approximately, but not bit for bit.
     assert_ne!(run(Some(23), true), whole);
 }

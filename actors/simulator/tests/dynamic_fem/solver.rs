@@ -1,5 +1,5 @@
-//! Bodies in motion: against statics, vibration and closed forms; budgets of momentum and energy; inverted elements;
-//! what a killed controller needs.
+//! Dynamic finite elements against statics, vibration and closed forms; momentum and energy budgets; inverted elements;
+//! restarts.
 
 use crate::support::beam;
 use nalgebra::{Point3, Vector3};
@@ -33,7 +33,7 @@ fn under_a_small_load_it_comes_to_rest_where_linear_statics_says() {
     for constitution in BOTH {
         let config = Config { constitution, mass_damping: 30.0, tolerance: 1e-7, ..Config::default() };
         let mut body = beam_body([10, 2, 2], &config);
-        // A thousandth of the load of the reference, so that nothing but linearity is left.
+        // A thousandth of the reference load, in the linear range.
         let forces: Vec<_> = beam::end_traction(body.mesh())
             .into_iter()
             .enumerate()
@@ -49,7 +49,7 @@ fn under_a_small_load_it_comes_to_rest_where_linear_statics_says() {
     }
 }
 
-/// Frequency \[Hz\] of a beam that is bent along a direction and let go.
+/// Frequency \[Hz\] of a beam bent in a direction and released.
 fn frequency(along: Vector3<f64>) -> f64 {
     // At a step of 0.2 ms backward Euler shifts a 4 Hz vibration by far less than 1 %.
     let config = Config { mass: MassMatrix::Consistent, tolerance: 1e-6, ..Config::default() };
@@ -98,8 +98,8 @@ fn it_vibrates_at_the_frequency_of_the_reference() {
     assert!((lowest / 4.076_689_11 - 1.0).abs() < 0.01, "{one} and {other} Hz");
 }
 
-/// Stress \[Pa\] at the end of a block, E 1e4, ν 0.45, that is stretched along x with its sides free: both ends are
-/// given what `across` of the closed form says, the inside and the sides find it.
+/// Stress \[Pa\] at the end of a block, E 1e4, ν 0.45, stretched along x with free sides: both ends have the lateral
+/// stretch `across` of the closed form, the rest is solved for.
 fn uniaxial_stress(constitution: Constitution, stretch: f64, across: f64) -> f64 {
     let elastic = Elastic::new(1e4, 0.45).expect("a material");
     let config = Config { constitution, mass_damping: 100.0, tolerance: 1e-10, ..Config::default() };
@@ -115,7 +115,7 @@ fn uniaxial_stress(constitution: Constitution, stretch: f64, across: f64) -> f64
     for _ in 0..40 {
         body.step(0.1, &inputs).expect("a step");
     }
-    // Nothing acts on the sides: what was prescribed at the ends is the whole field.
+    // No force on the sides: the displacement field is the uniform one prescribed at the ends.
     let apart = body.positions().iter().zip(&rest).map(|(now, rest)| (now - stretched(rest)).norm());
     assert!(apart.fold(0.0, f64::max) < 1e-6, "{constitution:?} {stretch}");
     let pull = body.reactions().iter().filter(|(node, _)| rest[*node as usize].x > 0.03 - 1e-9);
@@ -126,7 +126,7 @@ fn uniaxial_stress(constitution: Constitution, stretch: f64, across: f64) -> f64
 fn a_neo_hookean_block_is_stretched_by_the_force_of_the_closed_form() {
     let elastic = Elastic::new(1e4, 0.45).expect("a material");
     for (stretch, expected) in [(0.7, -4339.388), (0.9, -1107.129), (1.1, 917.034)] {
-        // Where nothing acts across.
+        // Where the lateral stress is zero.
         let (mut low, mut high) = (0.5, 1.5);
         let (lambda, mu) = (elastic.lambda(), elastic.mu());
         for _ in 0..100 {
@@ -145,7 +145,7 @@ fn a_neo_hookean_block_is_stretched_by_the_force_of_the_closed_form() {
 
 #[test]
 fn st_venant_kirchhoff_softens_under_pressure_as_its_closed_form_does() {
-    // E (s³ − s)/2; across, Green's strain is −ν times that along.
+    // E (s³ − s)/2; laterally, Green's strain is −ν times the axial one.
     for (stretch, expected) in [(0.7_f64, -1785.0), (0.9, -855.0), (1.1, 1155.0)] {
         let across = (1.0 - 0.45 * (stretch * stretch - 1.0)).sqrt();
         let stress = uniaxial_stress(Constitution::StVenantKirchhoff, stretch, across);
@@ -214,7 +214,7 @@ fn what_falls_does_so_as_galileo_said_and_lands_on_the_floor() {
         let report = body.step(1e-3, &inputs).expect("a step");
         assert!(report.solved && report.inverted == 0, "{report:?}");
     }
-    // Its weight is carried by the penalty of what is below the floor.
+    // The penalty forces of the nodes below the floor carry its weight.
     let below = body.positions().iter().map(|at| (floor - at.z).max(0.0)).sum::<f64>() * 500.0;
     let weight = 1000.0 * 0.03_f64.powi(3) * 9.81;
     assert!((below / weight - 1.0).abs() < 0.01, "{below} N, not {weight} N");
@@ -242,8 +242,8 @@ fn a_spring_pulls_a_point_inside_an_element() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
-    /// Nodes thrown about by up to the size of a cell: all elements come back. By half of it: the body with them (beyond,
-    /// elements may wind twice about an edge, all of them upright).
+    /// Nodes displaced randomly by up to a cell size: all elements recover. By up to half of it, the body recovers its
+    /// shape, too (beyond, elements may wind twice around an edge without inversion).
     #[test]
     fn inverted_elements_recover(
         moves in prop_oneof![
@@ -287,7 +287,7 @@ fn a_body_that_is_collapsed_to_a_plane_recovers() {
         let base: Vec<u32> = (0..27).filter(|&n| mesh.rest()[n as usize].z < 1e-9).collect();
         let mut body = DynamicFem::new(mesh, &elastic, &config, &base).expect("a body");
         let mut state = body.state();
-        // Mirrored through its base: every element inside out.
+        // Mirrored through its base: all elements inverted.
         state.positions.iter_mut().for_each(|at| at.z *= -0.5);
         body.restore(&state).expect("its own nodes");
         let first = body.step(1e-4, &Inputs::default()).expect("a step");

@@ -1,5 +1,5 @@
-//! Finite elements in motion that are cut: no tick waits for a new order, pattern and factor. Those are computed beside the
-//! ticks while the former factor serves, and nothing jumps when they take over.
+//! Cutting of dynamic finite elements: no tick waits for the ordering, symbolic and numeric factorisation of the new
+//! mesh. These run in a job while the former factor is reused, and nothing jumps when the new factor takes over.
 
 use std::sync::Arc;
 
@@ -16,7 +16,8 @@ use trocar_simulator::dynamic_fem::{Config, DynamicFem, Inputs};
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 const DT: f64 = 1e-3;
 
-/// A bar of 4,860 elements that is held at one end, and the same with a slit across its upper half; what was born there.
+/// A bar of 4,860 elements held at one end, and the same bar with a slit across its upper half; the births of its
+/// nodes.
 struct Bar {
     whole: TetMesh,
     slit: TetMesh,
@@ -76,7 +77,7 @@ fn inputs() -> Inputs<'static> {
     Inputs { acceleration: GRAVITY, ..Inputs::default() }
 }
 
-/// What holds a body, by node, in newtons.
+/// Reactions of a body, by node, in newtons.
 fn held(body: &DynamicFem) -> Vec<Vector3<f64>> {
     body.reactions().iter().map(|(_, force)| *force).collect()
 }
@@ -93,7 +94,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
     let (mut lent, mut at_once) = (bar.hanging(&config), bar.hanging(&config));
     bar.cut(&mut lent);
     assert!(lent.is_lent() && lent.has_factor());
-    // The control has a factor of its own from the first step on.
+    // The control has its own factor from the first step on.
     bar.cut(&mut at_once);
     let own = |body: &DynamicFem| {
         let mut fresh = DynamicFem::new(bar.slit.clone(), &bar.elastic, &config, &bar.fixed).expect("a body");
@@ -107,7 +108,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
     for step in 0..60 {
         let (mut swapped, is_swap) = (None, step % 10 == 3);
         if is_swap {
-            // A body that is the same in all but the factor.
+            // An identical body, apart from the factor.
             let mut twin = bar.hanging(&config);
             bar.cut(&mut twin);
             twin.go_on(&lent.state());
@@ -120,7 +121,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
         assert_eq!(report.factorisations, 0, "step {step}");
         let own = at_once.step(DT, &inputs()).expect("a step");
         if step < 20 {
-            // As long as a factor takes.
+            // As long as a factorisation takes.
             first = [first[0] + report.iterations, first[1] + own.iterations];
         }
         if let Some(mut twin) = swapped {
@@ -164,7 +165,7 @@ fn fem(context: &BuildContext<'_>) -> Result<DynamicFemController, ControllerErr
     DynamicFemController::new(GRAVITY, context)
 }
 
-/// A block of 4,860 elements that hangs, and closed blades beside it.
+/// A hanging block of 4,860 elements, and closed blades beside it.
 fn block() -> String {
     "[[entity]]\nname = \"tool\"\npose = { translation = [0.2, 0.0, 0.0] }\n\
      instrument = { kind = \"scissors\", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.04, jaws = 2 }\n\
@@ -177,7 +178,7 @@ fn block() -> String {
 
 type State = (Arc<Vec<Point3<f64>>>, Arc<Vec<Vector3<f64>>>);
 
-/// Cuts into the block, kills the controller after these ticks, and takes elements out after that one.
+/// Cuts into the block, restarts the controller after these ticks, and removes elements after that one.
 fn cuts(kills: &[u32], burns: Option<u32>) -> (State, Vec<[f64; 2]>) {
     let mut stage = Stage::new(scene(&block()), 200.0, fem);
     let turned = UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::y()).expect("a quarter of a turn");
@@ -213,13 +214,13 @@ fn no_tick_of_a_cut_waits_for_an_analysis_and_another_life_goes_on_to_the_bit() 
     let lent = seen.iter().filter(|[lent, _]| *lent == 1.0).count();
     let first = seen.iter().position(|[lent, _]| *lent == 1.0).expect("a factor is lent");
     assert!(lent >= 20 && seen[59][0] == 0.0, "{seen:?}");
-    // Whenever the controller is killed: as it begins to cut, in between, and as the last factor takes over.
+    // Restarts at the beginning of the cut, in between, and as the last factor takes over.
     let last = seen.iter().rposition(|[lent, _]| *lent == 1.0).expect("a factor is lent") as u32;
     let first = first as u32;
     for kills in [vec![first], vec![first + 2, first + 3, first + 9], vec![last - 1, last, last + 1]] {
         assert_eq!(cuts(&kills, None).0, state, "killed after {kills:?}");
     }
-    // The control: what burns in between has its factor computed at once.
+    // The control: elements burned in between require a new factor at once.
     let (_, burned) = cuts(&[], Some(first + 2));
     assert!(burned.iter().any(|[_, analysed]| *analysed > 0.0), "{burned:?}");
 }

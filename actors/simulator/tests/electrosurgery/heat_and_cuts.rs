@@ -1,5 +1,4 @@
-//! Heat and cuts: between what blades have parted nothing flows, neither on the lattice nor in the organ's mesh; what was there
-//! stays.
+//! Heat and cuts: no heat crosses a cut, neither on the lattice nor in the organ's mesh; existing heat is conserved.
 
 use std::sync::Arc;
 
@@ -34,7 +33,7 @@ fn membrane() -> (Vec<Point3<f64>>, Elements<3>) {
     (positions, triangles.collect())
 }
 
-/// A mesh that is parted at x = 0 where `is_cut`: what lies at x < 0 has vertices of its own there.
+/// A mesh cut at x = 0 where `is_cut`: the part at x < 0 has its own vertices there.
 struct CutMesh<const N: usize> {
     positions: Vec<Point3<f64>>,
     elements: Elements<N>,
@@ -73,7 +72,7 @@ impl CutMesh<4> {
         Parted { tissue, of: &self.of, births: &self.births }
     }
 
-    /// Every element at the cut halved at the middle of its longest edge, as a blade's path may have it.
+    /// Halves every element at the cut at its longest edge, as a blade's path may do.
     fn halved(mut self) -> Self {
         let near = |at: &Point3<f64>| at.x.abs() < 1.5e-3;
         let mut element = 0;
@@ -117,7 +116,7 @@ fn fresh(tissue: &Tissue<'_>) -> Electrosurgery {
     Electrosurgery::new(tissue, ThermalMaterial::default(), LatticeConfig::default()).expect("tissue")
 }
 
-/// A tip at x \[mm\], switched on for two seconds; then it is waited.
+/// A tip at x \[mm\], active for two seconds, followed by a pause.
 fn burn(heat: &mut Electrosurgery, x: f64, seconds: f64) {
     let tip = Electrode {
         tip_in_rest: Point3::new(x * 1e-3, 0.1e-3, 0.0),
@@ -133,7 +132,7 @@ fn burn(heat: &mut Electrosurgery, x: f64, seconds: f64) {
     }
 }
 
-/// Hottest and coldest \[°C\] of what lies at x < 0, and the hottest of the rest: of cells, and of vertices.
+/// Hottest and coldest \[°C\] at x < 0, and the hottest elsewhere: of cells, and of vertices.
 fn sides(heat: &Electrosurgery, cut: &[Point3<f64>], elements: &[impl AsRef<[u32]>]) -> [f64; 2] {
     let (mut left, mut right) = (f64::MIN, f64::MIN);
     let mut see = |is_left: bool, celsius: f64| {
@@ -214,21 +213,21 @@ fn what_is_warm_stays_so_when_it_is_cut_and_goes_on_from_a_state_to_the_bit() {
         burn(heat, 0.3, 1.0);
     }
     assert_eq!(heat.state(), again.state());
-    // A state from before the cut, of which the cut is known already.
+    // A state from before the cut, restored with the cut known.
     let further = half.halved();
     let mut late = Electrosurgery::restore_parted(&first, Some(&further.parted()), material, lattice, &whole)
         .expect("an earlier state");
     assert!((late.stored() / before - 1.0).abs() < 1e-12, "{} of {before} J", late.stored());
     burn(&mut late, 0.3, 1.0);
     assert_balanced(&late);
-    // What cannot be is refused by name.
+    // Invalid input is rejected by name.
     let of = vec![99_999; further.of.len()];
     let wrong = Parted { of: &of, ..further.parted() };
     let error = late.part(&wrong).expect_err("no such element");
     assert!(error.to_string().starts_with("parted: a part of element 99999"), "{error}");
 }
 
-/// The controller, where somebody cuts the liver while it is heated.
+/// The controller, when another controller cuts the liver while it is heated.
 #[test]
 fn heat_follows_the_cuts_of_a_body_in_the_scene() {
     let text = "[[entity]]\nname = \"rod\"\npose = { translation = [0.0, 0.0, 0.03], rotation = [1.0, 0.0, 0.0, 0.0] }\n\
@@ -256,7 +255,7 @@ fn heat_follows_the_cuts_of_a_body_in_the_scene() {
             stage.put("liver", RestPositions { positions: Arc::new(parted.positions.clone()) });
             stage.put("liver", VertexPositions { positions: Arc::new(parted.positions.clone()) });
         }
-        // Every tenth tick cuts are looked for.
+        // Cuts are checked for in every tenth tick.
         (0..10).for_each(|_| stage.tick());
         stage.put("rod", Activation { level: 1.0, since: stage.now(), mode: None });
         for life in 0..2 {

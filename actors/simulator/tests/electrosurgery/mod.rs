@@ -1,4 +1,4 @@
-//! Heat, burns and removal.
+//! Heat, burns and tissue removal.
 
 mod heat_and_cuts;
 mod solver;

@@ -1,5 +1,4 @@
-//! Electrosurgery as a whole: the balance of heat, the volume that goes, the two cases of the framework's paper, and going
-//! on from a state.
+//! Electrosurgery as a whole: energy balance, removed volume, the two cases of the framework's paper, and restarts.
 
 use nalgebra::Point3;
 use proptest::prelude::*;
@@ -55,7 +54,7 @@ fn liver_block(spacing: f64, material: ThermalMaterial) -> Electrosurgery {
         .expect("tissue")
 }
 
-/// Draws the tip along x at 4 mm/s over the block; the volume that goes \[m³\].
+/// Draws the tip along x at 4 mm/s over the block; returns the removed volume \[m³\].
 fn stroke(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f64 {
     let steps = (seconds / dt).round() as u32;
     let mut volume = 0.0;
@@ -67,7 +66,7 @@ fn stroke(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f
     volume
 }
 
-/// Leaves the tip where it is; the volume that goes \[m³\].
+/// Keeps the tip in place; returns the removed volume \[m³\].
 fn rest(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f64 {
     let steps = (seconds / dt).round() as u32;
     let tip = Electrode { tip_in_rest: Point3::new(0.1e-3, 0.1e-3, 0.0), ..tip };
@@ -87,7 +86,7 @@ fn thirty_watts_remove_at_most_fifteen_cubic_millimetres_a_second_and_about_half
     assert!(rate < 15.0, "{rate} mm³/s");
     let power = heat.ledger().supplied;
     assert!((5.0..=30.0).contains(&rate), "{rate} mm³/s of {power} W");
-    // What the cut itself takes of what arrives.
+    // Share of the absorbed heat used by the cut itself.
     let taken = rate * (0.24064 + 1.70471) / power;
     assert!((0.4..1.0).contains(&taken), "{rate} mm³/s of {power} W: {taken}");
     assert_balanced(&heat, 1e-9);
@@ -104,7 +103,7 @@ fn without_latent_heat_tissue_goes_several_times_too_easily() {
 
 #[test]
 fn what_goes_depends_neither_on_the_step_nor_on_the_lattice() {
-    // Coagulating, more of the heat stays: a tip that stands still.
+    // When coagulating, more of the heat stays: with a tip at rest.
     let spray = Electrode { mode: Mode::Coagulate, power: 60.0, ..TIP };
     let run = |tip: Electrode, spacing: f64, dt: f64| {
         let mut heat = liver_block(spacing, ThermalMaterial::default());
@@ -131,9 +130,9 @@ fn what_goes_depends_neither_on_the_step_nor_on_the_lattice() {
     }
 }
 
-/// What a coagulating tip ablates: the mean over the first places in a cell of where it stands \[mm³\].
+/// Volume ablated by a coagulating tip: the mean over positions within a cell \[mm³\].
 fn ablated(places: usize, [power, seconds, depth]: [f64; 3], spacing: f64, dt: f64) -> f64 {
-    // Spread evenly over a quarter of a cell of 0.5 mm; the rest of it mirrors that.
+    // Evenly over a quarter of a cell of 0.5 mm; the other quarters are mirror images.
     const PLACES: [[f64; 2]; 4] = [[0.03, 0.16], [0.22, 0.09], [0.09, 0.03], [0.16, 0.22]];
     let volumes = PLACES[..places].iter().map(|[x, y]| {
         let mut heat = liver_block(spacing, ThermalMaterial::default());
@@ -155,7 +154,7 @@ fn what_a_coagulating_tip_ablates_depends_neither_on_the_step_nor_on_the_lattice
             assert!(reference > 1.5, "{tip:?}: {reference} mm³");
             assert!((other / reference - 1.0).abs() < 0.1, "{tip:?}, {what}: {other}, not {reference} mm³");
         };
-        // A finer lattice depends less on where in a cell the tip is.
+        // On a finer lattice the position within a cell matters less.
         alike(ablated(2, tip, 0.25e-3, 0.01), ablated(4, tip, 0.5e-3, 0.01), "cells of 0.25 mm");
         let reference = ablated(1, tip, 0.5e-3, 0.01);
         alike(ablated(1, tip, 0.5e-3, 0.1), reference, "steps of 0.1 s");
@@ -178,7 +177,7 @@ fn the_deeper_a_tip_is_pressed_the_more_of_it_is_in_contact_and_the_wider_its_he
     assert!(touching.1 - BODY > 1.3 * (deep.1 - BODY), "{touching:?} {deep:?}");
 }
 
-/// Parts of what is left of the mesh that hang together over edges.
+/// Components of the remaining mesh, connected by edges.
 fn parts(triangles: &[[u32; 3]], removed: &[bool]) -> Vec<usize> {
     let left: Vec<usize> = (0..triangles.len()).filter(|triangle| !removed[*triangle]).collect();
     let mut label: Vec<usize> = (0..triangles.len()).collect();
@@ -204,7 +203,7 @@ fn parts(triangles: &[[u32; 3]], removed: &[bool]) -> Vec<usize> {
     sizes
 }
 
-/// What goes of the lattice and of the mesh \[mm³\].
+/// Removed volume of the lattice and of the mesh \[mm³\].
 #[derive(Clone, Copy, Debug)]
 struct Gone {
     cells: f64,
@@ -314,12 +313,12 @@ fn a_massive_organ_gets_a_crater_with_char() {
     assert!(!charred.is_empty() && coagulated > 5 * charred.len(), "{} {coagulated}", charred.len());
     let (cells, area) = heat.char();
     assert!(cells == charred.len() && area > 1e-6 && area < 6.0 * 0.25e-6 * cells as f64, "{cells} {area}");
-    // Char lines the crater: there is removed tissue next to most of it.
+    // Char lines the crater: most of it has removed tissue next to it.
     let gone: Vec<_> = heat.cells().filter(|cell| cell.is_removed).map(|cell| cell.middle_in_rest).collect();
     let lining =
         charred.iter().filter(|cell| gone.iter().any(|other| (other - cell.middle_in_rest).norm() < 1.01e-3));
     assert!(lining.count() * 4 > charred.len() * 3);
-    // The wall is stiffer and shorter, far away nothing happened.
+    // The wall is stiffer and shorter; far away nothing has changed.
     let factors: Vec<_> = (0..tets.len() as u32).map(|tet| heat.factors(tet)).collect();
     assert!(
         factors.iter().any(|factors| factors.stiffness > 5.0 && factors.length < 0.85 && !factors.is_removed)
@@ -333,7 +332,7 @@ fn a_massive_organ_gets_a_crater_with_char() {
     assert_balanced(&heat, 1e-9);
 }
 
-/// What the scenario `cautery` does to its liver: 4 s into it cutting, then 3 s with the other current.
+/// The scenario `cautery` on its liver: 4 s of cutting, then 3 s of coagulation.
 #[test]
 fn what_a_cut_leaves_chars_when_the_hook_is_switched_to_coagulate() {
     let burned = |after: Mode| {
@@ -370,7 +369,7 @@ fn where_tissue_is_coagulated_no_blood_cools_it_and_elsewhere_it_does() {
         heat.ledger().perfusion - before
     };
     let usual = ThermalMaterial::default();
-    // Blood that stops at no temperature.
+    // Perfusion that never stops.
     let mut endless = usual;
     endless.damage.frequency = 0.0;
     let (stops, never) = (cooled_after(usual), cooled_after(endless));

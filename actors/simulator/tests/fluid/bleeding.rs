@@ -1,5 +1,5 @@
-//! A vessel that bleeds, as a scene: who clamps, coagulates or cuts it, what the liquid, the smoke and the patient make of it,
-//! and the scenario `bleeding` with its failing controls.
+//! A bleeding vessel on a scene: clamping, coagulation and cutting, the effect on liquid, smoke and patient, and the
+//! scenario `bleeding` with its failing controls.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -49,7 +49,7 @@ fn a_vessel_bleeds_while_jaws_do_not_close_it_before_its_hole_and_another_life_g
     stage.tick();
     let free = rate(&stage);
     assert!((1e-6..1e-5).contains(&free), "{free} m³/s");
-    // Open jaws about it, closed ones behind the hole, closed ones above it.
+    // Open jaws around it, closed ones behind the hole, closed ones above it.
     for (pose, angle) in
         [(down(0.0, 0.0, -0.003), 0.5), (down(0.0, 0.013, -0.003), 0.0), (down(0.0, 0.0, 0.02), 0.0)]
     {
@@ -72,7 +72,7 @@ fn a_vessel_bleeds_while_jaws_do_not_close_it_before_its_hole_and_another_life_g
         stage.tick();
     }
     assert_eq!(stage.measured("artery.lost_m3"), lost);
-    // Another life, and released.
+    // After a restart, and released.
     stage.rebuild(BleedingController::new);
     stage.put("tool", jaws(0.5));
     for _ in 0..100 {
@@ -105,7 +105,7 @@ fn closed_scissors_that_sweep_through_a_vessel_cut_it_through_and_open_ones_do_n
     assert!(stage.measured("artery.lost_m3") > 0.0);
     let hole = |stage: &Stage<BleedingController>| stage.get::<VesselState>("artery").hole;
     assert!((hole(&stage) - 20.0 / 30.0).abs() < 1e-9, "{}", hole(&stage));
-    // Before it, once more; behind it there is nothing to lose.
+    // Upstream of it, once more; downstream there is no blood to lose.
     sweep(&mut stage, 0.012, 0.0);
     assert!((hole(&stage) - 20.0 / 30.0).abs() < 1e-9, "{}", hole(&stage));
     sweep(&mut stage, -0.005, 0.0);
@@ -114,7 +114,7 @@ fn closed_scissors_that_sweep_through_a_vessel_cut_it_through_and_open_ones_do_n
     assert_eq!(began.count(), 1);
 }
 
-/// An artery along y through the middle of a piece of tissue.
+/// An artery along y through the middle of a block of tissue.
 fn buried() -> Stage<BleedingController> {
     let text = "[[entity]]\nname = \"liver\"\ncauterised = {}\n\
         mesh = { block = { size = [0.012, 0.030, 0.012], cells = [12, 30, 12] } }\n\
@@ -130,7 +130,7 @@ fn who_burns_the_tissue_about_a_vessel_burns_the_vessel_and_what_was_cut_counts_
     let tets = stage.get::<TetMesh>("liver").tets;
     let rest = stage.get::<VertexPositions>("liver").positions;
     let middle = |tet: &[u32; 4]| tet.iter().map(|&n| rest[n as usize].coords).sum::<Vector3<f64>>() / 4.0;
-    // At y = 6 mm: what is beside the vessel, and what lies farther off than its wall.
+    // At y = 6 mm: elements next to the vessel, and those farther away than its wall.
     let ring = |tet: &[u32; 4], low: f64, high: f64| {
         let at = middle(tet);
         (at.y - 0.006).abs() < 0.001 && (low..high).contains(&at.x.hypot(at.z))
@@ -155,12 +155,12 @@ fn who_burns_the_tissue_about_a_vessel_burns_the_vessel_and_what_was_cut_counts_
     let hole = stage.get::<VesselState>("artery").place;
     let hole = stage.store.view().world_pose(stage.entity("artery")) * hole;
     assert!((hole.y - 0.006).abs() < 0.0011 && hole.x.abs() < 1e-9, "{hole}");
-    // Another life does not count it again.
+    // A restart does not count it again.
     stage.rebuild(BleedingController::new);
     assert_eq!(burned(&mut stage, &[&far[..], &near[..1]].concat()), one);
     let all = burned(&mut stage, &[&far[..], &near[..]].concat());
     assert!((all - (near.len() as f64 * one).min(1.0)).abs() < 1e-9, "{all}");
-    // Of an element that blades have halved the scene's mesh has two; what burned is the whole.
+    // The scene's mesh has two parts of an element halved by blades; the whole original element burned.
     let mut cut = buried();
     let (mut halves, mut positions) = (tets.to_vec(), rest.to_vec());
     let [a, b, c, d] = halves[near[0] as usize];
@@ -236,7 +236,7 @@ const CAST: [(Build, u64); 5] = [
     (|context| Ok(Box::new(SmokeController::new(GRAVITY, context)?)), 4),
 ];
 
-/// Several controllers on one scene, each at its rate, and a hand that writes; 200 ticks a second.
+/// Several controllers on one scene, each at its rate, with scripted hands; 200 ticks a second.
 struct Play {
     store: Store,
     actors: Vec<Actor>,
@@ -253,7 +253,7 @@ impl Play {
         play
     }
 
-    /// Everybody's life begins, from nothing but the scene.
+    /// Starts all controllers, from the scene alone.
     fn engage(&mut self, cast: &[(Build, u64)]) {
         self.actors.clear();
         let registry = self.store.view().registry().clone();
@@ -325,8 +325,8 @@ fn scenario() -> Store {
 /// Finds entities by name.
 type Find<'a> = dyn Fn(&str) -> Entity + 'a;
 
-/// What the two hands of the scenario do, shortened: the clamp closes at 0.6 s, the hook burns from 0.8 to 2.6 s, the
-/// clamp opens at 3 s.
+/// The two hands of the scenario, shortened: the clamp closes at 0.6 s, the hook burns from 0.8 to 2.6 s, the clamp
+/// opens at 3 s.
 fn hands(clamps: bool, burns: bool) -> impl FnMut(f64, &mut Commands, &Find<'_>) {
     move |secs, out, find| {
         let closed = clamps && (0.6..3.0).contains(&secs);
@@ -356,7 +356,7 @@ fn who_clamps_and_coagulates_stops_the_bleeding_and_who_does_only_one_of_both_do
     assert!(good.measured("artery.coagulated_share") > 0.999);
     let lost = good.measured("artery.lost_m3");
     assert!((1e-6..6e-6).contains(&lost), "{lost} m³ lost");
-    // What was lost is what is seen, and what the patient lacks; nothing came of it after the clamp.
+    // The lost volume is in the liquid, and missing in the patient; none was lost after the clamp.
     let seen = good.measured("blood.emitted_share");
     assert!((0.98..=1.0).contains(&seen), "{seen} of it seen");
     assert!((good.measured("piglet.blood_lost_m3") - lost).abs() < 1e-12);
@@ -364,16 +364,16 @@ fn who_clamps_and_coagulates_stops_the_bleeding_and_who_does_only_one_of_both_do
     let visible = blood.densities.iter().filter(|density| **density > 0.0).count() as f64;
     assert_eq!((blood.kind, visible), (ParticleKind::Fluid, good.measured("blood.particles")));
     assert!(good.store.view().iter::<Frozen>().next().is_none());
-    // Nobody clamps: the blood keeps the hole cool.
+    // Without the clamp, the blood keeps the hole cool.
     let open = play(3.6, false, true);
     assert!(open.measured("artery.coagulated_share") < 0.01);
     assert!(open.measured("artery.rate_m3_per_s") > 1e-6 && open.measured("artery.lost_m3") > 2.0 * lost);
-    // Nobody coagulates: released, it bleeds on.
+    // Without coagulation, it bleeds again when unclamped.
     let loose = play(3.6, true, false);
     assert!(
         loose.measured("artery.rate_m3_per_s") > 1e-6 && loose.measured("artery.coagulated_share") == 0.0
     );
-    // The patient answers.
+    // The patient's vital signs respond.
     let signs = [&good, &open].map(|play| play.get::<VitalSigns>("piglet"));
     assert!(signs[1].heart_rate > signs[0].heart_rate && signs[0].heart_rate > 109.9, "{signs:?}");
     assert!(signs[1].arterial_pressure < signs[0].arterial_pressure, "{signs:?}");
@@ -428,7 +428,7 @@ fn what_burns_gives_off_smoke_that_rises_and_goes() {
         most = most.max(play.measured("smoke.highest_m"));
     }
     assert!(play.measured("smoke.puffs") > 5.0 && most > 0.005, "{} {most} m", play.measured("smoke.puffs"));
-    // All that went is in it: a tenth of the dry tissue.
+    // It contains a tenth of the dry mass removed.
     let dry = play.measured("fold.removed_volume_m3") * 1079.0 * 0.3 * 0.1;
     let emitted = play.measured("smoke.emitted_kg");
     assert!(
@@ -496,7 +496,7 @@ fn an_irrigator_brings_liquid_and_a_sucker_takes_it_while_they_are_switched_on()
     let [emitted, volume, absorbed] =
         ["emitted_m3", "volume_m3", "absorbed_m3"].map(|what| stage.measured(&format!("pool.{what}")));
     assert!((emitted - volume - absorbed).abs() < 1e-12 && sucked <= absorbed, "nothing is lost");
-    // One switch cannot say which of two.
+    // One switch for two hooks is ambiguous.
     let both = scene(&text("sucker = {}\nirrigator = {}"));
     let snapshot = both.snapshot();
     let me = trocar_scene::Entity::of_writer(0, 7);

@@ -1,4 +1,4 @@
-//! Liquid as a whole: momentum, walls, bounds, going on from a state.
+//! Liquid as a whole: momentum, walls, limits, restarts.
 
 use crate::support::basin::tank;
 use nalgebra::{Point3, Vector3};
@@ -43,7 +43,7 @@ fn there_are_never_too_many_and_what_leaves_is_counted() {
     for _ in 0..40 {
         fluid.step(0.01).expect("a step");
     }
-    // No floor: all fell out of the box.
+    // No floor: all particles fell out of the box.
     assert_eq!((fluid.state().numbers.len(), fluid.state().absorbed), (0, 150));
 }
 

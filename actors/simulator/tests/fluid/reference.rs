@@ -1,4 +1,4 @@
-//! Liquid against closed forms: pressure at rest, a dam that breaks.
+//! Liquid against closed forms: hydrostatic pressure, dam break.
 
 use crate::support::basin::{smooth_tank, tank};
 use nalgebra::Point3;
@@ -6,20 +6,20 @@ use trocar_simulator::fluid::{Fluid, FluidConfig};
 
 const GRAVITY: f64 = 9.81;
 
-/// A dam that broke, seen as it runs.
+/// Measurements of a dam break.
 struct Dam {
-    /// Mean speed of the front over Ritter's, from half of the time on.
+    /// Mean front velocity relative to Ritter's, from half of the time on.
     front: f64,
-    /// Depth at the place of the dam \[m\], a mean from half of the time on.
+    /// Depth at the dam \[m\], averaged from half of the time on.
     depth: f64,
-    /// Share of the liquid that is elsewhere than Ritter has it, at the end.
+    /// Fraction of the liquid outside of Ritter's profile, at the end.
     elsewhere: f64,
-    /// Share of the energy that there was, at the end.
+    /// Fraction of the initial energy left at the end.
     energy: f64,
 }
 
-/// Water 0.55 m deep behind a dam, of `layers` of particles; it runs for 1.1 s. A slice four particles wide does, and behind
-/// the dam it is so long that the end of it is not heard of in that time.
+/// Water 0.55 m deep behind a dam, of `layers` of particles, for 1.1 s. A slice four particles wide is enough, and long
+/// enough behind the dam that its end has no influence in that time.
 fn broken(layers: i32, make: fn([i32; 3], [i32; 3], f64, FluidConfig) -> Fluid) -> Dam {
     const BEHIND: i32 = 5;
     let height = 0.55;
@@ -88,8 +88,9 @@ fn broken(layers: i32, make: fn([i32; 3], [i32; 3], f64, FluidConfig) -> Fluid) 
     }
 }
 
-/// Ritter's is the solution of shallow water without friction, which this becomes only with time, and whose tip is thinner than
-/// any particle. So the front is the slower the larger particles are, and what is compared is how it nears Ritter's.
+/// Ritter's solution is that of shallow water without friction, which the flow approaches only with time, and whose tip
+/// is thinner than any particle. So the front is slower for larger particles, and the test checks convergence to
+/// Ritter's.
 #[test]
 fn a_dam_that_breaks_runs_on_as_ritters() {
     let [coarse, fine] = [10, 20].map(|layers| broken(layers, smooth_tank));
@@ -104,17 +105,17 @@ fn a_dam_that_breaks_runs_on_as_ritters() {
     assert!(depth < coarse.depth, "{depth} m at the dam, from {} m", coarse.depth);
     assert!(elsewhere < 0.08, "{elsewhere} of the liquid is elsewhere");
     assert!((0.98..1.002).contains(&energy), "{energy} of its energy is left");
-    // The control: along samples that nobody said the facing of, as along bumps, it is dragged.
+    // The control: samples without normals act as bumps and slow it down.
     let Dam { front, elsewhere, energy, .. } = broken(20, tank);
     assert!(front < 0.7 && elsewhere > 0.1 && energy < 0.9, "{front}, {elsewhere}, {energy} without normals");
 }
 
 #[test]
 fn at_rest_the_floor_bears_the_weight_and_pressure_grows_with_depth() {
-    // 0.1 m of blood: 1039.86 Pa. That is what the floor bears over its area, to a thousandth. Pressures of particles are no
-    // such sum: they stir a little, so that a mean over 1.5 s is taken of those in the middle, and where they have settled
-    // they lie otherwise than on the lattice on which the kernel is one: how, is a matter of chance (a hundred-thousandth
-    // of the viscosity moves the slope by 2 % where the column is 10 particles high), so that a mean is taken of four.
+    // 0.1 m of blood: 1039.86 Pa. The floor bears that over its area, to a thousandth. Particle pressures are no such
+    // sum: they fluctuate slightly, so that those in the middle are averaged over 1.5 s; and settled particles are not
+    // on the lattice for which the kernel sum is one, in a chaotic arrangement (a change of a hundred-thousandth of the
+    // viscosity changes the slope by 2 % for a column of 10 particles), so that four runs are averaged.
     for (layers, settlings) in [(10, 4), (20, 1)] {
         let [mut slope, mut floor] = [0.0; 2];
         for settling in 0..settlings {
@@ -127,7 +128,8 @@ fn at_rest_the_floor_bears_the_weight_and_pressure_grows_with_depth() {
     }
 }
 
-/// How pressure grows upwards \[Pa/m\], and what it is at the floor \[Pa\], in 0.1 m of blood of so many layers and viscosity.
+/// Pressure gradient \[Pa/m\] and pressure at the floor \[Pa\] in 0.1 m of blood with so many layers and this
+/// viscosity.
 fn settled(layers: i32, viscosity: f64) -> [f64; 2] {
     let spacing = 0.1 / f64::from(layers);
     let config = FluidConfig { viscosity, ..FluidConfig::default() };
@@ -150,7 +152,7 @@ fn settled(layers: i32, viscosity: f64) -> [f64; 2] {
     let weight = 1060.0 * GRAVITY * fluid.particle_volume() * f64::from(36 * layers);
     assert!((force / weight - 1.0).abs() < 1e-3, "{layers}: {force} N of {weight} N");
     assert!((weight / (6.0 * spacing).powi(2) / 1039.86 - 1.0).abs() < 1e-5);
-    // A line through the samples, down to the floor.
+    // A line fitted to the samples, extrapolated to the floor.
     let count = samples.len() as f64;
     let (z, p) = samples.iter().fold((0.0, 0.0), |(z, p), at| (z + at.0 / count, p + at.1 / count));
     let (zz, zp) = samples

@@ -1,4 +1,4 @@
-//! A rigid frictionless sphere on a half-space: the force of Hertz, on meshes that are refined where it touches.
+//! A rigid frictionless sphere on a half-space: Hertz's contact force, on meshes refined at the contact.
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -6,11 +6,12 @@ use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells, refined
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 
 const RADIUS: f64 = 5e-3;
-/// Half the side of the block, and its depth \[m\]: 45 times the radius of the contact, so that its walls are felt by less
-/// than 2 %.
+/// Half the side of the block, and its depth \[m\]: 45 contact radii, so that its walls have an influence of less than
+/// 2 %.
 const REACH: f64 = 0.1;
 
-/// A block whose edges are at most `edge` \[m\] under the contact, and grow by `growth` \[m/m\] with the distance from it.
+/// A block whose edges are at most `edge` \[m\] under the contact, and grow by `growth` \[m/m\] with the distance from
+/// it.
 fn block(edge: f64, growth: f64) -> TetMesh {
     let grid = BoxCells {
         cells: [4, 4, 2],
@@ -23,7 +24,7 @@ fn block(edge: f64, growth: f64) -> TetMesh {
     TetMesh::new(&nodes, &tets, &MeshRules::default()).expect("a sound mesh")
 }
 
-/// Forces at 0.5 and 1 mm, over those of Hertz.
+/// Forces at 0.5 and 1 mm, relative to Hertz's.
 fn over_hertz(edge: f64, growth: f64, poisson: f64) -> [f64; 2] {
     let mesh = block(edge, growth);
     let material = Elastic::new(1e4, poisson).expect("a material");
@@ -58,8 +59,8 @@ fn over_hertz(edge: f64, growth: f64, poisson: f64) -> [f64; 2] {
 
 #[test]
 fn the_force_of_a_rigid_sphere_is_that_of_hertz() {
-    // 0.01321746 and 0.03738463 N at ν 0.45. What linear elements are too stiff by is not so much what lies under the
-    // sphere as what lies about it: edges that grow by 0.4 of the distance leave 5 and 7 %.
+    // 0.01321746 and 0.03738463 N at ν 0.45. The excess stiffness of linear elements comes less from those under the
+    // sphere than from those around it: edges that grow by 0.4 of the distance leave 5 and 7 %.
     let fine = over_hertz(0.6e-3, 0.4, 0.45);
     // The control: the same under the sphere, but edges that grow by the distance itself.
     let steep = over_hertz(0.6e-3, 1.0, 0.45);

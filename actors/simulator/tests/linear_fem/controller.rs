@@ -1,4 +1,4 @@
-//! The controller of linear organs on a scene: what it asks of the solver, what it tells, and that another life goes on.
+//! The controller of linear organs on a scene: its use of the solver, its outputs, and restarts.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
@@ -45,7 +45,7 @@ fn at(stage: &mut Stage<LinearFemController>, z: f64) {
     stage.tick();
 }
 
-/// Brings the rod down to 1.5 mm below the top in steps of a hand's speed, and leaves it there.
+/// Lowers the rod to 1.5 mm below the top at a hand's speed, and leaves it there.
 fn press(stage: &mut Stage<LinearFemController>, ticks: u32) {
     at(stage, 0.02);
     at(stage, 0.02);
@@ -67,7 +67,7 @@ fn a_pad_gives_way_to_a_rod_by_a_force_that_its_modulus_says_and_comes_back() {
     press(&mut stage, 20);
     assert!(!stage.has::<Frozen>("pad"));
     let positions = stage.get::<VertexPositions>("pad").positions;
-    // In the pad's frame its top is at 0.01: no vertex is in the rod.
+    // In the pad's frame its top is at 0.01: no vertex is inside the rod.
     let tip = Point3::new(0.0003, 0.0, 0.01 - 0.0015 + 0.004);
     let nearest = positions.iter().map(|at| (at - tip).norm()).fold(f64::INFINITY, f64::min);
     assert!(nearest > 0.004 - 1e-5 && nearest < 0.0045, "{nearest} m from the middle of its round end");
@@ -147,7 +147,7 @@ anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0
         (held, force_on_body(&stage), stage.measured("fold.displacement_max_m"))
     };
     act(0.02, 0.9, 3);
-    // About the fold without touching it, then shut.
+    // Around the fold without touching it, then closed.
     let (_, touched, _) = act(0.009, 0.9, 3);
     assert_eq!(touched, Vector3::zeros());
     let (held, ..) = act(0.009, 0.05, 2);
@@ -176,7 +176,7 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
     let gone: Vec<u32> = (0..mesh.len() as u32).filter(|&tet| crater(&mesh[tet as usize])).collect();
     assert!((10..60).contains(&gone.len()), "{}", gone.len());
     let triangles = stage.get::<trocar_scene::SurfaceMesh>("pad").triangles;
-    // Some go in each tick, as they do at a hook.
+    // Some elements are removed in each tick, as at a hook.
     for count in (0..=gone.len()).step_by(6).chain([gone.len()]) {
         stage.put("pad", RemovedElements { elements: std::sync::Arc::new(gone[..count].to_vec()) });
         at(&mut stage, -0.0015);
@@ -186,7 +186,7 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
     assert!(served < 0.95 * whole, "{served} N with a crater, {whole} N without");
     assert_eq!(stage.measured("pad.elements_left"), (mesh.len() - gone.len()) as f64);
     assert_ne!(stage.get::<trocar_scene::SurfaceMesh>("pad").triangles, triangles);
-    // The last new inverse comes with the next tick.
+    // The last new inverse takes over with the next tick.
     let mut forces = Vec::new();
     for _ in 0..4 {
         at(&mut stage, -0.0015);
@@ -194,7 +194,7 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
     }
     let jump = forces.iter().map(|force| (force - served).abs() / served).fold(0.0, f64::max);
     assert!(jump < 0.05, "{forces:?} N after {served} N");
-    // More than can be corrected for goes in two parts, and another life finds the same.
+    // More removals than can be corrected are processed in two parts, with the same result after a restart.
     let layer: Vec<u32> =
         (0..mesh.len() as u32).filter(|&tet| middle(&mesh[tet as usize]).z > 0.006).collect();
     let more = layer.iter().filter(|tet| !gone.contains(tet));
@@ -210,7 +210,7 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
     (0..20).for_each(|_| at(&mut stage, -0.0015));
     let (force, again) = (before.0, force_on_body(&stage).norm());
     assert!((force - again).abs() < 1e-6 * force, "{force} N and {again} N");
-    // Of the surface; the inside is looked at now and then.
+    // Of the surface; interior nodes are updated now and then.
     let (now, corners) = (
         stage.get::<VertexPositions>("pad").positions,
         stage.get::<trocar_scene::SurfaceMesh>("pad").triangles,
@@ -224,7 +224,7 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
 #[test]
 fn what_is_stiffened_and_more_than_can_be_corrected_for_are_blended_in_unfelt() {
     let text = format!("{}cauterised = {{}}\n", block(5000.0));
-    // The forces after the tick in which something happened, and the one long after that.
+    // The forces after the tick of the change, and long after that.
     let changed = |coagulates: bool, more: usize| {
         let mut stage = Stage::new(scene(&text), HZ, build);
         press(&mut stage, 30);
@@ -232,7 +232,7 @@ fn what_is_stiffened_and_more_than_can_be_corrected_for_are_blended_in_unfelt() 
         let rest = stage.get::<trocar_scene::RestPositions>("pad").positions;
         let middle =
             |tet: &[u32; 4]| tet.iter().map(|&n| rest[n as usize].coords).sum::<Vector3<f64>>() / 4.0;
-        // A crater beside the rod, and what is about it and under the rod is coagulated.
+        // A crater beside the rod; the tissue around it and under the rod is coagulated.
         let all = 0..mesh.len() as u32;
         let beside = |x: f64, at: Vector3<f64>| at.x > x && at.y.abs() < 0.012 && at.z > 0.002;
         let gone: Vec<u32> = all.clone().filter(|&tet| beside(0.004, middle(&mesh[tet as usize]))).collect();
@@ -251,7 +251,7 @@ fn what_is_stiffened_and_more_than_can_be_corrected_for_are_blended_in_unfelt() 
         }
         assert_eq!(stage.measured("pad.elements_waiting"), 0.0);
         assert!(!stage.has::<Frozen>("pad"));
-        // Another life has the last inverse and nothing else, and finds the same.
+        // A restart has only the last inverse, with the same result.
         stage.rebuild(build);
         (0..5).for_each(|_| at(&mut stage, -0.0015));
         let (last, again) = (forces[forces.len() - 1], force_on_body(&stage).norm());

@@ -1,4 +1,4 @@
-//! Linear elements on meshes of any kind: the patch test, and the order in which the error of a smooth solution falls.
+//! Linear elements on arbitrary meshes: the patch test, and the order of convergence for a smooth solution.
 
 use crate::support::delaunay;
 use crate::support::direct::displaced;
@@ -10,8 +10,8 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_scene::organs::{Implicit, Part, tetrahedra};
 
-/// How far the inside is from a linear field where the boundary follows it, as a share of the largest displacement; and how
-/// many nodes are inside.
+/// Deviation of the interior from a linear field prescribed on the boundary, relative to the largest displacement; and
+/// the number of interior nodes.
 fn off_the_patch(mesh: &TetMesh, slope: &Matrix3<f64>, poisson: f64) -> (f64, usize) {
     let material = Elastic::new(1e4, poisson).expect("a material");
     let field = |node: u32| slope * mesh.rest()[node as usize].coords;
@@ -30,8 +30,7 @@ fn any_slope(random: &mut Pcg64Mcg) -> Matrix3<f64> {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
-    /// The patch test: where the boundary is displaced linearly, the inside follows exactly, however the elements are
-    /// shaped.
+    /// The patch test: with a linear displacement on the boundary, the interior is exact for any shape of elements.
     #[test]
     fn a_linear_field_is_reproduced_on_any_mesh(
         shifts in prop::collection::vec(-1.0..1.0_f64, 3 * 125),
@@ -40,7 +39,7 @@ proptest! {
     ) {
         let grid = BoxCells { cells: [4, 4, 4], size: Vector3::repeat(0.04), origin: Point3::origin() };
         let (mut nodes, tets) = box_cells(&grid);
-        // A quarter of a cell's smallest height keeps every element upright.
+        // A quarter of a cell's smallest height inverts no element.
         for (node, shift) in nodes.iter_mut().zip(shifts.chunks(3)) {
             *node += Vector3::from_column_slice(shift) * 0.0012;
         }
@@ -51,7 +50,7 @@ proptest! {
     }
 }
 
-/// Tetrahedra between points thrown at random, which no grid has ordered: Delaunay's, slivers and all.
+/// Delaunay tetrahedra of random points, without a grid, slivers included.
 #[test]
 fn a_linear_field_is_reproduced_between_points_thrown_at_random() {
     let mut random = Pcg64Mcg::seed_from_u64(11);
@@ -68,7 +67,7 @@ fn a_linear_field_is_reproduced_between_points_thrown_at_random() {
     }
 }
 
-/// A blended body as the organs are.
+/// A body of blended implicit shapes, like the organs.
 fn organ() -> Implicit {
     let pose = Isometry3::rotation(Vector3::new(0.3, -0.2, 0.5));
     Implicit {
@@ -100,8 +99,8 @@ fn a_linear_field_is_reproduced_on_the_graded_mesh_of_an_implicit_body() {
     }
 }
 
-/// A displacement that is no polynomial, and the force by volume that holds it: with u = Σ c sin(k·x + φ),
-/// −div σ = Σ ((λ + μ)(c·k) k + μ k² c) sin(k·x + φ).
+/// A non-polynomial displacement, and its body force: with u = Σ c sin(k·x + φ), −div σ = Σ ((λ + μ)(c·k) k + μ k² c)
+/// sin(k·x + φ).
 struct Smooth {
     waves: [(Vector3<f64>, Vector3<f64>, f64); 2],
     material: Elastic,
@@ -136,7 +135,8 @@ impl Smooth {
         self.waves.iter().map(of).sum()
     }
 
-    /// Errors of linear elements on a mesh, root mean square over its volume: of the displacement \[m\], and of its gradient.
+    /// Errors of linear elements on a mesh, root mean square over its volume: of the displacement \[m\], and of its
+    /// gradient.
     fn errors(&self, mesh: &TetMesh) -> [f64; 2] {
         let rest = mesh.rest();
         let mut loads = vec![Vector3::zeros(); rest.len()];
@@ -162,8 +162,8 @@ impl Smooth {
     }
 }
 
-/// Gauss's points of every element, exact to the third degree in each direction of the collapsed cube: the element, the
-/// weights of its corners, the place, the volume that it stands for.
+/// Gauss points of every element, exact to the third degree in each direction of the collapsed cube: element,
+/// barycentric weights, point, and volume represented.
 fn each_place(mesh: &TetMesh, mut visit: impl FnMut(usize, [f64; 4], Point3<f64>, f64)) {
     let far = 0.6_f64.sqrt();
     let line = [(0.5 - far / 2.0, 5.0 / 18.0), (0.5, 4.0 / 9.0), (0.5 + far / 2.0, 5.0 / 18.0)];
@@ -182,8 +182,8 @@ fn each_place(mesh: &TetMesh, mut visit: impl FnMut(usize, [f64; 4], Point3<f64>
     }
 }
 
-/// That errors fall with the square of the edges, and those of the gradient with the edges, from each mesh to one of half of
-/// them.
+/// Checks that errors fall quadratically with the edge length, those of the gradient linearly, each mesh having half
+/// the edge length of the previous one.
 fn assert_orders(what: &str, smooth: &Smooth, meshes: &[TetMesh]) {
     let errors: Vec<_> = meshes.iter().map(|mesh| smooth.errors(mesh)).collect();
     for pair in errors.windows(2) {

@@ -1,4 +1,4 @@
-//! Elements that are taken out while an inverse serves that was computed with them, and the cache of inverses.
+//! Removal of elements with a corrected inverse, and the cache of inverses.
 
 #[allow(dead_code)] // every test uses another part
 use crate::support::beam;
@@ -13,7 +13,7 @@ fn body(mesh: TetMesh, fixed: &[u32]) -> LinearFem {
     LinearFem::new(mesh, &beam::material(), fixed, &Limits::default(), &mut |_| true).expect("a body")
 }
 
-/// A notch in the top of the beam, as a hook burns it: elements that touch a box.
+/// A notch in the top of the beam, like that burned by a hook: elements that touch a box.
 fn notch(mesh: &TetMesh) -> Vec<u32> {
     let inside = |at: &Point3<f64>| (0.038..0.046).contains(&at.x) && at.z > 0.0145;
     let tets = mesh.tets().iter().enumerate();
@@ -49,9 +49,9 @@ fn without_elements_the_corrected_inverse_is_the_new_one() {
     fem.remove(&gone).expect("they are there");
     let served = forces(&mut fem, load);
 
-    // The control: the notch is felt.
+    // The control: the notch has an effect.
     assert!((served[0] - whole[0]).norm() > 0.02 * whole[0].norm(), "{} {}", served[0], whole[0]);
-    // What a job computes meanwhile: a mesh without them; nodes that nothing uses are held.
+    // The job's computation: a mesh without these elements; unused nodes are held.
     let mut volume = Volume::new(&mesh);
     volume.remove(&gone).expect("they are there");
     let (notched, nodes) = volume.mesh().expect("something is left");
@@ -70,7 +70,7 @@ fn without_elements_the_corrected_inverse_is_the_new_one() {
     for (served, new) in served.iter().zip(&new) {
         let jump = (served - new).norm() / new.norm();
         assert!(jump < 0.05, "the force jumps by {jump}: {served} {new}");
-        // No approximation but for the remnant and for the rounding of the stored inverse.
+        // Exact apart from the remnant and the rounding of the stored inverse.
         assert!(jump < 1e-3, "{jump}");
     }
     // And so do the surface and the inside.
@@ -84,7 +84,7 @@ fn without_elements_the_corrected_inverse_is_the_new_one() {
     let place = fem.compliance().nodes().binary_search(&(tip as u32)).expect("on the surface");
     assert!((a[tip] - b[place]).norm() < 1e-4 * a[tip].norm(), "{} {}", a[tip], b[place]);
 
-    // Another life takes them out again.
+    // A restart removes them again.
     let mut again = body(mesh, &wall);
     again.restore(&fem.state()).expect("its own state");
     assert_eq!(forces(&mut again, load), forces(&mut fem, load));
@@ -128,7 +128,7 @@ fn an_inverse_is_computed_once_and_a_damaged_one_again() {
     let files = std::fs::read_dir(&folder).expect("a folder").count();
     assert_eq!(files, 1, "nothing is left beside it");
     std::fs::remove_dir_all(&folder).expect("its own folder");
-    // Where no folder can be, there is a body all the same.
+    // Where no folder can be created, there still is a body.
     let nowhere = Cache::new(&file.join("below a file that is none"));
     std::fs::write(&folder, b"in its way").expect("room");
     let (body, origin) =
@@ -165,12 +165,12 @@ fn the_inverse_of_what_it_has_become_takes_over_without_a_jump() {
     let taken_over = felt(&mut new);
     let jump = (taken_over - served).norm() / served.norm();
     assert!(jump < 1e-4, "a jump of {jump} of the force");
-    // The control: the notch is felt.
+    // The control: the notch has an effect.
     assert!((served - whole).norm() > 100.0 * (taken_over - served).norm(), "{whole} {served}");
-    // The bottom of the notch can be touched now, and what is gone cannot go again.
+    // The bottom of the notch can be touched now, and removed elements cannot be removed again.
     assert!(new.compliance().nodes().iter().any(|node| !mesh.surface_nodes().contains(node)));
     assert!(matches!(new.remove(&gone[..1]), Err(LinearFemError::NoElement { .. })));
-    // What goes later is taken out of the new one, too.
+    // Later removals apply to the new inverse, too.
     let (first, second) = gone.split_at(gone.len() / 2);
     let mut half = vec![Alteration::NONE; mesh.tets().len()];
     first.iter().for_each(|&tet| half[tet as usize] = Alteration::GONE);
@@ -192,7 +192,7 @@ fn what_is_coagulated_is_stiffer_and_draws_together() {
         LinearFem::altered(mesh.clone(), &beam::material(), &all, &wall, &limits, &mut |_| true)
             .expect("a body")
     };
-    // Shorter by a tenth, however stiff; where it is held it cannot be.
+    // Shrunk by a tenth, whatever the stiffness; not where it is held.
     for stiffness in [1.0, 5.0] {
         let mut moved = Vec::new();
         altered(stiffness, 0.9).displacements(&mut moved);

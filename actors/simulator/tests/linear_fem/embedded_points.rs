@@ -1,5 +1,5 @@
-//! What has been driven into a linear organ holds points of its inside: where it leads them they are, what that takes is felt
-//! by whoever holds it and is that of a direct solve, and what is held from tick to tick is the same in every life.
+//! Instruments driven into a linear organ constrain interior points: these follow the instrument, the reaction is felt
+//! by the hand and equals that of a direct solve, and constraints persist over ticks and restarts.
 
 use crate::support::stage::{Stage, context, scene};
 #[allow(dead_code)] // every test uses another part
@@ -15,14 +15,14 @@ use trocar_simulator::linear_algebra::SparseCholesky;
 use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;
-/// Two points that a hook holds in the midst of the bar, in its frame \[m\].
+/// Two interior points of the bar held by a hook, in the bar's frame \[m\].
 const POINTS: [[f64; 3]; 2] = [[0.0213, 0.0012, -0.0023], [0.0371, -0.0031, 0.0017]];
 
 fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
     LinearFemController::new(None, context)
 }
 
-/// A bar of 10 cm that is held at one end, somewhere in the world, and a hook that is driven into it.
+/// A bar of 10 cm held at one end, at an arbitrary pose, and a hook driven into it.
 fn bar(pinned: &str) -> String {
     format!(
         r#"
@@ -45,7 +45,7 @@ fn pinned() -> String {
     bar(&format!("pinned = {{ with = [{{ entity = \"hook\", points = {POINTS:?} }}] }}"))
 }
 
-/// The hook, drawn this far from where it was driven in, in the world, and turned by this much.
+/// The hook, displaced by this much from where it was driven in, in the world, and rotated by this much.
 fn draw(stage: &mut Stage<LinearFemController>, by: Vector3<f64>, turned: f64) {
     let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_4);
     let about = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turned);
@@ -64,7 +64,7 @@ fn tick(stage: &mut Stage<LinearFemController>) {
     assert!(!stage.has::<Frozen>("bar"), "{}", stage.get::<Frozen>("bar").reason);
 }
 
-/// The mesh of the bar, and where a point of it is by the nodes of its element.
+/// The mesh of the bar, and the position of a point from the nodes of its element.
 fn mesh(stage: &Stage<LinearFemController>) -> TetMesh {
     let rest = stage.get::<RestPositions>("bar").positions;
     TetMesh::new(&rest, &stage.get::<Tets>("bar").tets, &MeshRules::default()).expect("a sound mesh")
@@ -77,12 +77,12 @@ fn a_hook_that_is_driven_into_an_organ_feels_the_force_of_a_direct_solve() {
     let idle: f64 = felt(&stage).iter().map(|force| force.norm()).sum();
     assert!(idle < 1e-12, "{idle} N where it was driven in");
     let (by, turned) = (Vector3::new(0.0004, 0.0011, 0.0015), 0.02);
-    // From the first tick after the one in which the inverse has come the force is there.
+    // The force is present from the first tick after that of the inverse.
     draw(&mut stage, by, turned);
     tick(&mut stage);
     let forces = felt(&stage);
     assert_eq!(forces.len(), 2);
-    // A direct solve in f64 of both points led there: W λ = d with W = C K⁻¹ Cᵀ by columns, in the frame of the bar.
+    // A direct f64 solve with both points prescribed: W λ = d with W = C K⁻¹ Cᵀ by columns, in the frame of the bar.
     let mesh = mesh(&stage);
     let wall: Vec<bool> = mesh.rest().iter().map(|place| place.x < -0.0499).collect();
     let mut next = 0;
@@ -139,7 +139,7 @@ fn a_hook_that_is_driven_into_an_organ_feels_the_force_of_a_direct_solve() {
     }
     assert!(sum > 1e-3 && (stage.measured("bar.pinned_force_n") - sum).abs() < 1e-12);
     assert_eq!(stage.measured("bar.contact_force_n"), 0.0, "nothing touches its surface");
-    // What is held is where the hook has it.
+    // The held points are at the hook.
     (0..12).for_each(|_| tick(&mut stage));
     let now = stage.get::<VertexPositions>("bar").positions;
     for (at, (tet, weights)) in inside.iter().enumerate() {
@@ -148,7 +148,7 @@ fn a_hook_that_is_driven_into_an_organ_feels_the_force_of_a_direct_solve() {
         let led = Vector3::from(POINTS[at]) + Vector3::from_column_slice(wanted.rows(3 * at, 3).as_slice());
         assert!((place - led).norm() < 1e-8, "point {at}: {place}, led to {led}");
     }
-    // The control: an organ into which nothing was driven stays where it is.
+    // The control: an organ without instruments keeps its position.
     let mut free = Stage::new(scene(&bar("")), HZ, build);
     (0..3).for_each(|_| tick(&mut free));
     draw(&mut free, by, turned);
@@ -174,7 +174,7 @@ fn another_life_holds_on_where_the_hook_was_driven_in_and_finds_the_same_to_the_
         (felt(&stage), stage.get::<VertexPositions>("bar").positions, kept)
     };
     let (forces, positions, kept) = run(&[]);
-    // Their rows are computed once, and stay as long as they are held.
+    // Their rows are computed once, and kept as long as they are held.
     assert!(kept[5..].iter().all(|kept| *kept == 2.0), "{kept:?}");
     for kills in [vec![0], vec![1, 2, 3], vec![30], vec![10, 40, 55]] {
         let (again, there, kept) = run(&kills);
@@ -206,7 +206,7 @@ pinned = { with = [{ entity = "pin", points = [[0.0002, 0.0041, 0.0013]] }] }
         let mut stage = Stage::new(scene(text), HZ, build);
         let mut seen = Vec::new();
         for step in 0..40_u32 {
-            // Opens about the fold, shuts, lifts, and lets go; the pin goes aside meanwhile.
+            // Opens around the fold, closes, lifts, and releases; the pin moves aside meanwhile.
             let (z, angle) = match step {
                 0..6 => (0.02, 0.9),
                 6..9 => (0.009, 0.9),
@@ -263,7 +263,7 @@ fn what_cannot_be_pinned_is_refused_by_name_and_what_burns_away_lets_go() {
     assert!(refused("{ entity = \"bar\", points = [[0.0, 0.0, 0.0]] }").contains("no other entity"));
     let stays = refused("{ entity = \"hook\", points = [[-0.05, 0.0, 0.0]] }");
     assert!(stays.contains("anchors hold it"), "{stays}");
-    // Of what another method moves nothing is pinned, and that is said.
+    // Pins in bodies of other methods are rejected with a message.
     let pin = "pinned = { with = [{ entity = \"hook\", points = [[0.0, 0.0, 0.0]] }] }";
     let store =
         scene(&bar(pin).replace("linear_fem =", "dynamic_fem =").replace(", contact_radius = 0.008", ""));
@@ -276,7 +276,7 @@ fn what_cannot_be_pinned_is_refused_by_name_and_what_burns_away_lets_go() {
     let parsed = std::panic::catch_unwind(|| scene(&text));
     assert!(parsed.is_err(), "no points at all");
 
-    // An element that burns away holds nothing any longer.
+    // A removed element no longer holds anything.
     let text = pinned().replace("pinned =", "cauterised = {}\npinned =");
     let mut stage = Stage::new(scene(&text), HZ, build);
     (0..4).for_each(|_| tick(&mut stage));

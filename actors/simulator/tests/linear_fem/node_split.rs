@@ -1,5 +1,5 @@
-//! Linear organs that come apart: a former inverse is corrected at once where nodes have parted, as exactly as one that is
-//! computed of what the body has become.
+//! Splitting nodes of linear organs: the former inverse is corrected at once, as exactly as a new inverse of the split
+//! body.
 
 #[allow(dead_code)] // every test uses another part
 use crate::support::beam;
@@ -10,19 +10,19 @@ use trocar_simulator::linear_algebra::SparseCholesky;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, LinearFemError, Load, patch};
 use trocar_simulator::stiffness::stiffness;
 
-/// A body whose inverse is computed as that of a whole one.
+/// A body with the inverse of the unsplit mesh.
 fn body(mesh: &TetMesh, fixed: &[u32]) -> LinearFem {
     LinearFem::new(mesh.clone(), &beam::material(), fixed, &Limits::default(), &mut |_| true).expect("a body")
 }
 
-/// The inverse of what has come apart.
+/// The inverse of the split body.
 fn fresh(mesh: &TetMesh, parents: &[u32], fixed: &[u32], alterations: &[Alteration]) -> LinearFem {
     let (material, limits) = (beam::material(), Limits::default());
     LinearFem::parted(mesh.clone(), &material, alterations, parents, fixed, &limits, &mut |_| true)
         .expect("a body")
 }
 
-/// The beam opened across at an x, from a height on \[m\]: its mesh, and which nodes the new ones were.
+/// The beam with a slit at an x, from a height on \[m\]: its mesh, and the originals of its new nodes.
 struct Slit {
     whole: TetMesh,
     mesh: TetMesh,
@@ -96,7 +96,7 @@ fn apart(one: &[Vector3<f64>], other: &[Vector3<f64>]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
 }
 
-/// Displacements of all nodes under forces on all nodes, by a direct solve that knows of nothing here.
+/// Displacements of all nodes under forces on all nodes, by an independent direct solve.
 fn direct(mesh: &TetMesh, wall: &[u32], forces: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let mut next = 0;
     let numbers: Vec<Option<u32>> = (0..mesh.rest().len() as u32)
@@ -140,9 +140,9 @@ fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_sli
     let (mut serving, mut new) = (slit.serving(), slit.fresh());
     for (name, fem) in [("corrected", &mut serving), ("computed anew", &mut new)] {
         let moved = bent(fem);
-        // But for the bonds, of a millionth.
+        // Apart from the bonds, of a millionth.
         assert!(apart(&moved, &exact) < 1e-5 * most(&exact), "{name}: {} m", apart(&moved, &exact));
-        // And the surface, from the inverse in f32.
+        // The surface too, from the inverse in f32.
         let mut surface = Vec::new();
         fem.surface_displacements(&mut surface);
         let lip = slit.parents[0];
@@ -153,13 +153,13 @@ fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_sli
         }
     }
     assert!(apart(&bent(&mut serving), &bent(&mut new)) < 1e-6 * most(&exact));
-    // The controls: it gapes, and a whole bar does not bend so.
+    // The controls: the slit opens, and an unsplit bar bends differently.
     let born = slit.whole.rest().len();
     let gap = (exact[born] - exact[slit.parents[0] as usize]).norm();
     assert!(gap > 0.01 * most(&exact), "{gap} m");
     let whole = bent(&mut body(&slit.whole, &slit.wall));
     assert!(apart(&whole, &exact[..born]) > 0.05 * most(&exact));
-    // One that has come apart in its mesh alone bends as a whole one.
+    // With nodes split in the mesh only, it bends as an unsplit one.
     let mut together = body(&slit.whole, &slit.wall);
     together.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(together.waiting(), slit.parents.len());
@@ -203,20 +203,20 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
     for (one, other) in served.iter().zip(&next) {
         let jump = (one - other).norm() / other.norm();
         assert!(jump < 0.05, "the force jumps by {jump}");
-        // No approximation but for the rounding of the stored inverse.
+        // Exact apart from the rounding of the stored inverse.
         assert!(jump < 1e-3, "{jump}: {one} {other}");
     }
     assert!(apart(&there, &then) < 1e-4 * most(&then));
-    // The control: a whole bar is felt otherwise.
+    // The control: an unsplit bar gives another force.
     let mut whole = body(&slit.whole, &slit.wall);
     whole.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
-    // Both lips in one place: the second of them cannot be held elsewhere.
+    // Both lips at one position: the second of them cannot be constrained elsewhere.
     let handle = whole.hold(Attachment::node(born + 3, Hold::Point)).expect("held");
     let other = whole.hold(Attachment::node(slit.parents[3], Hold::Point));
     assert!(matches!(other, Err(LinearFemError::Dependent { .. })), "{other:?}");
     whole.release(handle).expect("held");
 
-    // What is held stays held as it comes apart, and another life goes on to the bit, from a whole body too.
+    // Constraints persist through the split, and a restart continues bit for bit, also from an unsplit body.
     let mut during = body(&slit.whole, &slit.wall);
     let handle = during.hold(Attachment { weights: grasp(&during, 0.09), hold: Hold::Point }).expect("held");
     during.set_target(handle, Vector3::new(0.0, 0.0, 0.002)).expect("held");
@@ -233,7 +233,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
     again.restore(&state).expect("a state of it");
     assert_eq!(again.solve(&[]).expect("solved").reactions[0].force, after);
     assert_eq!(all(&mut again), all(&mut during));
-    // And back: whole again.
+    // And back to the unsplit body.
     again.restore(&body(&slit.whole, &slit.wall).state()).expect("a state of it");
     assert!(!again.is_corrected() && again.mesh() == &slit.whole);
 }
@@ -293,17 +293,17 @@ fn a_bar_that_is_cut_through_is_two_pieces_of_which_one_is_held_by_nothing() {
     let node = slit.whole.surface_nodes().iter().copied().min_by(|a, b| near(a).total_cmp(&near(b)));
     let node = node.expect("a node");
     for (name, fem) in [("corrected", &mut serving), ("computed anew", &mut new)] {
-        // The piece that is held bends as a bar of half the length, whatever is done to the other.
+        // The held piece bends as a bar of half the length, whatever is done to the other.
         let held = fem.hold(Attachment::node(node, Hold::Point)).expect("held");
         fem.set_target(held, pulls).expect("held");
-        // The other follows what holds it at three points, and that takes nothing.
+        // The other piece follows its three constraints without force.
         let end = beam::nodes_at(&slit.mesh, 0.1);
         let shift = Vector3::new(0.003, -0.002, 0.001);
         let mut handles = 0;
         for node in [end[0], end[4], end[20]] {
             handles += fem.hold_at(&Attachment::node(node, Hold::Point), shift).expect("held").len();
         }
-        // A point, two directions and one: what holds it against every motion as a whole.
+        // A point, two directions and one: constrained against rigid motion.
         assert_eq!(handles, 4, "{name}");
         let forces: Vec<_> = fem.solve(&[]).expect("solved").reactions.iter().map(|r| r.force).collect();
         assert!(forces[0].norm() > 1e-4, "{name}: {forces:?}");
@@ -335,7 +335,7 @@ fn a_bar_that_is_cut_through_is_two_pieces_of_which_one_is_held_by_nothing() {
     }
 }
 
-/// The half of the beam that is held, and which nodes those of it are.
+/// The held half of the beam, and the originals of its nodes.
 fn beam_half(whole: &TetMesh) -> (TetMesh, Vec<u32>) {
     let mut volume = Volume::new(whole);
     let beyond: Vec<u32> =

@@ -1,5 +1,5 @@
-//! Linear elements against independent numbers: scikit-fem's deflections and frequencies of the clamped beam, of its linear
-//! elements and of its quadratic ones.
+//! Linear elements against independent results: scikit-fem's deflections and frequencies of the clamped beam, with
+//! linear and with quadratic elements.
 
 use crate::support::beam;
 use crate::support::direct::{direct, factored, numbers};
@@ -23,13 +23,14 @@ fn the_beam_deflects_as_scikit_fem_says() {
     }
 }
 
-/// Linear elements have errors of second order once bending is resolved: what two of them say leads to what quadratic ones say
-/// (2.52123435e-3 m on 10×2×2 and 2.53697265e-3 m on 20×4×4; the latter is the answer, to 0.1 %).
+/// Linear elements converge with second order once bending is resolved: extrapolating two of them gives the result of
+/// quadratic ones (2.52123435e-3 m on 10×2×2 and 2.53697265e-3 m on 20×4×4; the latter is accurate to 0.1 %).
 #[test]
 fn deflections_lead_to_the_answer_of_quadratic_elements() {
     let answer = 2.536_972_65e-3;
     let found = [[10, 2, 2], [20, 4, 4], [40, 8, 8], [80, 16, 16]].map(deflection);
-    // Linear ones are over-stiff: half of the answer is missing on the coarsest mesh, a fifth on the next, 1.6 % on the last.
+    // Linear elements are over-stiff: half of the deflection is missing on the coarsest mesh, a fifth on the next, 1.6
+    // % on the last.
     let errors = found.map(|found| answer - found);
     assert!(errors.iter().all(|&error| error > 0.0), "too stiff, never too soft: {errors:?}");
     assert!(errors[0] > 0.45 * answer && errors[3] < 0.016 * answer, "{errors:?}");

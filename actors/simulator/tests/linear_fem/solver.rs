@@ -17,7 +17,7 @@ fn body(cells: [usize; 3]) -> LinearFem {
     LinearFem::new(mesh, &beam::material(), &fixed, &Limits::default(), &mut |_| true).expect("a body")
 }
 
-/// A free node of the surface near a place, and one of the interior.
+/// A free surface node near a point, and an interior one.
 fn nearest(mesh: &TetMesh, at: [f64; 3], surface: bool) -> u32 {
     let at = Point3::from(at);
     let fits = |node: &u32| mesh.surface_nodes().binary_search(node).is_ok() == surface;
@@ -85,7 +85,7 @@ fn what_is_held_stands_where_it_is_to_and_the_force_is_read_back() {
     assert!(forces.iter().all(|force| force.norm() > 1e-3), "{forces:?}");
     assert!((forces[2].cross(&along)).norm() < 1e-15, "a rail does not push across");
 
-    // By a direct f64 solve under these forces, everything is where it was to be: read back within 1 %.
+    // In a direct f64 solve under these forces, every target is met: within 1 %.
     let mut all = Vec::new();
     fem.displacements(&mut all);
     let ends = [
@@ -97,7 +97,7 @@ fn what_is_held_stands_where_it_is_to_and_the_force_is_read_back() {
         assert!((end - target).norm() < 1e-5 * 0.002, "{end} {target}");
     }
 
-    // Let go in another order, and the rest is as if it had never been.
+    // Released in another order, the rest is as if it had never been held.
     fem.release(needle_handle).expect("held");
     let left: Vec<_> = fem.solve(&[]).expect("solved").reactions.to_vec();
     let mut fresh = body([12, 4, 4]);
@@ -115,8 +115,8 @@ fn what_is_held_stands_where_it_is_to_and_the_force_is_read_back() {
 
 #[test]
 fn ten_grasped_nodes_read_back_the_force_of_a_direct_solve() {
-    // All displacements of ten neighbouring nodes: what is hardest on the rounding of the compliance. The direct solve
-    // holds them too, as part of the fixed boundary, and its forces are K u.
+    // All displacements of ten neighbouring nodes: the worst case for the rounding of the compliance. The direct solve
+    // prescribes them too, as part of the fixed boundary, and its forces are K u.
     use trocar_simulator::stiffness::stiffness;
     let mesh = beam::mesh([12, 4, 4]);
     let mut fem = body([12, 4, 4]);
@@ -179,7 +179,7 @@ fn ten_grasped_nodes_read_back_the_force_of_a_direct_solve() {
     }
 }
 
-/// Force that a patch and that a single node feel when pushed in by 1 mm on a mesh of such cells.
+/// Force on a patch and on a single node pushed in by 1 mm, on a mesh of such cells.
 fn felt(cells: usize) -> [f64; 2] {
     let grid = BoxCells {
         cells: [2 * cells, 2 * cells, cells],
@@ -270,7 +270,7 @@ fn a_restored_body_continues_bit_for_bit() {
         let hold = [Hold::Point, Hold::Along(Vector3::y_axis()), Hold::AtLeast(Vector3::z_axis())][i % 3];
         handles.push(fem.hold(Attachment::node(node, hold)).expect("held"));
     }
-    // A history: some have gone, and which contacts act was found in several cycles.
+    // A history: some were removed, and the active contacts were found over several cycles.
     fem.release(handles.remove(2)).expect("held");
     fem.release(handles.remove(4)).expect("held");
     let drive = |fem: &mut LinearFem, cycle: usize| -> Vec<Vector3<f64>> {
@@ -332,7 +332,7 @@ fn what_was_written_is_read_and_everything_else_is_refused() {
     assert!(matches!(read(&bytes, &material, &fixed[1..]), Err(BytesError::Fingerprint { .. })));
     assert!(matches!(read(&bytes[..bytes.len() / 2], &material, &fixed), Err(BytesError::Io(_))));
     assert!(matches!(read(b"something else than that", &material, &fixed), Err(BytesError::Magic(_))));
-    // Any bit that falls over is found.
+    // Any flipped bit is detected.
     for at in (0..bytes.len()).step_by(997) {
         let mut damaged = bytes.clone();
         damaged[at] ^= 1 << (at % 8);
@@ -359,7 +359,7 @@ fn what_is_too_large_or_not_held_is_named() {
     );
     let few = Limits { nodes_max: 10, ..Limits::default() };
     assert_eq!(attempt(&fixed, &few), PrecomputeError::TooManyNodes { nodes: 63, nodes_max: 10 });
-    // A body that floats, and one on a hinge.
+    // A body without support, and one on a hinge.
     for loose in [vec![], beam::nodes_at(&mesh, 0.0)[..3].to_vec()] {
         assert_eq!(attempt(&loose, &Limits::default()), PrecomputeError::Loose { node: 0 });
     }

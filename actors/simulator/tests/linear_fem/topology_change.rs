@@ -1,5 +1,5 @@
-//! Linear organs in a scene that scissors cut and that tear: they give way at once, the next inverse takes over unfelt, and
-//! another life finds the same.
+//! Linear organs cut by scissors and torn on a scene: they respond at once, the next inverse takes over without a jump,
+//! and restarts continue identically.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
@@ -19,7 +19,7 @@ fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerEr
     LinearFemController::new(None, context)
 }
 
-/// A bar of 10 cm that is held at one end, a rod above its other end, and closed blades above its middle.
+/// A bar of 10 cm held at one end, a rod above its other end, and closed blades above its middle.
 fn bar(body: &str) -> String {
     bar_of([20, 4, 4], body)
 }
@@ -70,7 +70,7 @@ fn felt(stage: &Stage<LinearFemController>) -> f64 {
     lists.flat_map(|(_, list)| &list.collisions).map(|c| c.force_in_world).sum::<Vector3<f64>>().norm()
 }
 
-/// Presses by 2 mm, and cuts from above down to a height within 20 ticks; the force in each tick from then on.
+/// Presses by 2 mm, and cuts from above down to a height within 20 ticks; returns the force in each tick from then on.
 fn cut_to(z: f64, body: &str, kills: &[u32]) -> (Stage<LinearFemController>, f64, Vec<f64>) {
     let mut stage = Stage::new(scene(&bar(body)), HZ, build);
     blade(&mut stage, 0.013);
@@ -89,7 +89,7 @@ fn cut_to(z: f64, body: &str, kills: &[u32]) -> (Stage<LinearFemController>, f64
         forces.push(tick(&mut stage));
         if kills.contains(&step) {
             stage.rebuild(build);
-            // Its inverse comes with the next tick.
+            // Its inverse takes over with the next tick.
             tick(&mut stage);
         }
     }
@@ -102,14 +102,14 @@ fn scissors_open_a_linear_organ_at_once_and_the_next_inverse_takes_over_unfelt()
     let faces = stage.measured("bar.opened_faces");
     assert!(faces >= 16.0 && stage.measured("bar.pieces") == 1.0, "{faces} faces");
     assert_eq!(stage.measured("bar.nodes_waiting"), 0.0);
-    // It gives way in the tick in which the blades have passed, and hangs by its lower half.
+    // It deforms in the tick in which the blades have passed, and hangs by its lower half.
     let last = forces[59];
     assert!(forces[21] < 0.7 * whole && last < 0.7 * whole, "{whole} N whole, {forces:?} N");
-    // From when the blades rest the next inverse takes over, and no tick changes what is felt.
+    // After the cut the next inverse takes over, and no tick changes the force.
     let jump = forces[21..].windows(2).map(|pair| (pair[1] / pair[0] - 1.0).abs()).fold(0.0, f64::max);
     assert!(jump < 0.05, "{forces:?} N");
     assert!(jump < 2e-3, "but for rounding, and where the rod presses, it is the same: {jump}");
-    // It gapes.
+    // The slit opens.
     let (rest, now) =
         (stage.get::<RestPositions>("bar").positions, stage.get::<VertexPositions>("bar").positions);
     let mut gap: f64 = 0.0;
@@ -123,7 +123,7 @@ fn scissors_open_a_linear_organ_at_once_and_the_next_inverse_takes_over_unfelt()
     assert!(gap > 2e-4, "its lips are {gap} m apart");
     let triangles = stage.get::<SurfaceMesh>("bar").triangles;
     assert_eq!(triangles.len(), (2.0 * faces) as usize + 2 * (2 * 16 + 4 * 80));
-    // The controls: blades beside it, and an organ that is not cut by them.
+    // The controls: blades beside it, and an organ that cannot be cut.
     let (beside, whole, forces) = cut_to(0.0115, ", cut = true", &[]);
     assert_eq!(beside.measured("bar.opened_faces"), 0.0);
     assert!(forces.iter().all(|force| (force / whole - 1.0).abs() < 1e-3), "{whole} N, {forces:?} N");
@@ -152,7 +152,7 @@ fn blades_that_close_about_a_linear_organ_part_it_and_others_do_not() {
     };
     let (faces, _) = bite(0.9, 0.0);
     assert!(faces >= 8.0, "{faces} faces");
-    // Blades that open about it, and that wait open, part nothing.
+    // Blades that open around it, and that stay open, cut nothing.
     assert_eq!(bite(0.0, 0.9), (0.0, 1.0));
     assert_eq!(bite(0.9, 0.9), (0.0, 1.0));
 }
@@ -161,7 +161,7 @@ fn blades_that_close_about_a_linear_organ_part_it_and_others_do_not() {
 fn another_life_of_a_cut_organ_finds_the_same() {
     let (stage, _, forces) = cut_to(0.0, ", cut = true", &[]);
     let positions = stage.get::<VertexPositions>("bar").positions;
-    // As the blades begin to cut, in between, as the next inverse takes over, and long after.
+    // At the beginning of the cut, in between, as the next inverse takes over, and long after.
     for kills in [vec![2], vec![9, 10, 11], vec![20, 21], vec![50]] {
         let (again, _, others) = cut_to(0.0, ", cut = true", &kills);
         let (one, other) = (forces[59], others[59]);
@@ -187,7 +187,7 @@ fn after_the_next_inverse_it_is_where_a_direct_solve_of_the_slit_mesh_has_it() {
     let moved: Vec<_> = now.iter().zip(rest.iter()).map(|(now, rest)| now - rest).collect();
     let mut forces = vec![Vector3::zeros(); rest.len()];
     k.multiply(&moved, &mut forces);
-    // The forces that its displacements take are those of the rod, told to the hand, and nothing else is pulled at.
+    // The forces for its displacements are those of the rod, reported to the hand, and nothing else.
     let wall = |node: usize| rest[node].x < -0.0499;
     let near = |node: usize| (rest[node] - Point3::new(0.0403, 0.0002, 0.01)).norm() < 0.012;
     let by_rod: Vector3<f64> = (0..rest.len()).filter(|&node| near(node)).map(|node| forces[node]).sum();
@@ -199,7 +199,7 @@ fn after_the_next_inverse_it_is_where_a_direct_solve_of_the_slit_mesh_has_it() {
     let rest_of = (0..rest.len()).filter(|&node| !wall(node) && !near(node));
     let stray = rest_of.map(|node| forces[node].norm()).fold(0.0, f64::max);
     assert!(stray < 1e-3 * told.norm(), "{stray} N on nodes that nothing touches");
-    // And under those forces a solve that knows of nothing else has it in the same place.
+    // Under those forces an independent solve gives the same shape.
     let mut next = 0;
     let numbers: Vec<Option<u32>> = (0..rest.len())
         .map(|node| {
@@ -230,7 +230,7 @@ fn what_is_cut_through_is_two_pieces_and_the_one_that_nothing_holds_gives_way_to
     assert_eq!(stage.measured("bar.pieces"), 2.0);
     assert_eq!(stage.measured("bar.nodes_waiting"), 0.0);
     assert!(forces[59] < 1e-3 * whole, "{} N of {whole} N", forces[59]);
-    // What is held is as it was, and can be pressed.
+    // The held part is unchanged, and can be pressed.
     press(&mut stage, -0.02);
     (0..5).for_each(|_| {
         tick(&mut stage);
@@ -247,7 +247,7 @@ fn what_is_cut_through_is_two_pieces_and_the_one_that_nothing_holds_gives_way_to
         tick(&mut stage);
     });
     assert!(felt(&stage) > 10.0 * forces[59].max(1e-4), "{} N", felt(&stage));
-    // Another life has the same two.
+    // A restart has the same two pieces.
     let before = felt(&stage);
     stage.rebuild(build);
     (0..5).for_each(|_| {
@@ -266,7 +266,7 @@ fn what_is_too_much_for_a_tick_waits_and_comes_with_the_next_inverse() {
     });
     press(&mut stage, 0.001);
     let whole = (0..4).map(|_| tick(&mut stage)).last().expect("some");
-    // Through all of it between two ticks.
+    // All the way through between two ticks.
     blade(&mut stage, -0.013);
     let (mut forces, mut waiting) = (Vec::new(), Vec::new());
     for _ in 0..80 {
@@ -274,10 +274,10 @@ fn what_is_too_much_for_a_tick_waits_and_comes_with_the_next_inverse() {
         waiting.push(stage.measured("bar.nodes_waiting"));
     }
     assert_eq!(stage.measured("bar.pieces"), 2.0);
-    // More than the unknowns that an inverse is corrected by at most.
+    // More unknowns than an inverse can be corrected by.
     assert!(waiting[0] > 128.0, "{waiting:?} nodes");
     assert!(waiting[79] == 0.0 && forces[79] < 1e-3 * whole, "{whole} N whole, {forces:?} N");
-    // It goes over to that as what an inverse cannot be corrected for does.
+    // It then waits for a new inverse, as for removals beyond the limit.
     let changes = forces.windows(2).map(|pair| (pair[1] - pair[0]).abs() / whole);
     let most = changes.fold(0.0, f64::max);
     assert!(most < 0.05, "by {most} of what was felt in a tick: {forces:?} N");
@@ -304,7 +304,7 @@ fn what_is_pulled_harder_than_it_bears_tears_and_what_is_not_does_not() {
     let faces = torn.measured("bar.torn_faces");
     assert!(faces >= 4.0, "{faces} faces");
     assert!(forces[119] < 0.9 * control[119], "{} N, {} N where it bears it", forces[119], control[119]);
-    // It tears where it is bent the most, above where it is held.
+    // It tears where the bending is largest, above the support.
     let rest = torn.get::<RestPositions>("bar").positions;
     let first = 21 * 5 * 5;
     assert!(rest.len() > first && rest[first].x < -0.02 && rest[first].z > 0.0, "{}", rest[first]);

@@ -1,4 +1,4 @@
-//! Masses and springs.
+//! Mass-spring networks.
 
 mod reference;
 mod solver;

@@ -1,4 +1,4 @@
-//! Masses and springs against closed forms: pendulum, chain, string, catenary, elastica, plate.
+//! Mass-spring networks against closed forms: pendulum, chain, string, catenary, elastica, plate.
 
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::mass_spring::{
@@ -8,7 +8,7 @@ use trocar_simulator::mass_spring::{
 
 use crate::support::springs::*;
 
-/// Period of a pendulum of 1 m let go at an angle, over that of small swings.
+/// Period of a pendulum of 1 m released at an angle, relative to that of small oscillations.
 fn pendulum(angle: f64) -> f64 {
     let bob = Point3::new(angle.sin(), 0.0, -angle.cos());
     let network = Network {
@@ -84,7 +84,7 @@ fn a_string_rings_with_its_first_frequency() {
     assert!((frequency / 3.364_036_13 - 1.0).abs() < 1e-5, "{frequency} Hz");
 }
 
-/// The catenary through two points 0.6 m apart on a level, 1 m long.
+/// The catenary through two points at the same height 0.6 m apart, 1 m long.
 #[test]
 fn an_inextensible_line_hangs_as_a_catenary() {
     let error_of = |segments: u32| {
@@ -105,7 +105,7 @@ fn an_inextensible_line_hangs_as_a_catenary() {
             solver.step(0.02, &under_gravity()).expect("a step");
         }
         let sag = -solver.state().positions.iter().map(|point| point.z).fold(0.0, f64::min);
-        // The catenary's parameter is the pull along over the weight of a metre. Every link has the same of it.
+        // The catenary's parameter is the horizontal tension over the weight per length; it is the same at every link.
         let pull = solver.pull_on(&[0]).x.abs() / (material.density * G);
         [(sag / 0.362_782_19 - 1.0).abs(), (pull / 0.163_168_27 - 1.0).abs()]
     };
@@ -117,7 +117,7 @@ fn an_inextensible_line_hangs_as_a_catenary() {
     }
 }
 
-/// Tip of a cantilever of 1 m and EI 1 under a force at its end that keeps its direction.
+/// Tip of a cantilever of 1 m and EI 1 under a force of constant direction at its end.
 #[test]
 fn a_line_bends_as_the_elastica() {
     for (load, wanted) in [(0.5, 0.162_143_58), (2.0, 0.493_457_48), (10.0, 0.810_609_02)] {
@@ -140,7 +140,7 @@ fn a_line_bends_as_the_elastica() {
     }
 }
 
-/// Of equilateral triangles rolled onto a cylinder in any direction the energy is that of a plate.
+/// Equilateral triangles rolled to a cylinder in any direction have the energy of a plate.
 #[test]
 fn a_rolled_sheet_holds_the_energy_of_a_plate() {
     let (n, edge, radius) = (64_u32, 1e-3, 0.3);
@@ -173,7 +173,7 @@ fn a_rolled_sheet_holds_the_energy_of_a_plate() {
         });
         let solver =
             MassSpring::new(network.clone(), rolled.collect(), &[], Config::default()).expect("valid");
-        // Each hinge stands for a third of its two triangles' area; at the border one direction has more of them.
+        // Each hinge represents a third of the area of its two triangles; at the border one direction has more of them.
         let area = network.hinges.len() as f64 * 2.0 * (0.5 * edge * height) / 3.0;
         let wanted = 0.5 * material.bending_stiffness / (radius * radius) * area;
         let found = solver.elastic_energy();

@@ -1,4 +1,4 @@
-//! Mass-spring against closed forms and its own budgets.
+//! Mass-spring networks against closed forms, and their energy and momentum budgets.
 
 use nalgebra::{DMatrix, DVector, Point3, SymmetricEigen, Vector3};
 use proptest::prelude::*;
@@ -98,13 +98,13 @@ fn free_motion_keeps_momentum_and_energy() {
         most = most.max(energy(&solver));
     }
     let ended = solver.momentum();
-    // Symplectic: the energy wavers about its value and does not drift.
+    // Symplectic: the energy oscillates around its value and does not drift.
     assert!(least > 0.98 * all && most < 1.02 * all, "{least} to {most} J of {all} J");
     let scale = 0.3 * solver.network().masses.iter().sum::<f64>();
     assert!((ended[0] - began[0]).norm() < 1e-12 * scale, "{:?}", ended[0] - began[0]);
     assert!((ended[1] - began[1]).norm() < 1e-9 * scale * 0.01, "{:?}", ended[1] - began[1]);
 
-    // Damped along its springs it loses energy and no momentum; backward Euler the same of linear momentum.
+    // Damping along springs removes energy and no momentum; backward Euler likewise conserves linear momentum.
     let damped = Config { lag: 1e-4, ..explicit(TooLarge::Divide { most: 1000 }) };
     for config in [damped, implicit(GRADIENTS, 1), implicit(WARPED, 2), implicit(LinearSolver::Cholesky, 3)] {
         let mut solver = thrown_tube(config);
@@ -128,7 +128,7 @@ fn what_a_step_too_large_does_is_found_and_undone() {
         MassSpring::new(network.clone(), positions.clone(), &[0], explicit(too_large)).expect("valid")
     };
     let safe = make(TooLarge::Refuse).safe_step();
-    // Of a long chain the bound is sharp: ω² = 4 k/m.
+    // For a long chain the bound is sharp: ω² = 4 k/m.
     assert!((safe - (1e-3_f64 / 50.0).sqrt()).abs() < 1e-12);
     let mut sound = make(TooLarge::Refuse);
     for _ in 0..20_000 {
@@ -148,7 +148,7 @@ fn what_a_step_too_large_does_is_found_and_undone() {
         Err(StepError::TooManyParts { most: 3, .. })
     ));
 
-    // The failing control: taken as it is, it blows up.
+    // The failing control: accepted as it is, the step diverges.
     let mut blown = make(TooLarge::Accept);
     let mut before = blown.state().clone();
     let error = loop {
@@ -159,7 +159,7 @@ fn what_a_step_too_large_does_is_found_and_undone() {
     };
     assert!(matches!(error, StepError::Runaway { limit: 100.0, .. }), "{error}");
     assert_eq!(*blown.state(), before, "the last good state");
-    // The same step, implicitly, is a step like others.
+    // The same step is stable with the implicit method.
     let mut calm = MassSpring::new(network, positions, &[0], implicit(GRADIENTS, 1)).expect("valid");
     for _ in 0..200 {
         calm.step(100.0 * safe, &Input::default()).expect("a step");
@@ -169,7 +169,7 @@ fn what_a_step_too_large_does_is_found_and_undone() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
-    /// The stiffness matrix by differences of forces, of networks with hinges flat and curved in any shape.
+    /// The stiffness matrix by finite differences, for networks with flat and curved hinges in any shape.
     #[test]
     fn no_eigenvalue_is_above_the_bound(
         points in prop::collection::vec([-1.0..1.0, -1.0..1.0, -1.0..1.0], 7),
@@ -204,7 +204,7 @@ proptest! {
                 matrix[(row, column)] = -slope / (masses[row / 3] * masses[column / 3]).sqrt();
             }
         }
-        // A hinge at its fold has no derivative there: such a case says nothing.
+        // A hinge at its fold has no derivative there: such cases are skipped.
         let symmetric = (&matrix - matrix.transpose()).amax() < 1e-3 * (1.0 + matrix.amax());
         prop_assume!(symmetric);
         let largest = SymmetricEigen::new((&matrix + matrix.transpose()) * 0.5).eigenvalues.max();
@@ -213,7 +213,7 @@ proptest! {
         prop_assert!(largest <= bound * (1.0 + 1e-5) + 1e-3, "{largest} above {bound}");
     }
 
-    /// Forces are minus the slope of the energy, also of hinges turned inside out.
+    /// Forces are minus the gradient of the energy, also for hinges turned inside out.
     #[test]
     fn forces_are_the_slope_of_the_energy(
         points in prop::collection::vec([-1.0..1.0, -1.0..1.0, -1.0..1.0], 4),
@@ -276,7 +276,7 @@ fn both_linear_solvers_and_the_explicit_method_agree() {
     );
 }
 
-/// Iterations on a falling cloth of 64 × 64, as one that hangs by two corners and is led by a third.
+/// Iterations for a falling cloth of 64 × 64, hanging by two corners, with a third one prescribed.
 #[test]
 fn the_factor_of_the_cloth_at_rest_does_most_of_the_work_of_the_iteration() {
     let (points, triangles) = grid(64, 0.1);
@@ -315,7 +315,7 @@ fn contacts_give_the_momentum_that_they_tell() {
         let dt = 1e-3;
         let mut given = Vector3::zeros();
         for _ in 0..500 {
-            // A floor at z = −1 mm that moves along x, touched at nodes and in the middle of triangles.
+            // A floor at z = −1 mm that moves along x, in contact with nodes and triangle centres.
             let floor = |nodes: [u32; 3], weights: [f64; 3]| {
                 let at = |node: u32| solver.state().positions[node as usize].z;
                 let height: f64 = nodes.iter().zip(weights).map(|(&node, weight)| weight * at(node)).sum();
@@ -336,7 +336,7 @@ fn contacts_give_the_momentum_that_they_tell() {
             assert!(off < 1e-8 * mass, "{config:?}: {off} of {}", mass * G * dt);
             given += force * dt;
         }
-        // It lies still on the floor, which carries it and has taken it along.
+        // It is at rest relative to the floor, which carries it and drags it along.
         let state = solver.state();
         let lowest = state.positions.iter().map(|point| point.z).fold(0.0, f64::min);
         assert!(lowest > -1.3e-3, "{lowest}");
@@ -393,7 +393,7 @@ fn led_nodes_are_where_they_have_to_be_and_pull_the_rest_along() {
             assert_eq!(solver.state().positions[5], points[5]);
         }
         assert!(solver.state().positions[7].z > 0.01);
-        // Let go, it is free.
+        // Once released, it is free.
         for _ in 0..10 {
             solver.step(1e-3, &under_gravity()).expect("a step");
         }

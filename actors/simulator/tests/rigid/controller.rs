@@ -1,4 +1,4 @@
-//! Rigid bodies as a scene has them: the integrator that is asked for is the one that moves them.
+//! Rigid bodies on a scene: the configured integrator is used.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
@@ -16,8 +16,8 @@ fn moments() -> Vector3<f64> {
     Vector3::new(b + c, a + c, a + b) * MASS
 }
 
-/// A plate that turns about its middle axis, nearly, for 10 s: how often it flips, and what share of energy it has gained at
-/// most and lost at most.
+/// A plate rotating almost about its intermediate axis for 10 s: number of flips, and largest relative gain and loss of
+/// energy.
 fn turns(text: &str) -> (u32, f64, f64) {
     let settings: RigidSettings = serde_json::from_str(text).expect("settings");
     let settings = RigidSettings {

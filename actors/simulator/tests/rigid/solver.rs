@@ -1,4 +1,4 @@
-//! Rigid bodies against closed forms: free turning, a struck rod, bouncing, rolling, rest.
+//! Rigid bodies against closed forms: free rotation, a struck rod, bouncing, rolling, rest.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_dynamics::rigid_world::Wrench;
@@ -43,7 +43,7 @@ fn ground(body: u32, point: Point3<f64>, depth: f64, friction: f64, restitution:
     }
 }
 
-/// A body that turns about its middle axis: the times at which it flips, and the drift of energy and of momentum.
+/// A body rotating about its intermediate axis: the times at which it flips, and the drift of energy and momentum.
 fn flips(integrator: Integrator, dt: f64, seconds: f64) -> (Vec<f64>, f64, f64) {
     let mass = RigidMass { mass: 1.0, inertia: Vector3::new(1.0, 2.0, 3.0) };
     let mut state = at(0.0, 0.0, 0.0);
@@ -171,7 +171,7 @@ fn a_ball_rolls_down_a_slope_by_five_sevenths_and_slides_without_friction() {
     }
 }
 
-/// Contacts of cubes that stand on each other: the four corners of each lower side.
+/// Contacts of stacked cubes: the four corners of each lower side.
 fn stack_contacts(states: &[RigidState], half: f64) -> Vec<RigidContact> {
     let mut contacts = Vec::new();
     for (index, state) in states.iter().enumerate() {
@@ -208,7 +208,7 @@ fn a_cube_that_slides_or_spins_on_its_corners_is_rubbed_against_its_slip() {
                     + mass.angular_velocity(state).cross(&(contact.point_in_world - state.position));
                 let slip = Vector3::new(slip.x, slip.y, 0.0);
                 let across = Vector3::new(impulse.impulse.x, impulse.impulse.y, 0.0);
-                // Coulomb's law takes as much energy as any friction of its size could (Moreau 1988).
+                // Coulomb's law dissipates as much energy as any friction of its magnitude could (Moreau 1988).
                 let most = friction * impulse.impulse.z * slip.norm();
                 assert!(
                     (across.dot(&slip) + most).abs() < 0.01 * most + 1e-12,
@@ -222,7 +222,7 @@ fn a_cube_that_slides_or_spins_on_its_corners_is_rubbed_against_its_slip() {
             let expected = down * (GRAVITY * (angle.sin() - friction * angle.cos()) * secs);
             assert!((velocity - expected).norm() < 1e-3 * expected.norm(), "{velocity:?}, not {expected:?}");
         } else if angle == 0.0 {
-            // All corners bear the same and are as far from the axis.
+            // All corners bear the same force and are equally far from the axis.
             let slows = friction * GRAVITY * mass.mass * half * 2.0_f64.sqrt() / mass.inertia.z;
             let (left, expected) = (mass.angular_velocity(state).z, spin - slows * secs);
             assert!((left - expected).abs() < 1e-2 * spin, "{left}, not {expected} rad/s");
@@ -258,7 +258,7 @@ fn a_stack_of_cubes_stays_at_rest_and_is_pushed_out_of_the_floor_without_a_jump(
         let height = half + index as f64 * 2.0 * half;
         assert!((state.position.z - height).abs() < 1e-4, "cube {index} at {}", state.position.z);
         let (aside, tilt) = (state.position.coords.xy().norm(), state.rotation.angle());
-        // Pushed out it may give way by as much as it was in, then it stands.
+        // It may move by as much as it penetrated while pushed out, then it is at rest.
         assert!(aside < 2e-4 && tilt < 1e-3, "cube {index}: {aside} m aside, {tilt} rad");
         let crept = (state.position - halfway[index].position).norm();
         assert!(crept < 2e-5, "cube {index} crept {crept} m in a second");

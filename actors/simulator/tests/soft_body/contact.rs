@@ -1,6 +1,5 @@
-//! Soft bodies answer to the collision list: what detectors find of them and a table, of two of them, and of one with itself
-//! keeps them apart, whichever method moves them, and with a detector that is slower than the solver. What one gets the other
-//! loses.
+//! Soft-body contact from the collision list: contacts detected with a table, between two bodies and within one body
+//! keep them apart, for every method, and with a detector slower than the solver. Action and reaction are equal.
 
 use std::sync::Arc;
 
@@ -51,7 +50,7 @@ fn sweeper<C: Controller>(stage: &Stage<C>, every: u32, pair: [&str; 2]) -> Othe
     Other::new(stage, SWEEPER, every, |context| ContinuousController::new(&config, context))
 }
 
-/// Runs for so many milliseconds.
+/// Runs for this many milliseconds.
 fn run<C: Controller>(stage: &mut Stage<C>, others: &mut [Other], ticks: u32) {
     for _ in 0..ticks {
         for other in others.iter_mut() {
@@ -71,7 +70,7 @@ fn span<C: Controller>(stage: &Stage<C>, name: &str) -> [f64; 2] {
     heights.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], z| [low.min(z), high.max(z)])
 }
 
-/// How deep the vertices are within the table that lie well over it.
+/// Penetration of the vertices over the interior of the table.
 fn deepest<C: Controller>(stage: &Stage<C>, name: &str) -> f64 {
     let pose = stage.store.view().world_pose(stage.entity(name));
     let rest = stage.get::<RestPositions>(name).positions;
@@ -105,14 +104,14 @@ fn of_positions() -> String {
     format!("xpbd = {{ matter = {{ cloth = {{ {CLOTH} }} }}, damping = 20.0 }}")
 }
 
-/// A cloth of 2 cm by 2 cm, of vertices as far apart.
+/// A cloth of 2 cm by 2 cm with the same vertex spacing.
 fn small(sheet: &str) -> String {
     sheet.replace("[0.04, 0.04], cells = [8, 8]", "[0.02, 0.02], cells = [4, 4]")
 }
 
 const WEIGHT: f64 = 0.04 * 0.04 * 0.5 * 9.81;
 
-/// What bears it, over some ticks: a cloth that lies never lies quite still.
+/// Its support force, averaged over some ticks: a cloth is never completely at rest.
 fn borne<C: Controller>(stage: &mut Stage<C>, others: &mut [Other], name: &str) -> Vector3<f64> {
     let mut sum = Vector3::zeros();
     for _ in 0..200 {
@@ -122,7 +121,7 @@ fn borne<C: Controller>(stage: &mut Stage<C>, others: &mut [Other], name: &str) 
     sum
 }
 
-/// Something that falls on a table: it comes to rest there, and without a detector it falls through.
+/// A body falling on a table comes to rest there; without a detector it falls through.
 fn comes_to_rest<C: Controller>(
     what: &str,
     every: u32,
@@ -182,7 +181,7 @@ const SOFT: &str = "xpbd = { matter = { volume = { young_modulus = 2e4, poisson_
 const FINITE: &str = "dynamic_fem = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0, mass_damping = 20.0, \
                       stiffness_damping = 0.002 }";
 
-/// A block that falls on a table: it comes to rest on it, and what it weighs is borne.
+/// A block falling on a table comes to rest on it, and the table bears its weight.
 fn block_rests<C: Controller>(
     method: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -202,7 +201,7 @@ fn block_rests<C: Controller>(
     let before = stage.get::<VertexPositions>("body").positions;
     let force = borne(&mut stage, &mut others, "body");
     let after = stage.get::<VertexPositions>("body").positions;
-    // A light corner that friction holds trembles by micrometres, where its matter swings within a step.
+    // A light corner held by friction jitters by micrometres, as its elements oscillate within a step.
     let moved = before.iter().zip(after.iter()).map(|(one, two)| (one - two).norm()).fold(0.0, f64::max);
     assert!(moved < 1e-5, "{method}: it still moves, by {moved} m in 0.2 s");
     let weight = 8e-6 * 1000.0 * 9.81;
@@ -220,7 +219,7 @@ fn soft_blocks_fall_on_a_table_and_lie_on_it() {
     block_rests(FINITE, elements);
 }
 
-/// How far a block goes in 0.2 s down a slope of 17 degrees, whose tangent is 0.31, and how much faster it becomes in a second.
+/// Sliding distance of a block in 0.2 s down a slope of 17 degrees, whose tangent is 0.31, and its acceleration.
 fn down_a_slope<C: Controller>(
     method: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError>,
@@ -247,7 +246,7 @@ fn down_a_slope<C: Controller>(
 fn on_a_slope_it_stays_or_slides_as_friction_says() {
     // The table is level, gravity is not.
     let tilted = Vector3::new(2.9, 0.0, -9.37);
-    // It leans back when it has come to lie.
+    // It leans back once it rests.
     let settles = |damping: f64| if damping > 0.0 { 300 } else { 100 };
     let positions = |friction: f64, damping: f64| {
         let method = SOFT.replace("damping = 20.0", &format!("damping = {damping}, friction = {friction}"));
@@ -267,7 +266,7 @@ fn on_a_slope_it_stays_or_slides_as_friction_says() {
     }
 }
 
-/// Two sheets on a table: the table bears both, whoever moves them.
+/// Two sheets on a table: the table bears both, for every method.
 fn lie_on_each_other<C: Controller>(
     [below, above]: [&str; 2],
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -291,7 +290,7 @@ fn lie_on_each_other<C: Controller>(
     let on_lower = borne(&mut stage, &mut others, "body");
     let on_upper = borne(&mut stage, &mut others, "upper");
     assert!(low < 4e-4 && high < 4e-4 && top < 0.003, "{low} m and {high} m within the table, up to {top} m");
-    // What it gets from the table less what it passes on: each is borne.
+    // Force from the table minus force passed on: its own weight.
     for (force, weight) in [(on_lower, WEIGHT), (on_upper, weight)] {
         assert!((force.z / weight - 1.0).abs() < 0.05, "{} N and {} N", on_lower.z, on_upper.z);
     }
@@ -315,8 +314,8 @@ fn sheets_of_two_controllers_lie_on_each_other() {
     lie_on_each_other([&of_springs(""), &of_positions()], springs, Some(xpbd), true);
 }
 
-/// A sheet of which one half is held and the other, folded over it, falls on the first: it lies there. Without anybody who looks
-/// for that it falls through and hangs.
+/// A sheet with one half held and the other, folded over it, falling on the first: it comes to rest there. Without
+/// self-collision detection it falls through and hangs.
 fn lies_on_itself<C: Controller>(
     method: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -354,7 +353,7 @@ fn a_sheet_that_is_folded_lies_on_itself() {
     lies_on_itself(&of_positions(), xpbd);
 }
 
-/// Linear momentum of a body \[kg·m/s\], and what has been given it and it has not taken yet \[N·s\].
+/// Linear momentum of a body \[kg·m/s\], and impulses not applied to it yet \[N·s\].
 fn momentum<C: Controller>(stage: &Stage<C>, name: &str) -> Vector3<f64> {
     let masses = stage.get::<SoftContacts>(name).masses_inverse;
     let speeds = stage.get::<VertexVelocities>(name).velocities;
@@ -369,7 +368,7 @@ fn in_flight<C: Controller>(stage: &Stage<C>, from: &str, to: &str) -> Vector3<f
     sum(&stage.get::<SoftContacts>(from).given, to) - sum(&stage.get::<SoftContacts>(to).taken, from)
 }
 
-/// Two sheets that meet in free space, one of them at rest.
+/// Two sheets that collide in free space, one of them at rest.
 fn exchange<C: Controller>(
     [first, second]: [String; 2],
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
@@ -414,7 +413,7 @@ fn what_one_gets_the_other_loses() {
     exchange([springs_of.clone(), positions_of.clone()], still, Some(still_xpbd));
 }
 
-/// One row of a list that somebody contributes, as a detector would.
+/// Adds one row to the collision list, as a detector would.
 fn contribute<C: Controller>(stage: &mut Stage<C>, row: Collision) {
     let registry = stage.store.view().registry().clone();
     let mut commands = Commands::new(registry, EntityAllocator::new(0, DETECTOR));

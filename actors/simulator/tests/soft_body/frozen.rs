@@ -1,5 +1,5 @@
-//! What cannot be stops the one body that it is of, at its last good state and with a reason; the others go on, and another
-//! life of the controller keeps it so.
+//! Invalid data freezes only the body concerned, at its last valid state and with a reason; the others continue, and a
+//! restart keeps it frozen.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use trocar_simulator::controller::{
 use trocar_simulator::electrosurgery::ElectrosurgeryState;
 use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 
-/// That 'bad' stands still where it is, with a reason, while 'good' moves; in this life and in the next.
+/// Checks that 'bad' is frozen, with a reason, while 'good' moves; before and after a restart.
 fn stands_still<C: Controller>(stage: &mut Stage<C>, build: Build<C>, says: &str) {
     let frozen = stage.get::<Frozen>("bad");
     assert!(frozen.reason.contains(says), "'{says}' is missing in '{}'", frozen.reason);
@@ -38,7 +38,7 @@ fn stands_still<C: Controller>(stage: &mut Stage<C>, build: Build<C>, says: &str
     assert_eq!(stage.get::<Frozen>("bad"), frozen, "the first reason stays");
 }
 
-/// Somebody writes that the first vertex moves faster than anything can; another life takes that up.
+/// A velocity beyond the limit is written for the first vertex, and a restart reads it.
 fn too_fast<C: Controller>(text: &str, hz: f64, build: Build<C>, says: &str) {
     let mut stage = Stage::new(scene(text), hz, build);
     (0..3).for_each(|_| stage.tick());
@@ -53,7 +53,7 @@ fn too_fast<C: Controller>(text: &str, hz: f64, build: Build<C>, says: &str) {
     stands_still(&mut stage, build, says);
 }
 
-/// The first elements of 'bad' have lost their volume: refused in a first life, frozen in a later one.
+/// The first elements of 'bad' have no volume: rejected on a first start, frozen on a restart.
 fn collapse<C: Controller>(stage: &mut Stage<C>, build: Build<C>) {
     let mut rest = positions(stage, "bad");
     let first = rest[0];
@@ -103,8 +103,8 @@ fn a_soft_body_that_is_too_fast_stops_alone() {
     );
 }
 
-/// Two cloths that fall onto the tip of a rod each; 'bad' is so hard there that a step of 2 ms would make it fly apart, and
-/// takes more parts than there may be.
+/// Two cloths that fall onto the tip of a rod each; 'bad' is so stiff in contact that a step of 2 ms would be unstable
+/// and needs more substeps than allowed.
 #[test]
 fn explicit_springs_for_which_a_step_has_become_too_large_stop_alone_in_that_step() {
     let cloth = |name: &str, x: f64, stiffness: f64| {
@@ -172,7 +172,7 @@ fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_
     }
 }
 
-/// A grasper that holds 'bad' is suddenly where no number for a force is left, as of a tracker that has gone wrong.
+/// A grasper that holds 'bad' jumps to a position at which forces overflow, as after a tracker failure.
 #[test]
 fn a_linear_organ_of_which_a_step_makes_no_number_is_frozen_in_that_step_and_the_other_answers() {
     fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
@@ -195,7 +195,7 @@ fn a_linear_organ_of_which_a_step_makes_no_number_is_frozen_in_that_step_and_the
         + &tool("probe", "probe", 0.1)
         + &tool("grasper", "grasper", 0.0);
     let mut stage = Stage::new(scene(&text), 60.0, build as Build<_>);
-    // It holds the upper face of 'bad', a centimetre and more away: what holds is rigid.
+    // It holds the upper face of 'bad', a centimetre and more away: the grasp is rigid.
     let (top, at) = (positions(&stage, "bad"), stage.get::<Pose>("grasper"));
     let instrument_from_world = at.isometry().inverse();
     let is_up = |vertex: u32| top[vertex as usize].z > 0.0099;
@@ -309,7 +309,7 @@ fn suture(context: &BuildContext<'_>) -> Result<SutureController, ControllerErro
     SutureController::new(GRAVITY, context)
 }
 
-/// That needle and tissue stand still with a reason, and the controller goes on telling so; in this life and in the next.
+/// Needle and tissue are frozen with a reason, and the controller keeps publishing it; before and after a restart.
 fn sewing_stands_still(stage: &mut Stage<SutureController>, says: &str) {
     let at = ["needle", "bad"].map(|name| positions(stage, name));
     for _ in 0..2 {
@@ -361,14 +361,14 @@ fn heat_of_a_body_that_somebody_else_moves_stands_still_in_the_scene() {
         assert_eq!((stage.measured("bad.heat_frozen"), stage.measured("good.heat_frozen")), (1.0, 0.0));
         stage.rebuild(build);
     }
-    // What is only known from an earlier life stays, of a body with which nothing is wrong now.
+    // A freeze known only from before a restart persists, although nothing is wrong with the body now.
     stage.put("good", HeatFrozen { reason: "a step too large".into(), since: stage.now() });
     stage.rebuild(build);
     stage.tick();
     assert_eq!(stage.measured("good.heat_frozen"), 1.0);
 }
 
-/// Two livers 10 cm apart, moved by somebody else, with a hook in 'good' and some in 'bad'.
+/// Two livers 10 cm apart, owned by another controller, with a hook in 'good' and some in 'bad'.
 fn hooked(fine: &str, hooks: usize, power: f64, area: f64) -> Stage<ElectrosurgeryController> {
     let liver = |name: &str, x: f64, cauterised: &str| {
         format!(
@@ -387,7 +387,7 @@ fn hooked(fine: &str, hooks: usize, power: f64, area: f64) -> Stage<Electrosurge
     let good = liver("good", 0.1, "") + &hook("hook.good", 0.1, 10.0, 1e-6);
     let mut stage =
         Stage::new(scene(&(liver("bad", 0.0, fine) + &good + &many)), 100.0, ElectrosurgeryController::new);
-    // A state is kept every tenth time.
+    // A state is saved every tenth time.
     (0..10).for_each(|_| stage.tick());
     assert!(!stage.has::<HeatFrozen>("bad"), "{}", stage.get::<HeatFrozen>("bad").reason);
     let names = (0..hooks).map(|index| format!("hook.{index}")).chain(["hook.good".into()]);
@@ -397,8 +397,8 @@ fn hooked(fine: &str, hooks: usize, power: f64, area: f64) -> Stage<Electrosurge
     stage
 }
 
-/// On cells of 0.05 mm 400 W through a needle's point; more tips in one place than a step takes. (A power that is no number the
-/// scene itself refuses, and temperatures that no tissue has are found when they are read.)
+/// On cells of 0.05 mm 400 W through a needle's point; more tips in one place than a step allows. (The scene itself
+/// rejects a non-finite power, and invalid temperatures are detected when they are read.)
 #[test]
 fn heat_that_a_step_cannot_take_stops_alone_at_its_last_good_state_and_the_other_burns_on() {
     for (fine, hooks, power, area, says) in
@@ -430,8 +430,8 @@ fn heat_that_a_step_cannot_take_stops_alone_at_its_last_good_state_and_the_other
     }
 }
 
-/// Somebody writes numbers that no tissue has into what a later life goes on from: of them every measure would be infinite, and
-/// nothing of the controller's would be in the scene any longer.
+/// Invalid numbers are written to the saved state of heat: every measure would become infinite, and the scene would
+/// lose the controller's outputs.
 #[test]
 fn heat_that_no_tissue_has_is_refused_at_the_start_and_frozen_later_and_the_other_burns_on() {
     let build: Build<_> = ElectrosurgeryController::new;
@@ -443,7 +443,7 @@ fn heat_that_no_tissue_has_is_refused_at_the_start_and_frozen_later_and_the_othe
             Some("excess: value 5 is -1e300, -100000 to 100000 is valid"),
         ),
         (|state| state.ledger.steam = 1e300, Some("ledger: value 2 is 1e300")),
-        // The control: hotter than it should be is still a temperature.
+        // The control: too hot, but still a valid temperature.
         (|state| state.celsius[0] = 300.0, None),
     ];
     for (spoil, says) in spoilt {

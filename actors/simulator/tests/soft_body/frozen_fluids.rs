@@ -1,5 +1,5 @@
-//! What cannot be of vessels, patients, smoke and liquids stops that one alone, with a reason; the others go on, and another life of
-//! the controller keeps it so.
+//! Invalid data of vessels, patients, smoke and liquids freezes only that one, with a reason; the others continue, and
+//! a restart keeps it frozen.
 
 use std::sync::Arc;
 

@@ -1,5 +1,5 @@
-//! What jaws take hold of follows them, whichever method moves the body: from the start of each frame, with what is beside it
-//! drawn along smoothly, until they open.
+//! Vertices grasped by jaws follow them, for every method: from the beginning of each frame, with their neighbourhood
+//! drawn along smoothly, until the jaws open.
 
 use std::cell::Cell;
 
@@ -83,7 +83,7 @@ fn holds<C: Controller>(
         assert_eq!(stage.get::<Grips>("body").picks.of(tool), Some(&pick), "{body}: it holds what it held");
     }
     assert!(off < 1e-4, "{body}: what is held is {off} m from where the jaws have it");
-    // It is drawn along, the less the farther away it is; and everybody is told what it takes.
+    // The neighbourhood is drawn along, less with distance; and the force is published.
     (0..200).for_each(|_| act(&mut stage, now, CLOSED));
     let places = stage.get::<VertexPositions>("body").positions;
     let moved = |node: usize| (places[node] - start[node]).norm();
@@ -106,7 +106,7 @@ fn holds<C: Controller>(
     let told = told.unwrap_or_else(|| panic!("{body}: nobody is told of the grip"));
     let is_line = body.contains("line = {");
     assert_eq!(matches!(told.primitive_b, Primitive::Segment(_)), is_line, "{body}: {:?}", told.primitive_b);
-    // Another life holds it too, and opening lets it go; closed beside it and pushed over it they take nothing.
+    // A restart holds it too, and opening releases it; jaws closed beside it and moved over it grasp nothing.
     stage.rebuild(build);
     act(&mut stage, now, CLOSED);
     assert_eq!(stage.get::<Grips>("body").picks.of(tool), Some(&pick), "{body}: another life holds it");
@@ -157,7 +157,7 @@ fn a_line_is_held_by_every_method() {
     holds(&format!("{LINE}xpbd = {{ matter = {{ rod = {{ {ROD} }} }}, damping = 20.0 }}"), ACROSS, xpbd);
 }
 
-/// A thread that hangs from both its ends: by its weight, and by its stiffness against stretching.
+/// A thread that hangs from both its ends: by its weight, and by its axial stiffness.
 #[test]
 fn a_line_of_springs_hangs_as_a_string_does_and_tells_the_largest_safe_step() {
     let text = format!(
@@ -176,7 +176,7 @@ fn a_line_of_springs_hangs_as_a_string_does_and_tells_the_largest_safe_step() {
     let lowest = -stage.measured("body.lowest_m");
     assert!((lowest / sag - 1.0).abs() < 0.03, "{lowest} m, by hand {sag} m");
     let safe = stage.measured("body.safe_step_s");
-    // Of the stiffest wave on a chain: h √(ρ/EA), with ρ and EA per length, less what damping takes.
+    // From the stiffest wave on a chain: h √(ρ/EA), with ρ and EA per length, reduced by damping.
     let wave = (length / 24.0) * f64::sqrt(2e-3 / axial);
     assert!(safe > 0.3 * wave && safe <= wave, "{safe} s against {wave} s");
     let implicit = text.replace("damping", "method = \"implicit\", damping");

@@ -1,4 +1,4 @@
-//! What all methods of soft bodies share: contacts, grasps, bodies that freeze.
+//! Common behaviour of all soft-body methods: contacts, grasps, frozen bodies.
 
 mod contact;
 mod frozen;

@@ -1,4 +1,4 @@
-//! Picking: who holds what, and that it follows.
+//! Picking: which vertices an instrument holds, and that they follow it.
 
 use crate::support::sheet::follow;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -33,12 +33,12 @@ fn only_what_both_jaws_touch_is_picked_and_opening_lets_it_go() {
     picks.update(&triangles, &points, &[jaws(7, here, [&[6, 4, 5], &[5, 4, 3]])]).expect("heard");
     assert_eq!(picks.of(7).expect("a pick").triangles, [4, 5]);
     assert_eq!((picks.holder(4), picks.holder(6)), (Some(7), None));
-    // Closed on, they do not take more.
+    // While closed, they take no more.
     picks.update(&triangles, &points, &[jaws(7, here, [&[1, 2], &[1, 2]])]).expect("heard");
     assert_eq!(picks.of(7).expect("a pick").triangles, [4, 5]);
     picks.update(&triangles, &points, &[open]).expect("heard");
     assert_eq!(picks, Picks::default());
-    // One jaw alone picks nothing, and an instrument that is gone has let go.
+    // One jaw alone picks nothing, and a removed instrument has released everything.
     let closing = |touched| Jaws { closing: true, ..jaws(7, here, touched) };
     picks.update(&triangles, &points, &[closing([&[1, 2], &[]])]).expect("heard");
     assert_eq!(picks, Picks::default());
@@ -54,12 +54,12 @@ fn jaws_that_have_closed_on_nothing_take_nothing_until_they_open() {
     let here = Isometry3::translation(0.01, 0.02, 0.03);
     let mut picks = Picks::default();
     picks.update(&triangles, &points, &[jaws(7, here, [&[], &[]])]).expect("heard");
-    // Closed, they are pushed into it: both touch, and another life does not forget that they had nothing.
+    // Closed jaws pushed into it: both touch, and a restart keeps the fact that they held nothing.
     let mut picks: Picks =
         serde_json::from_str(&serde_json::to_string(&picks).expect("text")).expect("picks");
     picks.update(&triangles, &points, &[jaws(7, here, [&[4, 5], &[4, 5]])]).expect("heard");
     assert_eq!(picks.of(7), None, "a blunt rod takes nothing");
-    // What closes on it does, and so do they once they have been opened.
+    // Jaws that close on it grasp, and so do those that have been opened once.
     let other = Jaws { closing: true, ..jaws(8, here, [&[1], &[1]]) };
     let open = Jaws { closed: false, ..jaws(7, here, [&[4, 5], &[4, 5]]) };
     picks.update(&triangles, &points, &[open, other]).expect("heard");
@@ -74,7 +74,7 @@ fn what_is_picked_follows_the_instrument_as_a_rigid_body() {
     let after = Isometry3::new(Vector3::new(-0.02, 0.05, 0.01), Vector3::new(-1.3, 0.4, 0.1));
     let mut picks = Picks::default();
     picks.update(&triangles, &points, &[jaws(1, before, [&[4, 5], &[4, 5]])]).expect("heard");
-    // A session that is resumed goes on holding.
+    // A restored session keeps its grasp.
     let picks: Picks = serde_json::from_str(&serde_json::to_string(&picks).expect("text")).expect("picks");
     let led = picks.led(&[jaws(1, after, [&[], &[]])]);
     assert_eq!(led.iter().map(|led| led.vertex).collect::<Vec<_>>(), [4, 5, 6, 7]);
@@ -94,12 +94,12 @@ fn of_two_instruments_the_first_keeps_what_both_want() {
     picks.update(&triangles, &points, &[left, right]).expect("heard");
     assert_eq!(picks.of(1).expect("a pick").triangles, [2, 3, 4]);
     assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
-    // Each vertex is led once, the shared ones by the first.
+    // Each vertex is prescribed once, shared ones by the first instrument.
     let moved = [left, Jaws { pose_in_world: Isometry3::translation(0.0, 0.0, 0.1), ..right }];
     let led = picks.led(&moved);
     assert!(led.windows(2).all(|pair| pair[0].vertex < pair[1].vertex));
     assert!(led.iter().all(|led| (led.position_in_world.z > 0.05) == (led.vertex > 6)), "{led:?}");
-    // When the first lets go, the other keeps its own; closed again, the first finds those taken.
+    // When the first releases, the other keeps its own; closed again, the first finds those taken.
     let open = Jaws { closed: false, ..left };
     picks.update(&triangles, &points, &[open, right]).expect("heard");
     assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
@@ -107,10 +107,10 @@ fn of_two_instruments_the_first_keeps_what_both_want() {
     assert!(picks.of(1).is_none());
 }
 
-/// The whole of it: picked, led by a solver, cut while held, let go.
+/// The whole sequence: picked, moved by a solver, cut while held, released.
 #[test]
 fn a_held_sheet_follows_through_a_solver_and_a_cut() {
-    // Four strips side by side, of which the second is held.
+    // Four adjacent strips, of which the second is held.
     let (row, _) = strip(12);
     let points: Vec<_> = (0..5)
         .flat_map(|j| row.iter().step_by(2).map(move |point| Point3::new(point.x, 0.01 * f64::from(j), 0.0)))

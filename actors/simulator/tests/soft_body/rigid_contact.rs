@@ -1,5 +1,5 @@
-//! Soft and rigid bodies that detectors find in each other: what one gets the other loses, at a mass ratio of 1:100 and a rate
-//! ratio of 10:1 either way, and nothing is made of nothing.
+//! Detected contacts between soft and rigid bodies: action and reaction are equal, at a mass ratio of 1:100 and a rate
+//! ratio of 10:1 either way, and no energy is created.
 
 use std::sync::Arc;
 
@@ -22,9 +22,9 @@ use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 const SOFT: u16 = 9;
 const RIGID: u16 = 10;
 const DETECTOR: u16 = 11;
-/// What momentum may be lost of what was exchanged.
+/// Largest momentum loss relative to the exchanged momentum.
 const MOMENTUM: f64 = 1e-6;
-/// Of a cube of 2 cm \[kg\].
+/// Mass of a cube of 2 cm \[kg\].
 const SOFT_MASS: f64 = 8e-3;
 
 /// The clock of the stage: it does nothing.
@@ -75,7 +75,7 @@ impl Method {
     }
 }
 
-/// A pair of bodies, whoever moves them at which rates.
+/// A pair of bodies with methods and rates.
 struct Pair {
     stage: Stage<Nobody>,
     method: Method,
@@ -83,7 +83,7 @@ struct Pair {
     soft: Other,
     rigid: Other,
     detector: Other,
-    /// What the rigid body told at first.
+    /// Initial inertia published by the rigid body.
     inertia: Option<Inertia>,
 }
 
@@ -101,20 +101,20 @@ fn scene(text: &str) -> Store {
     scene_with(text, |builder| trocar_collision::controller::register(builder).expect("names are free"))
 }
 
-/// What is known of a moment.
+/// Measurements at one time.
 struct Moment {
-    /// Of both and of what is on its way \[N·s\], and how much of it the rigid body has got so far.
+    /// Momentum of both, including impulses in transit \[N·s\], and the part received by the rigid body so far.
     momentum: Vector3<f64>,
     got: Vector3<f64>,
-    /// The same about the origin \[N·m·s\]; of the rigid body and of what is on its way.
+    /// The same about the origin \[N·m·s\]; of the rigid body and of impulses in transit.
     of_rigid: Vector3<f64>,
     given: ImpulseTotals,
-    /// Of both, what is on its way taken already \[J\].
+    /// Energy of both, with impulses in transit applied \[J\].
     energy: f64,
 }
 
 impl Pair {
-    /// Rates as milliseconds that steps take.
+    /// Rates as step durations in milliseconds.
     fn new(text: &str, method: Method, [soft, rigid_every]: [u32; 2], gravity: Vector3<f64>) -> Self {
         let stage = Stage::new(scene(text), 1000.0, |_| Ok(Nobody));
         let soft = method.on(&stage, soft, gravity);
@@ -195,7 +195,7 @@ impl Pair {
     }
 }
 
-/// A soft cube at rest, and a rigid block that comes down on it aside of its middle, slowly sideways.
+/// A soft cube at rest, and a rigid block that falls on it off-centre, slowly sideways.
 fn falls_on(method: Method, mass: f64) -> String {
     format!(
         "[[entity]]\nname = \"body\"\npose = {{ translation = [0.05, 0.0, 0.0] }}\n\
@@ -210,8 +210,8 @@ fn falls_on(method: Method, mass: f64) -> String {
 
 const SPEED: f64 = 0.1;
 
-/// What becomes of a pair: the largest share of momentum that was lost of what was exchanged, and the largest energy of what it
-/// was at first.
+/// Result of a pair: largest momentum loss relative to the exchanged momentum, and largest energy relative to the
+/// initial one.
 struct Outcome {
     lost: f64,
     lost_turning: f64,
@@ -278,7 +278,7 @@ fn what_a_soft_body_gets_of_a_rigid_one_that_one_loses() {
 
 #[test]
 fn impulses_that_get_lost_and_masses_that_are_not_known_are_seen() {
-    // What is on its way when the rigid body begins another life counts as taken.
+    // Impulses in transit when the rigid body restarts count as received.
     let mut has_been_lost = false;
     let lossy = meet(Method::Springs, MASSES[1], [1, 10], &[25, 35, 45, 55], |pair, tick| {
         if [25, 35, 45, 55].contains(&tick) {
@@ -320,7 +320,7 @@ fn either_of_the_two_begins_another_life_without_losing_an_impulse() {
     }
 }
 
-/// A soft cube that is held from below, and a rigid plate a little above it.
+/// A soft cube supported from below, and a rigid plate slightly above it.
 fn lies_on(method: Method, mass: f64) -> String {
     let soft = method.text(20.0).replace("young_modulus = 2e4", "young_modulus = 1e5");
     format!(
@@ -338,7 +338,7 @@ fn a_rigid_plate_comes_to_lie_on_a_soft_cube_that_bears_its_weight() {
     let gravity = Vector3::new(0.0, 0.0, -9.81);
     let mass = 0.005;
     for method in METHODS {
-        // At 100 Hz a light vertex gives way too much to bear it.
+        // At 100 Hz a light vertex is too compliant to bear it.
         for rates in [[1, 1], [1, 10], [2, 1]] {
             let what = format!("{method:?}, {rates:?} ms");
             let mut pair = Pair::new(&lies_on(method, mass), method, rates, gravity);

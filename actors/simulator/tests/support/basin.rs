@@ -4,8 +4,8 @@
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::fluid::{Fluid, FluidConfig};
 
-/// Samples of the inner walls of an open box of that many particles, half a spacing beyond them, and which way they face; the
-/// floor's go on beneath the other walls.
+/// Samples of the inner walls of an open box of this many particles, half a spacing beyond them, and their normals; the
+/// floor's samples extend under the other walls.
 pub fn walls(size: [i32; 3], spacing: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64>>) {
     let [nx, ny, nz] = size;
     let mut samples = Vec::new();
@@ -24,7 +24,7 @@ pub fn walls(size: [i32; 3], spacing: f64) -> (Vec<Point3<f64>>, Vec<Vector3<f64
     samples.into_iter().unzip()
 }
 
-/// Puts a block of so many particles into a corner.
+/// Puts a block of this many particles into a corner.
 pub fn fill(fluid: &mut Fluid, size: [i32; 3], spacing: f64) {
     let [nx, ny, nz] = size;
     for (i, j, k) in (0..nx).flat_map(|i| (0..ny).flat_map(move |j| (0..nz).map(move |k| (i, j, k)))) {
@@ -45,7 +45,7 @@ pub fn tank(size: [i32; 3], liquid: [i32; 3], spacing: f64, config: FluidConfig)
     fluid
 }
 
-/// A tank along whose walls liquid slides freely.
+/// A tank with frictionless walls.
 pub fn smooth_tank(size: [i32; 3], liquid: [i32; 3], spacing: f64, config: FluidConfig) -> Fluid {
     let mut fluid = tank(size, liquid, spacing, config);
     fluid.set_wall_normals(&walls(size, spacing).1).expect("one for each");

@@ -1,5 +1,5 @@
-//! The beam of the reference: 0.1 × 0.02 × 0.02 m, E 1e5 Pa, ν 0.3, ρ 1000 kg/m³, clamped at x = 0, pulled down by 0.01 N
-//! spread evenly over its end.
+//! The reference beam: 0.1 × 0.02 × 0.02 m, E 1e5 Pa, ν 0.3, ρ 1000 kg/m³, clamped at x = 0, loaded downwards by 0.01 N
+//! distributed evenly over its end.
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -8,7 +8,7 @@ use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 /// Length and width \[m\].
 pub const SIZE: [f64; 3] = [0.1, 0.02, 0.02];
 
-/// The mesh of a beam of so many cells.
+/// The mesh of a beam with this many cells.
 pub fn mesh(cells: [usize; 3]) -> TetMesh {
     let grid = BoxCells { cells, size: SIZE.into(), origin: Point3::origin() };
     let (nodes, tets) = box_cells(&grid);
@@ -40,7 +40,7 @@ pub fn end_traction(mesh: &TetMesh) -> Vec<Vector3<f64>> {
     forces
 }
 
-/// Mean deflection over the area of the end \[m\], downwards: what the traction works on.
+/// Mean deflection over the end face \[m\], downwards: the work-conjugate of the traction.
 pub fn end_deflection(mesh: &TetMesh, displacements: &[Vector3<f64>]) -> f64 {
     end_traction(mesh).iter().zip(displacements).map(|(force, u)| force.dot(u)).sum::<f64>() / 0.01
 }

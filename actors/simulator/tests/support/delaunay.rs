@@ -1,9 +1,9 @@
-//! Delaunay's tetrahedra of points at random (Bowyer 1981, Watson 1981): each point opens the tetrahedra whose circumspheres
-//! it lies in. In f64, for points in general position.
+//! Delaunay tetrahedra of random points (Bowyer 1981, Watson 1981): each point opens the tetrahedra whose circumspheres
+//! contain it. In f64, for points in general position.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-/// The sphere through the corners: its middle, and the square of its radius.
+/// The circumsphere of a tetrahedron: its centre, and its squared radius.
 fn circumsphere(points: &[Point3<f64>], tet: [u32; 4]) -> Option<(Point3<f64>, f64)> {
     let [a, b, c, d] = tet.map(|node| points[node as usize]);
     let edges = [b - a, c - a, d - a];
@@ -18,7 +18,7 @@ fn volume(points: &[Point3<f64>], tet: [u32; 4]) -> f64 {
     (b - a).cross(&(c - a)).dot(&(d - a)) / 6.0
 }
 
-/// Positively oriented tetrahedra that fill the hull of the points, up to what is thin at its border.
+/// Positively oriented tetrahedra that fill the convex hull of the points, except for thin gaps at its border.
 ///
 /// # Panics
 /// When points are not in general position.

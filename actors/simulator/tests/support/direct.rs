@@ -1,4 +1,4 @@
-//! Linear elements solved directly in f64: what tests compare with.
+//! Linear elements solved directly in f64, as a reference for tests.
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::Vector3;
@@ -47,7 +47,7 @@ pub fn direct(
     numbers.iter().map(of).collect()
 }
 
-/// The same where the fixed nodes are displaced by a field and `loads` act: displacements of all nodes.
+/// The same with the fixed nodes displaced by a field, and with `loads`: displacements of all nodes.
 pub fn displaced(
     mesh: &TetMesh,
     material: &Elastic,
@@ -63,7 +63,7 @@ pub fn displaced(
         if numbers[node as usize].is_none() { field(node) } else { Vector3::zeros() }
     };
     let mut displacements: Vec<_> = (0..total as u32).map(on_fixed).collect();
-    // Forces of the displaced boundary on the inside: −K_ib u_b.
+    // Forces of the displaced boundary on the interior: −K_ib u_b.
     let mut forces = vec![Vector3::zeros(); total];
     whole.multiply(&displacements, &mut forces);
     forces.iter_mut().zip(loads).for_each(|(force, load)| *force = load - *force);

@@ -1,4 +1,4 @@
-//! Two bodies alike, of which one goes wrong.
+//! Two identical bodies, of which one is to fail.
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::{Point3, Vector3};
@@ -11,7 +11,7 @@ pub const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 /// How a controller is built.
 pub type Build<C> = fn(&BuildContext<'_>) -> Result<C, ControllerError>;
 
-/// Two bodies alike, of a mesh and a kind.
+/// Two identical bodies of a mesh and a kind.
 pub fn two(mesh: &str, kind: &str) -> String {
     ["good", "bad"]
         .map(|name| format!("[[entity]]\nname = \"{name}\"\nmesh = {{ {mesh} }}\n{kind}\n"))

@@ -1,4 +1,4 @@
-//! What several of the tests share.
+//! Code shared by several tests.
 
 pub mod basin;
 pub mod beam;

@@ -1,11 +1,11 @@
-//! Springs that follow a sheet.
+//! Springs updated after cuts of their sheet.
 
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_simulator::cutting::{Sheet, TopologyChange};
 use trocar_simulator::mass_spring::{Followed, MassSpring, Patch, SurfaceMaterial};
 
-/// Brings a solver of springs up to date with the sheet that it moves.
+/// Updates a spring solver to a changed sheet.
 pub fn follow(
     solver: &mut MassSpring,
     sheet: &Sheet,

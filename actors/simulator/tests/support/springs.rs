@@ -1,4 +1,4 @@
-//! Meshes, materials and methods that tests of masses and springs share.
+//! Meshes, materials and methods shared by mass-spring tests.
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::{Point3, Vector3};

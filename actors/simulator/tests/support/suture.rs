@@ -1,4 +1,4 @@
-//! Blocks of tissue, needles and jaws that tests of sewing share.
+//! Blocks of tissue, needles and jaws shared by suturing tests.
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -41,7 +41,7 @@ pub fn tissue(block: (TetMesh, Vec<u32>)) -> Tissue {
     tissue_of(block, YOUNG)
 }
 
-/// Of another Young's modulus \[Pa\].
+/// With another Young's modulus \[Pa\].
 pub fn tissue_of((mesh, fixed): (TetMesh, Vec<u32>), young: f64) -> Tissue {
     Tissue::new(mesh, &Elastic::new(young, 0.4).expect("a material"), &fixed).expect("tissue")
 }
@@ -51,12 +51,13 @@ pub fn pad() -> (TetMesh, Vec<u32>) {
     block([0.024, 0.020, 0.012], [8, 6, 4], [-0.012, -0.010, -0.012])
 }
 
-/// All but straight: 40 mm, tip first.
+/// Almost straight: 40 mm, tip first.
 pub fn straight() -> NeedleShape {
     NeedleShape { radius: 5.0, angle: 0.008, wire_radius: 3e-4, taper: 5e-3, density: 7900.0 }
 }
 
-/// `world_from_needle` that brings the tip to `tip` with its tangent along `ahead`, the arc's plane across `side`.
+/// `world_from_needle` with the tip at `tip`, its tangent along `ahead`, and the normal of the arc's plane along
+/// `side`.
 pub fn pose(
     shape: &NeedleShape,
     tip: Point3<f64>,
@@ -75,7 +76,7 @@ pub fn pose(
     Isometry3::from_parts(Translation3::from(translation), rotation)
 }
 
-/// Jaws that give way by a tenth of a millimetre under ten newtons, and hold anything.
+/// Jaws with a compliance of a tenth of a millimetre per ten newtons, and without a force limit.
 pub fn jaws(shape: &NeedleShape, along: f64, from: Isometry3<f64>, to: Isometry3<f64>) -> Grip {
     Grip {
         point: shape.solid().expect("a needle").point(along),
@@ -88,13 +89,13 @@ pub fn jaws(shape: &NeedleShape, along: f64, from: Isometry3<f64>, to: Isometry3
     }
 }
 
-/// A needle without a thread at rest.
+/// A needle without thread, at rest.
 pub fn bare(shape: &NeedleShape, at: &Isometry3<f64>, resistance: Resistance, tissue: Tissue) -> Suture {
     let state = SutureState::new(NeedleState::at_rest(at), None);
     Suture::new(shape, None, resistance, tissue, state).expect("a suture")
 }
 
-/// A needle with a straight thread of so many edges behind its tail.
+/// A needle with a straight thread of this many edges behind its tail.
 pub fn threaded(
     shape: &NeedleShape,
     at: &Isometry3<f64>,
@@ -113,14 +114,14 @@ pub fn threaded(
     suture
 }
 
-/// Far below everything.
+/// Far below everything else.
 pub fn nowhere() -> Tissue {
     tissue(block([0.01, 0.01, 0.01], [1, 1, 1], [0.0, 0.0, -10.0]))
 }
 
 /// Young's modulus \[Pa\]: skin, 0.1 to 1 MPa.
 pub const SKIN: f64 = 5e5;
-/// How far from the middle the thread goes in and out, and how deep it goes \[m\].
+/// Distance of entry and exit from the middle, and depth of the thread \[m\].
 const HOLE: f64 = 4.5e-3;
 const DEEP: f64 = 4e-3;
 
@@ -132,8 +133,8 @@ pub fn wound() -> (TetMesh, Vec<u32>) {
     ])
 }
 
-/// Skin with a wound, and a thread that goes through both of its edges and is tied loosely over it by throws of as many half
-/// turns.
+/// Skin with a wound, and a thread that passes through both of its edges and is tied loosely over it by throws with
+/// these half turns.
 pub fn stitch(half_turns: &[i32], friction: f64) -> Suture {
     let tissue = tissue_of(wound(), SKIN);
     let resistance = Resistance::default();
@@ -161,7 +162,7 @@ pub fn stitch(half_turns: &[i32], friction: f64) -> Suture {
     let turn = UnitQuaternion::rotation_between(&-solid.tangent(0.0), &back).expect("a turn");
     state.needle =
         NeedleState::at_rest(&Isometry3::from_parts((nodes[0] - turn * solid.point(0.0)).into(), turn));
-    // Arc lengths at which the thread is in the tissue: below its top, and within one of its edges.
+    // Arc lengths at which the thread is in the tissue: below its top, and within one of the wound's edges.
     let mut arc = vec![0.0];
     for pair in nodes.windows(2) {
         arc.push(arc[arc.len() - 1] + (pair[1] - pair[0]).norm());

@@ -1,4 +1,4 @@
-//! A bend of two strands tied by throws, tightened and loaded: what the tests and the trial of knots have in common.
+//! A bend of two strands tied by throws, tightened and loaded: shared by the tests and the trial program of knots.
 
 #![allow(dead_code, reason = "each program uses a part")]
 
@@ -8,17 +8,18 @@ use nalgebra::{Point3, Vector3};
 use trocar_collision::primitive::closest_segments;
 use trocar_simulator::suture_thread::{Hold, Surroundings, Thread, ThreadReport};
 
-/// Between the knot and where its loop is pulled \[m\].
+/// Distance between the knot and where its loop is pulled \[m\].
 const ARM: f64 = 6e-3;
-/// Of an unloaded hand \[m/s\].
+/// Speed of an unloaded hand \[m/s\].
 const SPEED: f64 = 0.05;
-/// Of the ends beyond the last throw \[m\].
+/// Length of the ends beyond the last throw \[m\].
 const EAR: f64 = 5e-3;
-/// What keeps the slack loop hanging below the knot, as whatever it is tied around does: stiffness \[N/m\] and most of it
-/// \[N\], of which each arm of the knot feels a hundredth of its load. Free, the loop swings up between the ears.
+/// Spring that keeps the slack loop hanging below the knot, in place of the object that it is tied around: stiffness
+/// \[N/m\] and force limit \[N\], a hundredth of the load on each arm of the knot. Otherwise the loop swings up between
+/// the ears.
 const BIGHT: [f64; 2] = [20.0, 0.05];
 
-/// A line resampled at even distances, ends included.
+/// A polyline resampled at even spacing, end points included.
 pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
     let total: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     let count = (total / spacing).round().max(1.0) as usize;
@@ -36,8 +37,8 @@ pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
     even
 }
 
-/// How near to each other the centre lines of two strands are at least, and which edges they are \[m\]. Edges nearer along
-/// the thread than half a turn of its tightest bend are the same strand.
+/// Least distance between centre lines of two strands, and their edges \[m\]. Edges nearer along the thread than half a
+/// turn of its tightest bend belong to the same strand.
 pub fn nearest_strands(points: &[Point3<f64>], radius: f64) -> (f64, [usize; 2]) {
     let mut arcs = vec![0.0];
     for pair in points.windows(2) {
@@ -59,9 +60,9 @@ pub fn nearest_strands(points: &[Point3<f64>], radius: f64) -> (f64, [usize; 2])
     least
 }
 
-/// Throws of so many half turns each, tied loosely with the two ends of a loop, the loop long and slack.
+/// Throws with these half turns, tied loosely with the two ends of a loop, which is long and slack.
 pub fn loose_knot(turns: &[i32], radius: f64, spacing: f64) -> Vec<Point3<f64>> {
-    // Strands about each other at one and a half diameters.
+    // Strands of a throw at a distance of one and a half diameters.
     let circle = 1.5 * radius;
     let half = 4.0 * circle;
     let level_height = 6.0 * circle;
@@ -110,7 +111,7 @@ pub fn loose_knot(turns: &[i32], radius: f64, spacing: f64) -> Vec<Point3<f64>> 
     points
 }
 
-/// A knot on the bench: pulled at four ends to tighten it, then at the loop alone.
+/// A knot on the test bench: pulled at four ends to tighten it, then at the loop alone.
 pub struct Bend {
     pub thread: Thread,
     /// Where the loop is pulled.
@@ -120,7 +121,7 @@ pub struct Bend {
 }
 
 impl Bend {
-    /// Of a thread made by [`loose_knot`].
+    /// From a thread made by [`loose_knot`].
     pub fn new(thread: Thread) -> Self {
         let points = thread.positions();
         let widest = |sign: f64| {
@@ -140,7 +141,7 @@ impl Bend {
         Self { thread, arms, bight }
     }
 
-    /// Between the arms \[m\].
+    /// Distance between the arms \[m\].
     pub fn span(&self) -> f64 {
         (self.thread.positions()[self.arms[1]] - self.thread.positions()[self.arms[0]]).norm()
     }
@@ -150,13 +151,13 @@ impl Bend {
         self.bight.0
     }
 
-    /// Nodes have other numbers now.
+    /// Renumbers its nodes.
     pub fn renumber(&mut self, now: impl Fn(usize) -> usize) {
         self.arms = self.arms.map(&now);
         self.bight.0 = now(self.bight.0);
     }
 
-    /// Goes on for a time; `pull` gives the forces at the loop and at the ears.
+    /// Advances for a time; `pull` gives the forces at the loop and at the ears.
     pub fn steps(
         &mut self,
         seconds: f64,
@@ -177,7 +178,7 @@ impl Bend {
                 (0, side(0), forces[1]),
                 (last, side(last), forces[1]),
             ];
-            // A hand gives way as it moves: all of its force at rest, none at its speed.
+            // The hand's force decreases linearly with its speed: full at rest, zero at its free speed.
             let [a, b, c, d] = ends.map(|(node, side, force)| Hold {
                 node,
                 to: self.thread.positions()[node] + Vector3::x() * (side * SPEED * dt),
@@ -201,7 +202,7 @@ impl Bend {
         self.steps(seconds, dt, |time| [force * (time / ramp).min(1.0).powi(2); 2], |_, _, _| {})
     }
 
-    /// Lets go of the ears and pulls the loop with `force` \[N\]; how far the loop has grown is told every tenth.
+    /// Releases the ears and pulls the loop with `force` \[N\]; reports the growth of the loop every tenth.
     pub fn load(
         &mut self,
         force: f64,

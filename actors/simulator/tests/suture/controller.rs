@@ -1,5 +1,5 @@
-//! The controller of sewing on a scene: a needle driver drives a needle along its arc through a pad, a second instrument
-//! takes the tip and draws the thread through.
+//! The suture controller on a scene: a needle driver drives a needle along its arc through a pad, a second instrument
+//! grasps the tip and draws the thread through.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
@@ -11,12 +11,12 @@ use trocar_simulator::controller::{SewnTissue, SutureController, SutureNeedle};
 use trocar_simulator::suture::needle::Solid;
 
 const HZ: f64 = 500.0;
-/// Turn of the needle about the centre of its arc in a tick \[rad\].
+/// Rotation of the needle about the centre of its arc per tick \[rad\].
 const TURN: f64 = 4e-3;
-/// Height of that over the pad \[m\].
+/// Height of that centre over the pad \[m\].
 const HEIGHT: f64 = 3e-3;
 
-/// Text of the scene; the needle's tip stands a tenth of a millimetre over the pad.
+/// Text of the scene; the needle's tip is a tenth of a millimetre above the pad.
 fn text(sewn: &str) -> String {
     let radius = 0.026 / std::f64::consts::PI;
     let sin = (1e-4 - HEIGHT) / radius;
@@ -54,20 +54,21 @@ fn build(context: &BuildContext<'_>) -> Result<SutureController, ControllerError
     SutureController::new(Vector3::new(0.0, 0.0, -9.81), context)
 }
 
-/// The needle as the scene begins with it.
+/// The needle at the beginning of the scene.
 fn needle(stage: &Stage<SutureController>) -> (Solid, Isometry3<f64>) {
     let kind: SutureNeedle = stage.get("needle");
     (kind.shape().solid().expect("a needle"), kind.pose().expect("a pose"))
 }
 
-/// The world, turned about the centre of the arc so that the needle goes ahead.
+/// A rotation of the world about the centre of the arc, which advances the needle.
 fn turned(angle: f64) -> Isometry3<f64> {
     let center = Vector3::new(0.0, 0.3e-3, HEIGHT);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);
     Isometry3::from_parts(Translation3::from(center - turn * center), turn)
 }
 
-/// An instrument across the plane of the arc that has a place of the needle between its jaws, before the needle turns.
+/// An instrument perpendicular to the plane of the arc, with a point of the needle between its jaws before the needle
+/// rotates.
 fn across(stage: &Stage<SutureController>, along: f64) -> Isometry3<f64> {
     let (solid, pose) = needle(stage);
     let at = pose * solid.point(along);
@@ -83,7 +84,7 @@ fn jaws(angle: f64) -> JawState {
     JawState { angle, rate: 0.0, pad_force: [0.0; 2] }
 }
 
-/// On a scene with the driver's jaws about the needle's tail.
+/// A stage with the driver's jaws around the needle's tail.
 fn set(sewn: &str, angle: f64) -> (Stage<SutureController>, Isometry3<f64>) {
     let mut stage = Stage::new(scene(&text(sewn)), HZ, build);
     let hold = across(&stage, 0.05 * 0.026);
@@ -129,10 +130,10 @@ fn a_needle_is_driven_through_and_its_thread_drawn_after_it() {
     assert!((stage.measured("needle.punctured_at_n") - 0.3).abs() < 1e-9);
     let off = stage.measured("needle.exit_off_plan_m");
     assert!(off < 1.5e-3, "comes out {off} m from where it was to");
-    // The hand feels what the tissue does.
+    // The hand feels the tissue's force.
     assert!((0.1..3.0).contains(&largest), "{largest} N");
 
-    // The other takes the tip, the driver lets go, and thread follows the needle.
+    // The other one grasps the tip, the driver releases, and the thread follows the needle.
     let take = turned(at) * across(&stage, 0.95 * 0.026);
     stage.put("grasper", Pose::from(take));
     stage.tick();
@@ -189,7 +190,7 @@ fn scissors_cut_the_thread_behind_the_tissue_and_the_needle_draws_it_no_longer()
             }
         };
         up(&mut stage, 0, 200);
-        // The middle of the thread between the swage and where it comes out, upright; blades along y to either side of it.
+        // The middle of the thread between swage and exit, vertical; blades along y on either side of it.
         let line = stage.get::<VertexPositions>("needle").positions;
         let out = line[24..].iter().position(|point| point.z < 2e-4).expect("it goes in");
         let middle = line[24 + out / 2];
@@ -237,7 +238,7 @@ fn open_jaws_and_a_skin_that_does_not_give_let_nothing_in() {
     drive(&mut hard, "driver", &hold, 0.0, 100);
     assert_eq!((hard.measured("needle.entries"), hard.measured("needle.held_by")), (0.0, 1.0));
     assert!(felt(&hard, "driver") > 0.3, "{} N", felt(&hard, "driver"));
-    // Pressed in so far, an element turns or is strained by more than linear elasticity bears: that is told, once.
+    // At this depth, an element exceeds the rotation or strain limit of linear elasticity: that is reported, once.
     assert!(!open.has::<OutOfValidity>("pad") && open.measured("needle.tissue_strain_max") < 1e-3);
     let doubt = hard.get::<OutOfValidity>("pad");
     assert!(doubt.reason.contains("linear elasticity misleads"), "{}", doubt.reason);

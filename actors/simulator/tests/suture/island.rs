@@ -1,5 +1,5 @@
-//! Thread in tissue: it stays where friction holds it, slides beyond, draws a wound together, and takes from the tissue
-//! what it gives to it.
+//! Thread in tissue: it sticks up to the friction limit, slides beyond, pulls a wound together, and action and reaction
+//! with the tissue are equal.
 
 use crate::support::suture::*;
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -11,17 +11,17 @@ use trocar_simulator::suture::{
 use trocar_simulator::suture_thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
 const DT: f64 = 1e-3;
-/// Young's modulus of what two newtons do not tear \[Pa\]: skin, 0.1 to 1 MPa.
+/// Young's modulus of tissue that two newtons do not tear \[Pa\]: skin, 0.1 to 1 MPa.
 const SKIN: f64 = 5e5;
-/// Between nodes of the thread \[m\].
+/// Distance between nodes of the thread \[m\].
 const EDGE: f64 = 1e-3;
 
-/// A needle far off, with a thread along a line: through `bites` in a tissue, each from one share of the line's length to
-/// another \[m\].
+/// A needle far away, with a thread along a polyline: through `bites` in a tissue, each an interval of arc length
+/// \[m\].
 fn sewn(line: &[Point3<f64>], bites: &[[f64; 2]], resistance: Resistance, tissue: Tissue) -> Suture {
     let shape = NeedleShape::half_circle_26();
     let solid = shape.solid().expect("a needle");
-    // Points of the line at a distance from its beginning, which is the needle's tail.
+    // Points of the polyline by arc length from its beginning, the needle's tail.
     let at = |distance: f64| {
         let mut left = distance;
         for pair in line.windows(2) {
@@ -38,7 +38,7 @@ fn sewn(line: &[Point3<f64>], bites: &[[f64; 2]], resistance: Resistance, tissue
     let nodes: Vec<_> = (0..=(length / EDGE) as usize).map(|i| at(i as f64 * EDGE)).collect();
     let mut state =
         SutureState::new(NeedleState::at_rest(&Isometry3::identity()), Some(ThreadState::at_rest(&nodes)));
-    // The needle's tail where the thread begins, in its line.
+    // The needle's tail at the beginning of the thread, along its tangent.
     let back = (nodes[1] - nodes[0]).normalize();
     let turn = nalgebra::UnitQuaternion::rotation_between(&-solid.tangent(0.0), &back).expect("a turn");
     let place = nodes[0] - turn * solid.point(0.0);
@@ -76,7 +76,7 @@ fn sewn(line: &[Point3<f64>], bites: &[[f64; 2]], resistance: Resistance, tissue
     suture
 }
 
-/// Jaws that hold the needle where it is.
+/// Jaws that hold the needle at its position.
 fn held(suture: &Suture) -> [trocar_simulator::suture::Grip; 1] {
     let pose = suture.state().needle.pose();
     [jaws(suture.solid().shape(), 0.5 * suture.solid().shape().length(), pose, pose)]
@@ -96,7 +96,7 @@ fn pull(suture: &mut Suture, force: f64, steps: usize) -> SutureReport {
     let last = suture.state().thread.as_ref().expect("a thread").positions.len() - 1;
     let mut report = SutureReport::default();
     let loads = [Load { node: last, force: Vector3::new(-force, 0.0, 0.0) }];
-    // The needle is let go of: nothing but the tissue holds the thread.
+    // The needle is released: only the tissue holds the thread.
     for step in 0..steps {
         report = suture
             .step(DT, &StepInputs { loads: &loads, ..StepInputs::default() })
@@ -110,7 +110,7 @@ fn friction_holds_a_thread_at_rest_and_lets_it_slide_beyond_its_limit() {
     let resistance = Resistance { thread_grip: 30.0, thread_friction: 0.0, ..Resistance::default() };
     let limit = 30.0 * 0.012;
     let mut suture = through_a_pad(resistance);
-    // The needle that hangs on it swings; it is caught, twice, so that it does not tug.
+    // The needle swings on the thread; it is stopped twice, so that it does not jerk.
     for _ in 0..2 {
         pull(&mut suture, 0.8 * limit, 400);
         let mut state = suture.state().clone();
@@ -121,7 +121,7 @@ fn friction_holds_a_thread_at_rest_and_lets_it_slide_beyond_its_limit() {
             .expect("a suture");
     }
     pull(&mut suture, 0.8 * limit, 200);
-    // It still swings a little; what it sticks to does not move by that, only by sliding.
+    // It still swings slightly; that moves the sticking points only by sliding.
     let places = |suture: &Suture| suture.state().channel.iter().map(|point| point.stuck).collect::<Vec<_>>();
     let tail = |suture: &Suture| {
         suture.state().thread.as_ref().expect("a thread").positions.last().expect("nodes").x
@@ -129,12 +129,13 @@ fn friction_holds_a_thread_at_rest_and_lets_it_slide_beyond_its_limit() {
     let (before, end) = (places(&suture), tail(&suture));
     let report = pull(&mut suture, 0.8 * limit, 1500);
     let crept = before.iter().zip(places(&suture)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    // A tenth of a millimetre a minute is what a knot may creep.
+    // A knot may creep by a tenth of a millimetre per minute.
     assert!(crept < 2.5e-6, "creeps by {crept} m");
     let tail_crept = (tail(&suture) - end).abs();
     assert!(tail_crept < 2e-6, "swings by {tail_crept} m");
     assert!((report.drag - 0.8 * limit).abs() < 5e-3 * limit, "{} N", report.drag);
-    // A fifth more than it can hold: it runs out, a centimetre in four milliseconds, and drags with its grip over the channel as it is drawn out.
+    // A fifth above the friction limit: the thread runs out, a centimetre in four milliseconds, with the grip friction
+    // of the remaining channel.
     let report = pull(&mut suture, 1.2 * limit, 4);
     let sliding = 30.0 * report.length_inside;
     assert!((sliding / limit - 1.0).abs() < 0.1, "{sliding} of {limit} N");
@@ -158,8 +159,8 @@ fn without_friction_a_thread_is_drawn_through_and_out() {
     assert!(report.drag < 1e-9 && suture.state().channel[0].along - before > 1e-3);
 }
 
-/// Goes on until no place of the tissue has anything in it, with a force along x on a node of the thread; how often something
-/// was said to be through.
+/// Runs until the channels are empty, with a force along x on a node of the thread; returns the number of pass-through
+/// events.
 fn drawn_out(suture: &mut Suture, node: usize, force: f64) -> usize {
     let loads = [Load { node, force: Vector3::new(force, 0.0, 0.0) }];
     let mut through = 0;
@@ -182,7 +183,7 @@ fn a_thread_that_is_cut_stays_in_the_tissue_by_friction_and_is_drawn_out_to_eith
     for to_the_end in [true, false] {
         let mut suture = through_a_pad(resistance);
         let whole = suture.state().clone();
-        // Between 24 mm and 36 mm it is in the tissue: no blade gets at it there.
+        // Between 24 mm and 36 mm it is in the tissue, where no blade can cut it.
         for edge in [24, 30, 35] {
             assert_eq!(suture.cut_thread(CutAt { edge, share: 0.5 }), Ok(None), "{edge}");
         }
@@ -191,7 +192,7 @@ fn a_thread_that_is_cut_stays_in_the_tissue_by_friction_and_is_drawn_out_to_eith
         let now = |node: usize| parted.nodes[node].expect("there") as usize;
         assert_eq!(suture.state().channel.len(), whole.channel.len());
         let nodes = whole.thread.as_ref().expect("a thread").positions.len();
-        // The end beyond the pad, or that which has been cut.
+        // The end beyond the pad, or the cut end.
         let (node, sign) = if to_the_end { (now(nodes - 1), -1.0) } else { (now(13), 1.0) };
         let place = |suture: &Suture| suture.state().thread.as_ref().expect("a thread").positions[node].x;
         let loads = [Load { node, force: Vector3::new(0.8 * limit * sign, 0.0, 0.0) }];
@@ -203,12 +204,12 @@ fn a_thread_that_is_cut_stays_in_the_tissue_by_friction_and_is_drawn_out_to_eith
                 begin = place(&suture);
             }
         }
-        // Nothing hangs on it any longer: once the tissue has given way it stays.
+        // Nothing pulls on it any longer: it stays once the tissue has relaxed.
         assert!((place(&suture) - begin).abs() < 5e-6, "{} m", place(&suture) - begin);
         assert!((report.drag - 0.8 * limit).abs() < 0.01 * limit, "{} N", report.drag);
         assert_eq!(drawn_out(&mut suture, node, 1.2 * limit * sign), 1, "to the end: {to_the_end}");
         assert!(suture.state().channel.is_empty());
-        // The needle fell with what it keeps of the thread, and nothing else.
+        // The needle fell with its piece of the thread, and nothing else.
         let thread = suture.state().thread.as_ref().expect("a thread");
         let pieces: Vec<_> = thread.threads().collect();
         assert_eq!(pieces.len(), 2);
@@ -226,8 +227,8 @@ fn a_thread_that_is_cut_stays_in_the_tissue_by_friction_and_is_drawn_out_to_eith
     }
 }
 
-/// Two edges of a wound, 6 mm of tissue each and 3 mm between them; the thread goes in on top of one and out on top of the
-/// other, 4 mm deep.
+/// Two wound edges, 6 mm of tissue each and 3 mm apart; the thread enters on top of one and leaves on top of the other,
+/// 4 mm deep.
 fn wound(resistance: Resistance) -> Suture {
     let blocks = tissue_of(
         blocks(&[
@@ -253,7 +254,7 @@ fn wound(resistance: Resistance) -> Suture {
     sewn(&line, &bites, resistance, blocks)
 }
 
-/// Between the middles of the two edges of the wound, at the surface \[m\].
+/// Distance between the middles of the two wound edges, at the surface \[m\].
 fn gap(suture: &Suture) -> f64 {
     let tissue = suture.tissue();
     let at = |x: f64| {
@@ -292,17 +293,17 @@ fn a_thread_pulled_with_two_newtons_draws_the_wound_together() {
             earlier = gap(&suture);
         }
     }
-    // What load and jaws gave went into the tissue, or is in thread and needle, or was left to the air.
+    // The impulses of load and jaws went into the tissue, are in thread and needle, or were lost to air drag.
     let left = given - taken - (momentum(&suture) - begin) - weight;
     assert!(left.norm() < 1e-6 * exchanged, "{} of {exchanged} N·s", left.norm());
-    // And the tissue has it: its own stiffness answers with the same force.
+    // The tissue's own stiffness confirms the same force.
     let inside = suture.tissue().forces().iter().map(|(_, force)| *force).sum::<Vector3<f64>>();
     let channel: Vector3<f64> = suture.state().channel.iter().map(|point| -point.force).sum();
     assert!((inside - channel).norm() < 1e-9 * channel.norm());
     assert!(largest < 5e-3, "{largest} m");
     let after = gap(&suture);
     assert!(after > 0.0 && after < before - 5e-4, "{after} m after {before} m");
-    // It stands: what was at its limit when the load came to its end has given way here and there, and by now holds.
+    // At rest: points at their friction limit at the end of loading have slipped here and there, and hold by now.
     assert!((after - earlier).abs() < 0.02 * (before - after), "{after} m after {earlier} m");
 }
 
@@ -321,7 +322,7 @@ fn of_thread(suture: &Suture) -> Vector3<f64> {
         .sum()
 }
 
-/// The air's drag on the thread \[N\], of which it takes momentum.
+/// Air drag on the thread \[N\], which removes momentum.
 fn dragged(suture: &Suture) -> Vector3<f64> {
     of_thread(suture) * -ThreadMaterial::silk_2_0().drag
 }
@@ -366,7 +367,7 @@ fn what_makes_no_sense_is_refused_and_changes_nothing() {
     );
     let loads = [Load { node: 5000, force: Vector3::zeros() }];
     assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
-    // So hard that no step is found: all is as it was.
+    // Too stiff for any step to converge: the state is unchanged.
     let loads = [Load { node: 60, force: Vector3::new(0.0, 0.0, 1e9) }];
     assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
     assert_eq!(*suture.state(), before);

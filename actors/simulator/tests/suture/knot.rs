@@ -1,5 +1,5 @@
-//! A stitch on a scene: a sewn thread that lies in throws over a wound has short edges there, is told its knot, and goes on
-//! in another life.
+//! A stitch on a scene: a sutured thread with throws over a wound is refined there, its knot is classified, and it
+//! continues after a restart.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ fn build(context: &BuildContext<'_>) -> Result<SutureController, ControllerError
     SutureController::new(Vector3::zeros(), context)
 }
 
-/// A wound with a stitch of so many throws.
+/// A wound with a stitch of these throws.
 fn begun(half_turns: &[i32]) -> Stage<SutureController> {
     let mut stage = Stage::new(scene(SCENE), HZ, build);
     let (mesh, _) = wound();
@@ -39,7 +39,7 @@ fn begun(half_turns: &[i32]) -> Stage<SutureController> {
     stage
 }
 
-/// After so many ticks; another life begins after `between`.
+/// After this many ticks, with a restart after `between`.
 fn gone_on(between: u32) -> Stage<SutureController> {
     let mut stage = begun(&[3, -3, 3]);
     for tick in 0..25 {
@@ -52,7 +52,7 @@ fn gone_on(between: u32) -> Stage<SutureController> {
     stage
 }
 
-/// What the thread is.
+/// State of the thread.
 fn thread(stage: &Stage<SutureController>) -> ThreadState {
     let state = stage.get::<SutureMemory>("needle").state.expect("a state");
     state.thread.expect("a thread")

@@ -1,4 +1,4 @@
-//! A needle and its thread in free flight; a needle that goes into tissue, through it, and back.
+//! A needle and its thread in free flight; a needle that enters tissue, passes through it, and is withdrawn.
 
 use crate::support::suture::*;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
@@ -9,8 +9,8 @@ use trocar_simulator::suture::{Event, Resistance, StepInputs, Suture, SutureRepo
 const DT: f64 = 1e-3;
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
 
-/// Momentum \[kg·m/s\], angular momentum about the origin, energy of motion, stretch, bending and twist \[J\] of needle and
-/// thread.
+/// Momentum \[kg·m/s\], angular momentum about the origin, and energy (kinetic, stretch, bending and twist) \[J\] of
+/// needle and thread.
 fn motion(suture: &Suture) -> (Vector3<f64>, Vector3<f64>, f64) {
     let state = suture.state();
     let needle = &state.needle;
@@ -65,7 +65,7 @@ fn a_needle_in_flight_keeps_its_momenta_and_gains_no_energy() {
         assert!(now.2 <= energy * (1.0 + 1e-9), "gains energy: {} after {energy}", now.2);
         energy = now.2;
     }
-    // Backward Euler turns it slowly towards its largest axis; it does not brake it.
+    // Backward Euler turns it slowly towards its axis of largest inertia, without braking it.
     assert!(energy > 0.5 * begin, "{energy} of {begin} J");
 }
 
@@ -77,7 +77,7 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     state.needle.momentum = Vector3::new(0.0, 1e-5, 1e-5);
     state.needle.angular_momentum = state.needle.inertia(suture.solid()) * Vector3::new(5.0, 0.0, 10.0);
     let mut material = trocar_simulator::suture_thread::ThreadMaterial::silk_2_0();
-    // Drag would take momentum.
+    // Drag would remove momentum.
     material.drag = 0.0;
     suture = Suture::new(&shape, Some(material), Resistance::default(), nowhere(), state).expect("a suture");
     let (p, _, mut energy) = motion(&suture);
@@ -93,7 +93,7 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     let state = suture.state();
     let exchanged = (state.needle.momentum - alone).norm();
     assert!(exchanged > 0.05 * alone.norm(), "the thread took nothing: {exchanged}");
-    // Swaged: the thread begins in the tail and goes on in its line.
+    // Swaged: the thread begins in the tail, along its tangent.
     let pose = state.needle.pose();
     let thread = state.thread.as_ref().expect("a thread");
     let tail = pose * suture.solid().point(0.0);
@@ -102,8 +102,8 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     assert!(first.dot(&(pose * -suture.solid().tangent(0.0))) > 1.0 - 1e-5);
 }
 
-/// A straight needle led straight down at a speed until its tip would be at a depth \[m\]; what is told of each step is the
-/// tip's wanted depth, what the jaws give, and the report.
+/// A straight needle driven straight down at a speed to a target depth of its tip \[m\]; calls back in each step with
+/// the target depth, the force of the jaws, and the report.
 fn drive(
     suture: &mut Suture,
     shape: &NeedleShape,
@@ -120,7 +120,7 @@ fn drive(
         let grips = [jaws(shape, 0.5 * shape.length(), at, to)];
         let around = StepInputs { grips: &grips, ..StepInputs::default() };
         let report = suture.step(dt, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
-        // What the jaws push down with.
+        // Downward force of the jaws.
         see(speed * dt * (step + 1) as f64, -suture.gripped()[0].force.z, &report, suture);
         at = to;
     }
@@ -132,7 +132,7 @@ fn before_it_punctures_it_is_a_spring_and_then_it_cuts_and_rubs() {
     let shape = straight();
     let tip = Point3::new(1.3e-3, 0.7e-3, 0.0);
     let start = pose(&shape, tip, DOWN, Vector3::y());
-    // The tip sticks to the surface, so that this moves straight down.
+    // The tip sticks to the surface, so that the contact point moves straight down.
     let resistance = Resistance {
         puncture_force: 0.3,
         cutting_force: 0.12,
@@ -141,7 +141,7 @@ fn before_it_punctures_it_is_a_spring_and_then_it_cuts_and_rubs() {
         ..Resistance::default()
     };
     let mut suture = bare(&shape, &start, resistance, tissue(pad()));
-    // The same spring by other means: the surface's compliance that is computed beforehand.
+    // The same stiffness by another method: the precomputed compliance of the surface.
     let (mesh, fixed) = pad();
     let at = suture.tissue().nearest(&tip).0;
     let corners = mesh.tets()[at.tet as usize];
@@ -150,7 +150,7 @@ fn before_it_punctures_it_is_a_spring_and_then_it_cuts_and_rubs() {
     let handle = organ.hold(Attachment::barycentric(corners, at.weights, Hold::Point)).expect("held");
     organ.set_target(handle, DOWN * 1e-3).expect("a target");
     let stiffness = -organ.solve(&[]).expect("forces").reactions[0].force.z / 1e-3;
-    // In series with the jaws and the row itself.
+    // In series with the compliance of the jaws and of the row itself.
     let felt = 1.0 / (1.0 / stiffness + 1e-5 + 1e-6);
 
     let speed = 5e-3;
@@ -160,7 +160,7 @@ fn before_it_punctures_it_is_a_spring_and_then_it_cuts_and_rubs() {
             Tip::Touching(..) => {
                 before += 1;
                 let expected = felt * depth;
-                // The first steps bring the needle to its speed.
+                // The first steps accelerate the needle.
                 assert!(
                     depth < 1e-4 || (force - expected).abs() < 0.01 * expected,
                     "{force} N for {expected} at {depth}"
@@ -177,7 +177,7 @@ fn before_it_punctures_it_is_a_spring_and_then_it_cuts_and_rubs() {
         0.3 / felt
     );
     assert_eq!(suture.state().bites[0].entry_force, 0.3);
-    // At constant speed: what cuts and what rubs. Without Coulomb's part, for the tissue is not the same on all sides.
+    // At constant speed: cutting force and friction. Without Coulomb's part, since the tissue is not symmetric.
     let smooth = Resistance { needle_friction: 0.0, ..resistance };
     let mut suture = bare(&shape, &start, smooth, tissue(pad()));
     drive(&mut suture, &shape, start, speed, 1800, DT, |depth, force, report, suture| {
@@ -190,7 +190,7 @@ fn before_it_punctures_it_is_a_spring_and_then_it_cuts_and_rubs() {
         let expected = 0.12 + 20.0 * inside;
         assert!((force - expected).abs() < 0.02 * expected, "{force} N for {expected} at {inside} m");
     }
-    // As far in as it was led, less what the tissue comes along.
+    // The target depth minus the displacement of the tissue.
     let (inside, force) = steady[steady.len() - 1];
     let drawn = suture.tissue().displacement_max();
     assert!(
@@ -268,7 +268,7 @@ fn drawn_back_it_rubs_the_other_way_and_leaves_nothing_behind() {
 
 #[test]
 fn nothing_is_missed_at_a_metre_a_second() {
-    // A membrane of half a millimetre, of which a step of a millimetre could jump over.
+    // A membrane of half a millimetre, which a step of a millimetre could skip.
     let membrane = || {
         let (mesh, _) = block([0.02, 0.02, 0.0005], [10, 10, 1], [-0.01, -0.01, -0.0005]);
         let rim = |node: &u32| mesh.rest()[*node as usize].xy().coords.amax() > 0.01 - 1e-9;
@@ -300,7 +300,7 @@ fn nothing_is_missed_at_a_metre_a_second() {
         let expected = tip + ahead * (tip.z / -ahead.z);
         let touched = touched.unwrap_or_else(|| panic!("shot {shot} passed through"));
         assert!((touched - expected).norm() < 2e-5, "shot {shot}: {touched} for {expected}");
-        // It does not give: so the tip is where the membrane is, but for what it slid along the slope of its dent in the
+        // It is not punctured: so the tip is at the membrane, except for sliding along the slope of its dent in the
         // last step.
         let tip = suture.tip();
         let (place, _) = suture.tissue().nearest(&tip);
@@ -309,10 +309,10 @@ fn nothing_is_missed_at_a_metre_a_second() {
     }
 }
 
-/// Height of the centre of the arc over the pad, and of the tip when it begins \[m\].
+/// Height of the arc's centre over the pad, and initial height of the tip \[m\].
 const HEIGHTS: [f64; 2] = [3e-3, 1e-4];
 
-/// A half circle whose tip stands over the pad, and the world's turn about the centre of its arc.
+/// A half circle with its tip above the pad, and the world's rotation about the centre of its arc.
 fn arc() -> (NeedleShape, Isometry3<f64>, impl Fn(f64) -> Isometry3<f64>) {
     let shape = NeedleShape::half_circle_26();
     let sin = (HEIGHTS[1] - HEIGHTS[0]) / shape.radius;
@@ -354,7 +354,7 @@ fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_presses_acros
         suture.state().channel.last().expect("a channel").along - suture.state().channel[0].along;
     assert!(inside > 8e-3, "{inside} m");
     assert!(moved < 5e-4, "the tissue is drawn by {moved} m");
-    // As far again, but straight down.
+    // The same distance again, but straight down.
     let mut straight = 0.0_f64;
     let mut torn = 0.0_f64;
     for step in 0..600 {

@@ -1,5 +1,5 @@
-//! A needle and its own thread: strands lie on the wire with friction, press it as hard as they are pressed, and do not pass
-//! it however fast they come.
+//! Contact of a needle with its own thread: strands lie on the wire with friction, action and reaction are equal, and
+//! no strand passes through it at any speed.
 
 use crate::support::suture::{jaws, nowhere, pose, straight};
 use nalgebra::{Point3, Vector3};
@@ -9,11 +9,11 @@ use trocar_simulator::suture::{Resistance, StepInputs, Suture, SutureState};
 use trocar_simulator::suture_thread::{Hold, ThreadMaterial, ThreadState};
 
 const DT: f64 = 5e-4;
-/// How high over the wire's axis the thread lies at first \[m\].
+/// Initial height of the thread over the wire's axis \[m\].
 const HIGH: f64 = 8e-4;
 
-/// A straight needle along x, its tail at −10 mm; its thread leads back, to the side, forwards, and across above the wire.
-/// Also the node at which it turns across.
+/// A straight needle along x, its tail at −10 mm; its thread leads back, to the side, forwards, and across above the
+/// wire. Also returns the node at which it turns across.
 fn laid() -> (SutureState, usize) {
     let shape = straight();
     let at = pose(&shape, Point3::new(0.03, 0.0, 0.0), Vector3::x(), Vector3::z());
@@ -49,7 +49,7 @@ fn thread(suture: &Suture) -> &ThreadState {
     suture.state().thread.as_ref().expect("a thread")
 }
 
-/// How near edges from this node on come to the axis of the wire \[m\].
+/// Least distance of edges from this node on to the axis of the wire \[m\].
 fn nearest(suture: &Suture, from: usize) -> f64 {
     let pose = suture.state().needle.pose();
     let length = suture.solid().shape().length();
@@ -64,8 +64,8 @@ fn radii() -> f64 {
     straight().wire_radius + ThreadMaterial::silk_2_0().radius
 }
 
-/// Both ends of the span across are led down by so much, with jaws on the needle's tail; what these hold the needle with, and
-/// what the hands hold the thread with \[N\].
+/// Moves both ends of the span across down by this much, with jaws on the needle's tail; returns their force on the
+/// needle and that of the hands on the thread \[N\].
 fn led(down: f64) -> (Suture, [Vector3<f64>; 2]) {
     let (state, turn) = laid();
     let shape = straight();
@@ -94,13 +94,13 @@ fn led(down: f64) -> (Suture, [Vector3<f64>; 2]) {
 #[test]
 fn a_strand_drawn_over_the_wire_stays_outside_and_presses_it() {
     let (suture, [grip, hands]) = led(3e-3);
-    // The hands draw the thread down, the jaws bear the needle up by as much: it all balances.
+    // The hands pull the thread down, and the jaws support the needle: the forces balance.
     assert!(grip.z > 0.1 && hands.z < -0.1, "{grip:?} N, {hands:?} N");
     assert!((grip + hands).norm() < 0.02 * grip.norm(), "{grip:?} N, {hands:?} N");
     assert!(!suture.state().strand_contacts.is_empty());
     let pressed: Vector3<f64> = suture.state().strand_contacts.iter().map(|contact| contact.force).sum();
     assert!((pressed.z + hands.z).abs() < 0.05 * pressed.z, "{pressed:?} N on the strand, {hands:?} N");
-    // Led only to where it nearly touches, it presses nothing.
+    // Moved only almost into contact, there is no force.
     let (_, [grip, _]) = led(0.2e-3);
     assert!(grip.norm() < 5e-3, "{grip:?} N");
 }

@@ -1,5 +1,5 @@
-//! A rod that is pressed through a held membrane: it tears about the tip where it is drawn too far, and the rod goes on through
-//! the hole; a blunt one, or one that goes less far, only dents it.
+//! Puncture of a held membrane by a rod: it tears around the tip where stretched too far, and the rod goes on through
+//! the hole; a blunt rod, or one that moves less, only dents it.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -38,7 +38,7 @@ fn text(body: &str, radius: f64) -> String {
     )
 }
 
-/// Depth of the tip below the membrane and the force on it, tick by tick, as the tip goes down to `depth` and stays.
+/// Depth of the tip below the membrane and the force on it, tick by tick, as the tip moves down to `depth` and stays.
 fn pressed<C: Controller>(
     body: &str,
     radius: f64,
@@ -68,10 +68,10 @@ const THICKNESS: f64 = 5e-4;
 const STIFFNESS: f64 = 200.0;
 const SKIN: &str = "thickness = 0.0005, contact_stiffness = 200.0";
 const BLUNT: f64 = 4e-3;
-/// How deep the rods go \[m\].
+/// Depth that the rods go to \[m\].
 const DEEP: f64 = 0.014;
 
-/// The force at a depth: the mean over half a millimetre.
+/// Force at a depth: the mean over half a millimetre.
 fn at(curve: &[[f64; 2]], depth: f64) -> f64 {
     let near: Vec<f64> = curve.iter().filter(|of| (of[0] - depth).abs() < 2.5e-4).map(|of| of[1]).collect();
     near.iter().sum::<f64>() / near.len() as f64
@@ -81,15 +81,15 @@ fn is_punctured<C: Controller>(
     kind: impl Fn(&str) -> String,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
 ) {
-    // Without a limit a thin rod takes the membrane along as far as it goes: the tip never comes through.
+    // Without a tearing limit, a thin rod stretches the membrane as far as it moves, and never passes through.
     let (whole, curve) = pressed(&kind(""), THIN, DEEP, build);
     assert_eq!(whole.measured("sheet.cut_length_m"), 0.0);
-    // It is as far before the tip at least as both are thick, less what its contact gives way.
+    // The membrane stays ahead of the tip by at least both thicknesses minus the penetration.
     let lowest = whole.measured("sheet.lowest_m");
     let gives = whole.measured("sheet.contact_force_n") / STIFFNESS;
     let most = THIN + THICKNESS - DEEP + gives + 1e-5;
     assert!(lowest < most, "the membrane is at {lowest} m, above {most} m");
-    // What pulls is the stretch, which goes as the square of the depth, by its slope: nearly the cube of it.
+    // The force comes from stretch, quadratic in depth, times its slope: almost cubic.
     let grows = at(&curve, 0.010) / at(&curve, 0.005);
     assert!((4.0..10.0).contains(&grows), "twice as deep, {grows} times the force");
 
@@ -99,12 +99,12 @@ fn is_punctured<C: Controller>(
     let end = curve[curve.len() - 50..].iter().map(|of| of[1]).sum::<f64>() / 50.0;
     assert!(torn.measured("sheet.cut_length_m") > 2.0 * THIN, "a hole for it");
     assert!(most > 0.01 && end < 0.3 * most, "{end} N after {most} N");
-    // The hole is about the tip: what is held is one piece still, and hangs together all about.
+    // The hole is around the tip: the membrane is still one piece, connected all around.
     let blunt = pressed(&weak, BLUNT, 0.008, build).0;
     assert_eq!(blunt.measured("sheet.cut_length_m"), 0.0, "the blunt one only dents it");
 }
 
-/// How much the force changes from tick to tick, as a share of what it is, where it is felt at all.
+/// Relative change of the force from tick to tick, where there is contact.
 fn trembles(curve: &[[f64; 2]], from: f64) -> f64 {
     let felt: Vec<f64> = curve.iter().filter(|of| of[0] > from).map(|of| of[1]).collect();
     let changes = felt.windows(2).map(|pair| (pair[1] - pair[0]).abs() / pair[0].max(pair[1]).max(1e-12));
@@ -122,7 +122,7 @@ fn a_thin_rod_punctures_a_membrane_of_springs_and_its_force_does_not_tremble_bef
     };
     let build = |context: &BuildContext<'_>| MassSpringController::new(Vector3::zeros(), context);
     is_punctured(kind, build);
-    // Contact with what is light used to come and go from tick to tick: a hand felt all of it or nothing.
+    // Contact with a light membrane used to alternate from tick to tick: a hand felt all of it or nothing.
     for radius in [THIN, BLUNT] {
         let (_, curve) = pressed(&kind(""), radius, 0.010, build);
         let most = trembles(&curve, 0.003);
@@ -142,7 +142,7 @@ fn a_thin_rod_punctures_a_membrane_of_positions() {
 
 #[test]
 fn a_rod_that_goes_far_in_a_tick_takes_the_membrane_along_and_does_not_pass_it() {
-    // Across the membrane, at 60 Hz: five times as far in a tick as it is thick.
+    // Through the membrane at 60 Hz: in each tick five times its thickness.
     const RADIUS: f64 = 1e-3;
     const FAST: f64 = 0.6;
     let body = format!(
@@ -150,13 +150,13 @@ fn a_rod_that_goes_far_in_a_tick_takes_the_membrane_along_and_does_not_pass_it()
          contact_stiffness = 1000.0 }}"
     );
     let build = |context: &BuildContext<'_>| MassSpringController::new(Vector3::zeros(), context);
-    // With what a detector would not know, how fast it is, it is past the membrane before they meet.
+    // A detector does not know its velocity, so that it passes the membrane before they meet.
     for (told, lowest) in [(true, -0.011), (false, -0.001)] {
         let mut stage = Stage::new(scene(&text(&body, RADIUS)), 60.0, build);
         let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
         let way = FAST / 60.0;
         for tick in 0..4_u32 {
-            // Its last tick brings it to rest 13 mm below.
+            // Its last tick stops it 13 mm below.
             let z = 0.017 - way * f64::from(tick.min(3));
             stage.put("probe", Pose::from(Isometry3::from_parts(Vector3::new(0.0, 0.06, z).into(), turn)));
             let down = if told && tick < 3 { -FAST } else { 0.0 };

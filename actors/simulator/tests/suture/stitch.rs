@@ -1,5 +1,5 @@
-//! A stitch: a thread goes through both edges of a wound and is tied over it. Its knot holds what one holds that is in no
-//! tissue, and one that would not there, does not here.
+//! A stitch: a thread passes through both edges of a wound and is tied over it. Its knot holds exactly when the same
+//! knot without tissue does.
 
 use crate::support::suture::*;
 use nalgebra::Vector3;
@@ -11,10 +11,10 @@ const DT: f64 = 1e-3;
 /// Steps until the knot is tied, and in all.
 const TIED: i32 = 250;
 const STEPS: i32 = 500;
-/// How fast a hand that pulls with nothing moves \[m/s\].
+/// Speed of an unloaded hand \[m/s\].
 const SPEED: f64 = 0.1;
 
-/// A hand gives way as it moves: all of its force at rest, none at its speed.
+/// The hand's force decreases linearly with its speed: full at rest, zero at its free speed.
 fn hand(suture: &Suture, node: usize, side: f64, force: f64) -> Hold {
     let thread = suture.state().thread.as_ref().expect("a thread");
     Hold {
@@ -25,13 +25,13 @@ fn hand(suture: &Suture, node: usize, side: f64, force: f64) -> Hold {
     }
 }
 
-/// Ties a stitch with six newtons at all four ends of its knot, lets its ends go and pulls its loop with two; by how much
-/// that has grown a while later \[m\], and whether the knot still is one.
+/// Ties a stitch with six newtons at all four ends of its knot, releases its ends and pulls its loop with two; returns
+/// the growth of the loop after a while \[m\], and whether the knot still is one.
 fn slip(half_turns: &[i32], friction: f64) -> (f64, bool) {
     let mut suture = stitch(half_turns, friction);
     let thread = suture.state().thread.as_ref().expect("a thread");
     let last = thread.rest_lengths.len();
-    // The loop is what is coarse between the fine strands of the knot.
+    // The loop is the coarse part between the fine strands of the knot.
     let coarse = |edge: &usize| thread.rest_lengths[*edge] > 0.9e-3;
     let knot: Vec<usize> = (0..last).filter(|edge| !coarse(edge)).collect();
     let slack: Vec<usize> = (knot[0]..knot[knot.len() - 1]).filter(coarse).collect();

@@ -1,6 +1,6 @@
-//! Hands that close a wound: they take both ends of a sewn thread that lies in a loose throw over it and draw that down until
-//! the edges meet. When they let go a single throw gives the edges back. Three throws drawn all at once lock where they are,
-//! above a wound that stays open: what is drawn down is the first.
+//! Tightening a knot by hand: jaws take both ends of a sutured thread in a loose throw over a wound and tighten it
+//! until the edges meet. When released, a single throw lets the wound open again. Three throws tightened at once lock
+//! in place above a wound that stays open: only the first throw can be tightened down.
 
 use std::sync::Arc;
 
@@ -13,13 +13,13 @@ use trocar_scene::{
 use trocar_simulator::controller::{KnotState, SutureController, SutureMemory};
 
 const HZ: f64 = 500.0;
-/// Of a hand that draws \[m/s\].
+/// Speed of a pulling hand \[m/s\].
 const SPEED: f64 = 0.03;
-/// How hard the thread is drawn until the hands stop \[N\].
+/// Thread tension at which the hands stop \[N\].
 const DRAWN: f64 = 2.0;
-/// How near the edges of the wound are brought to each other \[m\].
+/// Distance to which the edges of the wound are brought \[m\].
 const CLOSED: f64 = 3e-4;
-/// Where along the ears hands take them, from the middle of the wound \[m\].
+/// Where hands grasp the ears, by distance from the middle of the wound \[m\].
 const TAKEN: f64 = 0.010;
 
 fn text(friction: f64) -> String {
@@ -48,7 +48,7 @@ fn build(context: &BuildContext<'_>) -> Result<SutureController, ControllerError
     SutureController::new(Vector3::zeros(), context)
 }
 
-/// Jaws across a thread that runs along x at `place`, which close up and down; the shaft comes from −y.
+/// Jaws across a thread that runs along x at `place`, closing vertically; the shaft comes from −y.
 fn across(place: &Point3<f64>) -> Isometry3<f64> {
     let turn = Matrix3::from_columns(&[Vector3::z(), Vector3::x(), Vector3::y()]);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
@@ -72,7 +72,7 @@ impl Closing {
         stage.put("skin", TetMesh { tets: Arc::new(mesh.tets().to_vec()) });
         let state = stitch(half_turns, friction).state().clone();
         let thread = state.thread.as_ref().expect("a thread");
-        // Of the ears, which are the first and the last of the thread, what is that far out.
+        // The parts of the ears, the first and last part of the thread, at that distance.
         let count = thread.positions.len();
         let taken = [0..count / 4, 3 * count / 4..count].map(|nodes| {
             let off = |node: &usize| (thread.positions[*node].x.abs() - TAKEN).abs();
@@ -94,7 +94,7 @@ impl Closing {
         self.hands.iter().for_each(|(name, _)| self.stage.put(name, jaws(angle)));
     }
 
-    /// Hands go apart by so much in this tick \[m\].
+    /// Moves the hands apart by this much in this tick \[m\].
     fn tick(&mut self, apart: f64) {
         for ((name, at), side) in self.hands.iter_mut().zip([-1.0, 1.0]) {
             at.translation.vector.x += side * apart;
@@ -104,7 +104,7 @@ impl Closing {
         assert!(!self.stage.has::<Frozen>("needle"), "{:?}", self.stage.get::<Frozen>("needle"));
     }
 
-    /// Between the edges of the wound, in the middle of their tops \[m\].
+    /// Distance between the edges of the wound, in the middle of their tops \[m\].
     fn gap(&self) -> f64 {
         let rest = wound().0.rest().to_vec();
         let positions = self.stage.get::<VertexPositions>("skin").positions;
@@ -123,12 +123,12 @@ impl Closing {
     }
 }
 
-/// What was seen.
+/// Measurements.
 #[derive(Debug)]
 struct Seen {
-    /// Between the edges of the wound: before, drawn together, and a while after the hands have let go \[m\].
+    /// Distance between the edges of the wound: before, pulled together, and a while after release \[m\].
     gaps: [f64; 3],
-    /// What the left hand felt at most \[N\].
+    /// Largest force on the left hand \[N\].
     felt: f64,
     knot: KnotState,
 }
@@ -161,13 +161,13 @@ fn hands_draw_a_throw_down_over_a_wound_until_its_edges_meet() {
     assert!(drawn < 0.3 * before, "drawn together to {drawn} m");
     assert!((0.3..DRAWN).contains(&felt), "the hand felt {felt} N");
     assert_eq!((knot.code, &knot.throws[..]), (1.0, &[3][..]), "{knot:?}");
-    // One throw alone does not bear what the skin pulls with.
+    // A single throw cannot bear the pull of the skin.
     assert!(after > 0.8 * before, "{after} m when the hands have let go");
 }
 
 #[test]
 fn throws_that_are_drawn_all_at_once_lock_above_the_wound() {
-    // Each throw hands on only a share of what it is drawn with: so surgeons draw them down one by one.
+    // Each throw transmits only a part of its tension: that is why surgeons tighten them one by one.
     let Seen { gaps: [before, drawn, _], felt, knot } = drawn(&[3, -3, 3], 0.3);
     assert!(drawn > 0.9 * before, "drawn together to {drawn} m");
     assert!(felt > 0.8 * DRAWN, "the hand felt {felt} N");

@@ -1,4 +1,5 @@
-//! Needle and thread on the surface of a tissue: it bears them, gives way, and holds them by friction as far as that goes.
+//! Needle and thread on the surface of a tissue: it supports them, deforms, and holds them by friction up to Coulomb's
+//! limit.
 
 use crate::support::suture::*;
 use nalgebra::{Point3, Vector3};
@@ -8,26 +9,26 @@ use trocar_simulator::suture_thread::{Hold, Load, ThreadMaterial};
 
 const DT: f64 = 1e-3;
 
-/// Of a hand that nothing holds \[m/s\].
+/// Speed of an unloaded hand \[m/s\].
 const SPEED: f64 = 0.05;
-/// What presses the thread \[N\].
+/// Load on the thread \[N\].
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -0.2);
-/// Edges of the thread across the pad, and their length \[m\].
+/// Number and length of the thread's edges across the pad \[m\].
 const EDGES: usize = 30;
 const EDGE: f64 = 5e-4;
 
-/// A thread that lies across a pad, a tenth of a millimetre over it; the needle stands beside the pad, its tip down.
+/// A thread across a pad, a tenth of a millimetre above it; the needle stands beside the pad, its tip down.
 fn across(tissue: Tissue) -> Suture {
     let radius = ThreadMaterial::silk_2_0().radius;
     let shape = straight();
-    // The tail points along x: the thread leads there, from beside the pad to its middle and beyond.
+    // The tail points along x, where the thread leads: from beside the pad to its middle and beyond.
     let tip = Point3::new(-0.013 - shape.length(), 0.3e-3, radius + 1e-4);
     let at = pose(&shape, tip, -Vector3::x(), Vector3::z());
     threaded(&shape, &at, EDGES, EDGE, Resistance::default(), tissue)
 }
 
-/// Jaws hold the needle; nodes of the thread are loaded, from one force in all to another in half of the steps. A hand draws
-/// them along y with a force, all of it at rest and none at `SPEED`.
+/// Jaws hold the needle; nodes of the thread are loaded, ramped from one total force to another over half of the steps.
+/// A hand pulls them along y with a force that is full at rest and zero at `SPEED`.
 fn go(
     suture: &mut Suture,
     from: Vector3<f64>,
@@ -65,7 +66,7 @@ fn middle(suture: &Suture) -> Point3<f64> {
 fn a_thread_pressed_on_a_tissue_is_borne_and_the_tissue_gives_way() {
     let mut suture = across(tissue(pad()));
     let (force, deepest) = go(&mut suture, Vector3::zeros(), DOWN, 0.0, 600);
-    // What presses the thread, the tissue has: but for what the needle's end of the thread bears, which bends.
+    // The tissue bears the load on the thread, except for the part borne by bending at the needle's end.
     assert!((force.z + 0.2).abs() < 0.01, "{} N", force.z);
     assert!(deepest < 0.02 * ThreadMaterial::silk_2_0().diameter(), "{deepest} m");
     let (place, _) = suture.tissue().nearest(&middle(&suture));
@@ -73,17 +74,17 @@ fn a_thread_pressed_on_a_tissue_is_borne_and_the_tissue_gives_way() {
     assert!(dent > 2e-5, "{dent} m");
     let off = (middle(&suture) - suture.tissue().now(&place)).norm() - ThreadMaterial::silk_2_0().radius;
     assert!(off.abs() < 5e-6, "{off} m");
-    // Let go, it comes back up with the surface.
+    // Released, it rises again with the surface.
     go(&mut suture, DOWN, Vector3::zeros(), 0.0, 600);
     assert!(suture.tissue().displacement_max() < 0.1 * dent, "{} m", suture.tissue().displacement_max());
 }
 
 #[test]
 fn friction_of_the_surface_holds_a_thread_up_to_its_limit() {
-    // So stiff that it makes no furrow, which would hold as well.
+    // So stiff that the thread makes no furrow, which would hold it as well.
     let mut suture = across(tissue_of(pad(), 1e7));
     go(&mut suture, Vector3::zeros(), DOWN, 0.0, 600);
-    // A coefficient of 0.2: of 0.04 N a half holds, and twice as much does not.
+    // A friction coefficient of 0.2: half of 0.04 N holds, twice as much does not.
     go(&mut suture, DOWN, DOWN, 0.02, 300);
     let before = middle(&suture);
     go(&mut suture, DOWN, DOWN, 0.02, 300);
@@ -117,7 +118,7 @@ fn a_needle_pressed_flat_on_a_tissue_stays_out_of_it() {
     assert!(force.z < -0.3, "{} N", force.z);
     assert!((felt.z - force.z).abs() < 1e-3 * force.z.abs(), "{} N held, {} N pressed", felt.z, force.z);
     assert!(suture.state().bites.is_empty());
-    // All along the pad, the wire is on it: neither over it by much nor in it.
+    // All along the pad, the wire is on the surface: neither far above it nor inside.
     let needle = suture.state().needle.pose();
     let solid = suture.solid();
     let mut touching = 0;
@@ -133,7 +134,7 @@ fn a_needle_pressed_flat_on_a_tissue_stays_out_of_it() {
         touching += i32::from(gap < 1e-5);
     }
     assert!(touching > 20, "{touching} places touch");
-    // And away again: it does not stick.
+    // And away again: there is no adhesion.
     for _ in 0..100 {
         let mut to = from;
         to.translation.vector.z += 1e-5;

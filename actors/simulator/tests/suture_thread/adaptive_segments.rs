@@ -1,4 +1,4 @@
-//! Adaptive segments: short where strands come near to each other, long elsewhere, and nothing is lost on the way.
+//! Adaptive segments: short near other strands, long elsewhere, with conservation of the state.
 
 use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use nalgebra::{Point3, Vector3};
@@ -30,13 +30,13 @@ fn hairpin() -> Vec<Point3<f64>> {
     there.chain(turn).chain(back).collect()
 }
 
-/// Momentum over mass per length: half of each edge goes with either end.
+/// Momentum over mass per length: half of each edge belongs to either end.
 fn momentum(state: &ThreadState) -> Vector3<f64> {
     let edges = state.rest_lengths.iter().enumerate();
     edges.map(|(k, length)| (state.velocities[k] + state.velocities[k + 1]) * (0.5 * length)).sum()
 }
 
-/// How far the ends are turned against each other beyond what the curve makes of it.
+/// Twist between the ends, beyond that of the curve itself.
 fn twist(state: &ThreadState) -> f64 {
     state.twists.iter().sum()
 }
@@ -80,7 +80,7 @@ fn edges_are_short_while_strands_are_near_and_long_again_when_they_have_parted()
             }
         }
     };
-    // Until the ends are held so near that the legs touch.
+    // Until the held ends are so near that the legs touch.
     go(&mut thread, 0.0204, 140);
     let most = thread.state().rest_lengths.len();
     go(&mut thread, -0.0204, 140);
@@ -114,7 +114,7 @@ fn length_momentum_and_twist_stay_and_divided_edges_lie_where_they_lay() {
             .velocities
             .iter_mut()
             .for_each(|v| *v = Vector3::from_fn(|_, _| random.random_range(-1.0..1.0)));
-        // Directors that are turned by what the twists say, whole turns and all.
+        // Directors rotated by the twists, whole turns included.
         let mut angle = 0.0_f64;
         for node in 1..last {
             let by: f64 = random.random_range(-2.0..2.0);
@@ -145,7 +145,7 @@ fn length_momentum_and_twist_stay_and_divided_edges_lie_where_they_lay() {
             }
         }
         joined += found.nodes.iter().filter(|node| node.is_none()).count();
-        // Where the chord is another way round than the two edges were, it is by what they turn out of their plane.
+        // Where the chord leads around the other side than the two edges, by their rotation out of plane.
         let turned = twist(after) - twist(&state);
         assert!(
             turned.abs() < 0.05 * f64::from(points.len() as u32),
@@ -174,7 +174,7 @@ fn a_knot_that_is_tied_with_adaptive_edges_holds_on_fewer_nodes() {
     let dt = 5e-4;
     let ramp = 0.15;
     let fineness = fineness();
-    // A bend counts its nodes: adapted between the phases, and in short phases.
+    // The bend uses node numbers: adapted between the phases, and in short phases.
     let adapt = |bend: &mut Bend| {
         let arms = bend.arms;
         let keep = [arms[0], arms[1], bend.bight()];

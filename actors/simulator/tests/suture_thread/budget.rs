@@ -1,4 +1,5 @@
-//! Budgets of a thread that is left alone: momentum, angular momentum, energy; and what an explicit spring thread would need.
+//! Budgets of a free thread: momentum, angular momentum, energy; and the step that an explicit spring thread would
+//! need.
 
 use std::f64::consts::PI;
 
@@ -7,19 +8,19 @@ use trocar_dynamics::particles::StepError;
 use trocar_simulator::mass_spring::{Config, Input, Integrator, LineMaterial, MassSpring, Network, TooLarge};
 use trocar_simulator::suture_thread::{Hold, Load, Surroundings, Thread, ThreadMaterial, ThreadState};
 
-/// Silk that nothing brakes.
+/// Silk without drag.
 fn free_silk() -> ThreadMaterial {
     ThreadMaterial { drag: 0.0, damping: 0.0, ..ThreadMaterial::silk_2_0() }
 }
 
-/// What a thread has.
+/// Conserved quantities of a thread.
 #[derive(Clone, Copy, Debug)]
 struct Budget {
-    /// \[kg·m/s\]
+    /// Momentum \[kg·m/s\]
     linear: Vector3<f64>,
-    /// About the origin, with what edges have of it by turning about themselves \[kg·m²/s\].
+    /// Angular momentum about the origin, including the spin of edges \[kg·m²/s\].
     angular: Vector3<f64>,
-    /// Of motion, stretch, bending and twist \[J\].
+    /// Kinetic, stretch, bending and twist energy \[J\].
     energy: f64,
 }
 
@@ -51,8 +52,8 @@ fn budget(material: &ThreadMaterial, state: &ThreadState) -> Budget {
     sum
 }
 
-/// A straight thread that flies, turns and begins to bend, for a twentieth of a second: shares of momentum, angular momentum and
-/// energy that are gone at the end, and the most that the energy ever was, over what it was at first.
+/// A straight thread that flies, rotates and begins to bend, for a twentieth of a second: relative losses of momentum,
+/// angular momentum and energy, and the largest energy relative to the initial one.
 fn flown(dt: f64) -> [f64; 4] {
     let material = free_silk();
     let points: Vec<_> = (0..=40).map(|i| Point3::new(1e-3 * f64::from(i) - 0.02, 0.0, 0.0)).collect();
@@ -82,14 +83,14 @@ fn flown(dt: f64) -> [f64; 4] {
 fn a_free_thread_keeps_its_momentum_and_gains_no_energy() {
     let [coarse, middle, fine] = [1e-3, 5e-4, 2.5e-4].map(flown);
     for [linear, _, gone, most] in [coarse, middle, fine] {
-        // Solutions carry rounding times the ratio of axial stiffness to inertia, 1e8.
+        // Rounding errors are amplified by the ratio of axial stiffness to inertia, 1e8.
         assert!(linear < 1e-6, "{linear} of its momentum");
         assert!(
             most < 1.0 + 1e-6 && (0.0..0.03).contains(&gone),
             "{gone} of its energy, at most {most} times it"
         );
     }
-    // Backward Euler slows what turns in proportion to the step, and swallows what quivers faster than it steps.
+    // Backward Euler slows rotation in proportion to the step, and damps vibration faster than the step.
     for pair in [[coarse, middle], [middle, fine]] {
         let order = (pair[0][1] / pair[1][1]).log2();
         assert!((0.9..1.1).contains(&order), "{pair:?}: order {order} of angular momentum");
@@ -129,7 +130,7 @@ fn an_explicit_thread_of_springs_would_need_steps_of_less_than_a_microsecond() {
     for _ in 0..100 {
         thread.step(1e-3, &around).expect("a step");
     }
-    // What holds it gives way by a micrometre itself.
+    // The hold itself has a compliance of a micrometre.
     let strain = (thread.positions()[100].x - thread.positions()[0].x) / rest[100].x - 1.0;
     assert!((strain * axial_stiffness - 1.0).abs() < 1e-3, "{strain}");
 }

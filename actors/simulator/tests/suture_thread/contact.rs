@@ -1,4 +1,4 @@
-//! Contacts of a thread: static friction stays where it is, nothing fast passes through, forces answer each other.
+//! Contacts of a thread: static friction does not creep, nothing fast passes through, action and reaction are equal.
 
 use crate::support::thread as thread_support;
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
@@ -34,12 +34,13 @@ fn a_thread_on_a_slope_stays_below_the_angle_of_friction_and_slides_above() {
     let weight = ThreadMaterial::silk_2_0().mass_per_length * 40.0 * 5e-4 * 9.81;
     assert!((force.norm() / weight - 1.0).abs() < 1e-3, "{force} for {weight}");
     let (slides, _) = moved(0.33);
-    // ½ (sin − μ cos) g t², with the drag of the air off.
+    // ½ (sin − μ cos) g t², without air drag.
     let expected = 0.5 * 9.81 * (angle.sin() - 0.33 * angle.cos()) * 0.04;
     assert!((slides / expected - 1.0).abs() < 0.1, "{slides} m, expected {expected}");
 }
 
-/// A thread thrown against something at a metre per second, 1 mm in a step; where its middle is lowest \[m\].
+/// A thread thrown against an obstacle at a metre per second, 1 mm per step; returns the lowest position of its middle
+/// \[m\].
 fn thrown_against(shape: Shape) -> f64 {
     let material = ThreadMaterial::silk_2_0();
     let points: Vec<_> = line(60, 4e-4).iter().map(|p| p + Vector3::z() * 4e-3).collect();
@@ -79,7 +80,7 @@ fn strands_thrown_at_each_other_stay_the_same_knot() {
     let material = ThreadMaterial::silk_2_0();
     let points = thread_support::loose_knot(&[3, -3], material.radius, 1.5 * material.diameter());
     let mut state = Thread::new(material, &points).expect("a thread").state().clone();
-    // Everything falls in on the knot at a metre per second.
+    // Everything converges on the knot at a metre per second.
     for (velocity, point) in state.velocities.iter_mut().zip(&points) {
         *velocity = -(point.coords - Vector3::z() * 1e-3).normalize();
     }
@@ -135,7 +136,7 @@ fn bad_input_is_named_and_changes_nothing() {
 #[test]
 fn a_long_thread_comes_to_rest_on_a_table_and_then_costs_hardly_any_steps() {
     let material = ThreadMaterial::silk_2_0();
-    // Wound up at one end, and laid down from half a millimetre.
+    // Twisted at one end, and dropped from half a millimetre.
     let points: Vec<_> = (0..=300)
         .map(|i| {
             let turn = 0.15 * f64::from(i.min(100));
@@ -166,6 +167,6 @@ fn a_long_thread_comes_to_rest_on_a_table_and_then_costs_hardly_any_steps() {
         }
     }
     assert!(deepest < 1e-6, "{deepest} m deep");
-    // Of each of which there are few, even while it falls, unwinds and slides.
+    // There are few of each, even while it falls, unwinds and slides.
     assert!(newton < 600 * 12 && last < 50 * 3, "{newton} Newton steps, of those {last} at rest");
 }

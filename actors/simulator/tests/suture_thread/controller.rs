@@ -1,4 +1,4 @@
-//! A thread on a scene: taken by jaws, pulled, let go, met by rods, laid tied, and continued by another life.
+//! A thread on a scene: grasped by jaws, pulled, released, hit by rods, laid in a knot, and restarted.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -81,7 +81,7 @@ fn jaws_take_a_thread_feel_its_pull_and_let_it_go() {
     pull(&mut stage, 0.002, 100, |_| {});
     assert!(!stage.has::<Frozen>("thread"));
     assert!(stage.measured("thread.held_nodes") >= 2.0);
-    // Two millimetres of a coupling of 1,000 N/m, less what the thread lengthens: 2 N · 35 mm / 3.5 kN.
+    // Two millimetres of a coupling of 1,000 N/m, minus the elongation of the thread: 2 N · 35 mm / 3.5 kN.
     let tension = stage.measured("thread.tension_n");
     assert!((tension / 2.0 - 1.0).abs() < 0.05, "{tension} N");
     let grasper = stage.entity("grasper");
@@ -101,7 +101,7 @@ fn what_pulls_harder_than_the_pads_hold_slips_out_of_the_jaws() {
     let weak = GRASPER.replace("jaw_force_max = 5.0", "jaw_force_max = 0.5");
     let mut stage = Stage::new(scene(&format!("{weak}{THREAD}")), HZ, build);
     pull(&mut stage, 0.002, 60, |_| {});
-    // Two pads of 0.5 N with friction 0.6; those of the other test hold 2 N on the same way.
+    // Two pads of 0.5 N with friction 0.6; those of the other test hold 2 N at the same displacement.
     let tension = stage.measured("thread.tension_n");
     assert!((0.5..0.6 * 1.05).contains(&tension), "{tension} N");
 }
@@ -112,13 +112,13 @@ fn jaws_of_which_nobody_has_told_hold_what_they_are_closed_on() {
     let before = stage.get::<VertexPositions>("thread");
     stage.tick();
     assert!(!stage.has::<JawState>("grasper") && stage.measured("thread.held_nodes") >= 2.0);
-    // Closed jaws that did not hold would press it out with what is as hard as they are.
+    // Closed jaws that hold nothing would squeeze it out, with a force that depends on their stiffness.
     let contact = stage.measured("thread.contact_force_n");
     assert!(contact < 0.1, "they squeeze it with {contact} N");
     let after = stage.get::<VertexPositions>("thread");
     let moved = before.positions.iter().zip(after.positions.iter()).map(|(a, b)| (b - a).norm());
     assert!(moved.fold(0.0, f64::max) < 1e-5);
-    // Told that they are open, they let go.
+    // When the input says open, they release.
     lead(&mut stage, [0.015, 0.006, 0.0], 0.4, 0.0);
     assert_eq!(stage.measured("thread.held_nodes"), 0.0);
 }
@@ -126,7 +126,7 @@ fn jaws_of_which_nobody_has_told_hold_what_they_are_closed_on() {
 #[test]
 fn jaws_that_have_closed_on_nothing_take_no_thread_that_they_are_pushed_onto() {
     let text = format!("{GRASPER}{THREAD}");
-    // Told that they are closed, beside the thread, then pushed onto it: a blunt rod.
+    // Closed beside the thread, then pushed onto it: they act as a blunt rod.
     let pushed = |between: &dyn Fn(&mut Stage<ThreadController>)| {
         let mut stage = Stage::new(scene(&text), HZ, build);
         for _ in 0..5 {
@@ -139,9 +139,9 @@ fn jaws_that_have_closed_on_nothing_take_no_thread_that_they_are_pushed_onto() {
         stage
     };
     assert_eq!(pushed(&|_| {}).measured("thread.held_nodes"), 0.0);
-    // Nor does another life forget that they had nothing.
+    // After a restart they still hold nothing.
     assert_eq!(pushed(&|stage| stage.rebuild(build)).measured("thread.held_nodes"), 0.0);
-    // The control: jaws of which that is not known have closed there just now.
+    // The control: jaws without that history have closed there just now.
     let unknown = pushed(&|stage| {
         let memory = stage.get::<ThreadMemory>("thread");
         assert_eq!(memory.grips.len(), 1, "they are known to be shut");
@@ -151,7 +151,7 @@ fn jaws_that_have_closed_on_nothing_take_no_thread_that_they_are_pushed_onto() {
         stage.rebuild(build);
     });
     assert!(unknown.measured("thread.held_nodes") >= 2.0);
-    // Opened and closed on it, they take it.
+    // Opened and closed on it, they grasp it.
     let mut stage = pushed(&|_| {});
     for _ in 0..5 {
         lead(&mut stage, [0.015, -0.010, 0.0], 0.4, 0.0);
@@ -186,7 +186,7 @@ instrument = { kind = "probe", shaft_length = 0.05, shaft_radius = 0.002, jaw_le
     let slack = both.replace("thread = {", "pose = { translation = [0.0, 0.0, 0.0] }\nthread = {");
     let mut stage = Stage::new(scene(&format!("{probe}{slack}")), HZ, build);
     for tick in 0..100 {
-        // Its shaft is along z, through y = 3 mm, and comes towards the thread by 1.1 mm: 0.25 mm into it.
+        // Its shaft is along z, through y = 3 mm, and moves towards the thread by 1.1 mm: 0.25 mm into it.
         let y = 0.003 - 1.1e-3 * f64::from(tick) / 100.0;
         stage.put("probe", Pose::from(Isometry3::translation(0.0, y, 0.02)));
         stage.tick();
@@ -198,7 +198,7 @@ instrument = { kind = "probe", shaft_length = 0.05, shaft_radius = 0.002, jaw_le
     let probe = stage.entity("probe");
     let on_thread: Vector3<f64> =
         collisions(&stage).iter().filter(|c| c.a == probe).map(|c| c.force_in_world).sum();
-    // 2 T sin α of a thread that is stretched by it.
+    // 2 T sin α of the thread's tension.
     let tension = stage.measured("thread.tension_n");
     let wanted = -2.0 * tension * 0.25 / 18.5;
     assert!(tension > 0.1 && (on_thread.y / wanted - 1.0).abs() < 0.3, "{on_thread:?} N at {tension} N");
@@ -215,13 +215,13 @@ fn a_thread_is_laid_tied_and_told_which_knot_it_is() {
         .replace("anchors = { regions = [{ box = { min = [-0.0201, -1.0, -1.0], max = [-0.0185, 1.0, 1.0] } }] }\n", "");
         let mut stage = Stage::new(scene(&laid), HZ, build);
         stage.tick();
-        // A look is no part of the tick that begins it.
+        // A look is not part of the tick that starts it.
         assert_eq!(stage.measured("thread.knot"), 0.0, "{half_turns}");
         stage.tick();
         assert_eq!(stage.measured("thread.knot"), code, "{half_turns}");
         assert!(stage.get::<VertexPositions>("thread").positions.len() > 50);
     }
-    // Throws that are far from each other are the same knot, as high.
+    // Throws far from each other are the same knot, at the same height.
     let apart = format!(
         "{THREAD}[entity.thread.laid.throws]\nhalf_turns = [5, -3]\napart = 0.02\narm = 0.005\near = 0.01\n\
          around = [[-0.004, 0.0, -0.006], [0.004, 0.0, -0.006]]\n"
@@ -236,7 +236,7 @@ fn a_thread_is_laid_tied_and_told_which_knot_it_is() {
     assert!((top - 0.02).abs() < 1e-3, "{top} m");
 }
 
-/// A thread laid in throws and held where it lies, after so many ticks; another life begins after `between`.
+/// A thread laid in throws and held in place, after this many ticks, with a restart after `between`.
 fn told(half_turns: &[i32], ticks: u32, between: u32) -> Stage<ThreadController> {
     let laid = format!(
         "[[entity]]\nname = \"thread\"\nmesh = {{ line = {{ length = 0.04, segments = 40, radius = 0.00015 }} }}\n\
@@ -268,7 +268,7 @@ fn throws_are_told_in_their_order_and_with_their_hands() {
         assert!(knot.in_order && knot.reading.is_none(), "{half_turns:?}: {knot:?}");
         assert_eq!((&knot.throws[..], &knot.notation[..]), (half_turns, notation), "{knot:?}");
         assert_eq!(knot.signature, signature, "{half_turns:?}: {knot:?}");
-        // The code cannot tell them apart, which is why there are more measures.
+        // The code cannot distinguish them, which is why there are more measures.
         let measured = |what: &str| stage.measured(&format!("thread.{what}"));
         assert_eq!(measured("knot"), if half_turns.len() == 3 { 6.0 } else { 5.0 });
         assert_eq!(measured("knot_throws"), half_turns.len() as f64);
@@ -276,7 +276,7 @@ fn throws_are_told_in_their_order_and_with_their_hands() {
         assert_eq!(measured("knot_hand"), f64::from(half_turns[0].signum()), "{half_turns:?}");
         assert_eq!(measured("knot_signature"), f64::from(signature), "{half_turns:?}");
     }
-    // A life that ends while they are read goes on where it was.
+    // A restart while they are read continues where it was.
     let [whole, other] = [u32::MAX, 90].map(|between| told(&[3, 3, -3], 150, between));
     assert_eq!(whole.get::<KnotState>("thread"), other.get::<KnotState>("thread"));
 }
@@ -307,7 +307,7 @@ fn edges_that_adapt_keep_what_is_held_and_another_life_goes_on_to_the_bit() {
         stage
     };
     let (whole, one) = (go(|_| {}), go(|stage| stage.rebuild(build)));
-    // Straight, it needs a third of its edges; the pull is what it is with all of them.
+    // When straight, it needs a third of its edges; the force is that with all of them.
     let points = whole.get::<VertexPositions>("thread").positions.len();
     assert!((10..25).contains(&points), "{points} nodes");
     assert!(whole.measured("thread.held_nodes") >= 2.0);

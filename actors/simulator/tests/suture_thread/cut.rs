@@ -1,5 +1,5 @@
-//! Threads that are cut by scissors, or break: what was pulled is so no longer, knots whose ears are cut off hold as before,
-//! and another life goes on with the pieces.
+//! Threads cut by scissors, or broken: the tension vanishes, knots with cut ears hold as before, and a restart
+//! continues with the pieces.
 
 use crate::support::stage::{Stage, scene};
 use crate::support::thread::{Bend, loose_knot};
@@ -68,7 +68,7 @@ fn turn(stage: &mut Stage<ThreadController>, at: [f64; 3], from: f64, to: f64) {
     assert!(!stage.has::<Frozen>("thread"), "{}", stage.get::<Frozen>("thread").reason);
 }
 
-/// The thread taken by jaws and pulled by two millimetres: two newtons.
+/// The thread grasped by jaws and pulled by two millimetres: two newtons.
 fn taut(thread: &str) -> Stage<ThreadController> {
     let mut stage = Stage::new(scene(&format!("{TOOLS}{THREAD}thread = {{ {thread} }}\n")), HZ, build);
     for tick in 0..125 {
@@ -87,7 +87,7 @@ fn scissors_that_close_on_a_thread_cut_it_and_nothing_pulls_any_longer() {
     let mut stage = taut("suture = \"silk2_0\"");
     let before = stage.measured("thread.tension_n");
     assert!((before / 2.0 - 1.0).abs() < 0.05, "{before} N");
-    // Open, opening, and closing beside it they do nothing.
+    // Open, opening, or closing beside it, they do nothing.
     let (at, beside) = ([0.0023, 0.008, 0.0], [0.0023, -0.003, 0.0]);
     approach(&mut stage, at);
     turn(&mut stage, at, 0.5 * OPEN, OPEN);
@@ -104,10 +104,10 @@ fn scissors_that_close_on_a_thread_cut_it_and_nothing_pulls_any_longer() {
     assert!(!stage.has::<Frozen>("thread"), "{}", stage.get::<Frozen>("thread").reason);
     let after = stage.measured("thread.tension_n");
     assert!(after < 0.02, "{after} N after the cut");
-    // The jaws hold what they held.
+    // The jaws keep their grasp.
     assert!(stage.measured("thread.held_nodes") >= 2.0);
     assert!(stage.measured("thread.held_force_n") < 0.02);
-    // One piece on either side of the blades, as long as it was: nodes are a millimetre apart.
+    // One piece on either side of the blades, with its length unchanged: nodes are a millimetre apart.
     let (line, points) = (stage.get::<LineMesh>("thread"), stage.get::<VertexPositions>("thread").positions);
     assert_eq!(line.segments.len() + 2, points.len());
     let gap = line.segments.windows(2).position(|pair| pair[0][1] != pair[1][0]).expect("a gap") + 1;
@@ -115,7 +115,7 @@ fn scissors_that_close_on_a_thread_cut_it_and_nothing_pulls_any_longer() {
         nodes.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum::<f64>()
     };
     let lengths = [length(&points[..=gap]), length(&points[gap + 1..])];
-    // It was drawn 2 N / 3.5 kN longer, and a diameter is gone.
+    // It was stretched by 2 N / 3.5 kN, and a diameter was removed.
     assert!((lengths[0] - 0.0223).abs() < 3e-4, "{lengths:?}");
     assert!((lengths[0] + lengths[1] - 0.0397).abs() < 1e-4, "{lengths:?}");
 }
@@ -157,7 +157,7 @@ fn a_thread_breaks_where_it_is_pulled_harder_than_it_bears_and_not_before() {
     assert!(broken.measured("thread.tension_n") < 0.1, "{} N", broken.measured("thread.tension_n"));
 }
 
-/// A square knot tightened with 6 N, and where along its nodes something is.
+/// A square knot tightened with 6 N, and node numbers of its features.
 fn square() -> Bend {
     let material = ThreadMaterial { friction: 0.3, ..ThreadMaterial::silk_2_0() };
     let points = loose_knot(&[3, -3], material.radius, 1.5 * material.diameter());
@@ -166,7 +166,7 @@ fn square() -> Bend {
     bend
 }
 
-/// Cuts the thread at a length from one of its ends; everything is found under its new number.
+/// Cuts the thread at a length from one of its ends; everything is renumbered.
 fn cut_at(bend: &mut Bend, from_end: f64, of_last: bool) {
     let spans: Vec<_> = bend.thread.state().spans().collect();
     let total = spans.last().expect("edges").1[1];
@@ -178,7 +178,7 @@ fn cut_at(bend: &mut Bend, from_end: f64, of_last: bool) {
     bend.renumber(|node| parted.nodes[node].expect("not where it was cut") as usize);
 }
 
-/// How far the loop grows in a time under 2 N with nobody at the ears.
+/// Growth of the loop in a time under 2 N with the ears free.
 fn slips(bend: &mut Bend, seconds: f64) -> f64 {
     let begin = bend.span();
     bend.steps(seconds, 5e-4, |_| [2.0, 0.0], |_, _, _| {});
@@ -188,7 +188,7 @@ fn slips(bend: &mut Bend, seconds: f64) -> f64 {
 #[test]
 fn a_knot_whose_ears_are_cut_off_holds_as_before_and_one_whose_strand_is_cut_does_not() {
     let mut bend = square();
-    // Ears of 5 mm, some of which was drawn through the knot.
+    // Ears of 5 mm, part of which was pulled through the knot.
     cut_at(&mut bend, 2e-3, true);
     cut_at(&mut bend, 2e-3, false);
     assert_eq!(bend.thread.state().threads().count(), 3);

@@ -1,4 +1,5 @@
-//! The rod of a suture thread against closed forms: elastica, Greenhill's buckling, catenary, capstan; and its budgets.
+//! The elastic rod of a suture thread against closed forms: elastica, Greenhill's buckling, catenary, capstan; and its
+//! budgets.
 
 use std::f64::consts::{PI, TAU};
 
@@ -12,7 +13,7 @@ fn line(length: f64, edges: usize) -> Vec<Point3<f64>> {
     (0..=edges).map(|i| Point3::new(length * i as f64 / edges as f64, 0.0, 0.0)).collect()
 }
 
-/// Heavily damped, for what is asked at rest.
+/// Heavily damped, for static tests.
 fn sluggish() -> ThreadMaterial {
     ThreadMaterial { drag: 300.0, damping: 0.0, ..ThreadMaterial::silk_2_0() }
 }
@@ -26,7 +27,7 @@ fn a_cantilever_takes_the_form_of_the_elastica() {
         let points = line(length, edges);
         let mut thread = Thread::new(material, &points).expect("a thread");
         let holds = [Hold::fixed(0, points[0]), Hold::fixed(1, points[1])];
-        // The curvature of a node is spread over half an edge to each side: the clamp is in the middle of the first.
+        // The curvature at a node is spread over half an edge to each side: the clamp is in the middle of the first.
         let free = length * (1.0 - 0.5 / edges as f64);
         let force = load * material.bending_stiffness / (free * free);
         let loads = [Load { node: edges, force: Vector3::new(0.0, 0.0, -force) }];
@@ -39,7 +40,7 @@ fn a_cantilever_takes_the_form_of_the_elastica() {
     }
 }
 
-/// How far a pulled and twisted rod of ten centimetres has left its axis, at a part of Greenhill's torque.
+/// Deflection of a stretched and twisted rod of ten centimetres, at a fraction of Greenhill's torque.
 fn departure(part: f64) -> f64 {
     let (length, edges, tension) = (0.1, 160, 0.002);
     let material = ThreadMaterial {
@@ -95,8 +96,8 @@ fn a_twisted_rod_buckles_above_greenhills_torque_and_not_below() {
     assert!(above > 5e-4, "{above} m at 1.15 of the torque");
 }
 
-/// A thread hangs from two points on a level, 0.6 of its length apart: how far its sag and the catenary's parameter are from
-/// those of an inextensible line, as shares.
+/// A thread hangs from two points at the same height, 0.6 of its length apart: relative errors of its sag and of the
+/// catenary's parameter against an inextensible line.
 fn catenary(edges: usize) -> [f64; 2] {
     let length = 0.2_f64;
     let material =
@@ -121,7 +122,7 @@ fn catenary(edges: usize) -> [f64; 2] {
     let weight = material.mass_per_length * length * 9.81;
     assert!((held / weight - 1.0).abs() < 1e-3, "{held} for {weight}");
     let sag = thread.positions().iter().map(|point| -point.z).fold(0.0, f64::max) / length;
-    // The parameter is the pull along over the weight of a metre.
+    // The parameter is the horizontal tension over the weight per length.
     let parameter = thread.hold_forces()[1].x / weight;
     [sag / 0.362_782_19 - 1.0, parameter / 0.163_168_27 - 1.0]
 }
@@ -137,7 +138,7 @@ fn a_hanging_thread_takes_the_form_of_the_catenary() {
     }
 }
 
-/// Pull at the running end of a thread over a post, relative to that at the other end.
+/// Tension at the running end of a thread over a post, relative to that at the other end.
 fn capstan(friction: f64, dt: f64, edges: usize) -> f64 {
     let (post, turns, hold): (f64, f64, f64) = (5e-3, 1.5, 0.05);
     let material =
@@ -167,7 +168,7 @@ fn capstan(friction: f64, dt: f64, edges: usize) -> f64 {
     let mut pulls = Vec::new();
     let steps = (0.25 / dt) as usize;
     for step in 0..steps {
-        // Drawn over the post at 4 mm/s.
+        // Pulled over the post at 4 mm/s.
         let to = points[edges] + ahead * (4e-3 * dt * (step + 1) as f64);
         let holds = [Hold::fixed(edges, to)];
         let around =
@@ -182,8 +183,8 @@ fn capstan(friction: f64, dt: f64, edges: usize) -> f64 {
 
 #[test]
 fn a_thread_drawn_over_a_post_obeys_the_capstan_equation() {
-    // e^{μφ} with μ = 0.2 and 1.5 turns: 6.58606; without friction 1. The thread is thin: tension acts at its middle and
-    // friction at its surface, which takes 0.4 % off the exponent.
+    // e^{μφ} with μ = 0.2 and 1.5 turns: 6.58606; without friction 1. The thread has a thickness: tension acts at its
+    // centre and friction at its surface, which reduces the exponent by 0.4 %.
     let found = capstan(0.2, 1e-3, 90);
     assert!((found / 6.586_06 - 1.0).abs() < 0.03, "{found}");
     let smooth = capstan(0.0, 1e-3, 90);
@@ -212,7 +213,7 @@ fn a_free_thread_keeps_its_momentum() {
         }
         sum
     };
-    // Solutions carry rounding times the ratio of axial stiffness to inertia, 1e8.
+    // Rounding errors are amplified by the ratio of axial stiffness to inertia, 1e8.
     let before = momentum(&state);
     let mut thread = Thread::restore(material, state).expect("a thread");
     for _ in 0..200 {

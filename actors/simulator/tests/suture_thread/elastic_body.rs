@@ -1,4 +1,4 @@
-//! A thread around an elastic body: both give way in one problem, so that a loop keeps what it was drawn tight with.
+//! A thread around an elastic body: both deform in one problem, so that a tightened loop keeps its tension.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::elasticity::Elastic as Material;
@@ -27,7 +27,7 @@ fn tube(young: f64) -> (ElasticBody, TetMesh) {
     (ElasticBody::new(&mesh, compliance), mesh)
 }
 
-/// Steps a thread and the body that it is about.
+/// Steps a thread and the body that it is tied around.
 fn step(thread: &mut Thread, body: &mut ElasticBody, holds: &[Hold], friction: f64, dt: f64) -> ThreadReport {
     let positions = body.positions().to_vec();
     let shape = Shape::Mesh { from: &positions, to: &positions, triangles: body.triangles(), radius: 0.0 };
@@ -58,7 +58,7 @@ fn sling(spacing: f64) -> Vec<Point3<f64>> {
     points
 }
 
-/// Both ends pulled down with a force, as by springs that are drawn out far.
+/// Both ends pulled down with a force, as by long soft springs.
 fn pulled(thread: &Thread, force: f64) -> [Hold; 2] {
     let last = thread.positions().len() - 1;
     [0, last].map(|node| {
@@ -78,12 +78,12 @@ fn a_sling_presses_a_tube_as_hard_as_it_is_pulled_and_a_stiffer_one_gives_way_le
             let holds = pulled(&thread, 0.5 * (f64::from(k + 1) / 200.0).min(1.0));
             report = step(&mut thread, &mut body, &holds, 0.0, 1e-3);
         }
-        // The tube bears both pulls; without friction the tension is the same all along.
+        // The tube bears both forces; without friction the tension is uniform.
         let [force, _] = body.load();
         assert!((force.y + 1.0).abs() < 0.02 && force.x.abs() < 0.02, "{young} Pa: {force:?}");
         let tensions = &thread.state().tensions;
         assert!(tensions.iter().all(|tension| (tension - 0.5).abs() < 0.04), "{young} Pa: {tensions:?}");
-        // On the surface as it is now: neither through it nor off it.
+        // On the deformed surface: neither through it nor off it.
         assert!(report.penetration_max < 1e-6, "{young} Pa: {report:?}");
         let nearest = nearest(&thread, &body);
         assert!((1.25e-4..1.51e-4).contains(&nearest), "{young} Pa: {nearest}");
@@ -96,14 +96,14 @@ fn a_sling_presses_a_tube_as_hard_as_it_is_pulled_and_a_stiffer_one_gives_way_le
     }
 }
 
-/// Where the nodes of a tube are at rest.
+/// Rest positions of a tube's nodes.
 fn tube_rest(body: &ElasticBody) -> Vec<Point3<f64>> {
     let mut at_rest = body.clone();
     at_rest.deform(&[]);
     at_rest.positions().to_vec()
 }
 
-/// From the centre line of a thread to the surface \[m\].
+/// Distance from the centre line of a thread to the surface \[m\].
 fn nearest(thread: &Thread, body: &ElasticBody) -> f64 {
     let mut least = f64::INFINITY;
     for triangle in body.triangles() {
@@ -139,11 +139,11 @@ fn another_life_goes_on_to_the_bit() {
     assert_eq!(body.positions(), other.positions());
 }
 
-/// A square knot above the tube, its loop about it, tightened and let go: the tension of the loop on the far side of the tube
-/// before and after \[N\], and whether it is a square knot still.
+/// A square knot above the tube, its loop around it, tightened and released: tension of the loop on the far side of the
+/// tube before and after \[N\], and whether it is still a square knot.
 fn tied(friction: f64) -> (f64, f64, bool) {
     let material = ThreadMaterial { friction, ..ThreadMaterial::silk_2_0() };
-    // Around the tube, from the upper left by below to the upper right.
+    // Around the tube, from the upper left under it to the upper right.
     let r = RADIUS + 4e-4;
     let height = r + 1e-3;
     let around: Vec<_> = (0..=32)
@@ -160,7 +160,7 @@ fn tied(friction: f64) -> (f64, f64, bool) {
         ear: 8e-3,
         edges: [4.5e-4, 8e-4],
     };
-    // The knot is laid about the origin in the plane of x and z; the tube's axis is z.
+    // The knot is laid about the origin in the x–z plane; the tube's axis is z.
     let points: Vec<_> = throws(&thrown).iter().map(|at| Point3::new(at.x, at.z + height, at.y)).collect();
     let mut thread = Thread::new(material, &points).expect("a thread");
     let last = points.len() - 1;
@@ -171,7 +171,7 @@ fn tied(friction: f64) -> (f64, f64, bool) {
             .expect("an edge");
         thread.state().tensions[far]
     };
-    // Hands give way as they move: all of their force at rest, none at their speed.
+    // The hands' force decreases linearly with their speed: full at rest, zero at their free speed.
     let pulled = |thread: &Thread, force: f64| {
         [(0, -1.0), (last, 1.0)].map(|(node, side)| Hold {
             node,
@@ -198,7 +198,7 @@ fn tied(friction: f64) -> (f64, f64, bool) {
 fn a_square_knot_around_a_tube_keeps_its_loop_tight_when_its_ears_are_let_go() {
     let (tight, after, is_square) = tied(0.3);
     assert!(tight > 0.1 && after > 0.05 * tight && is_square, "{tight} N, then {after} N, {is_square}");
-    // Without friction all of it is gone.
+    // Without friction the tension is lost completely.
     let (tight, after, _) = tied(0.0);
     assert!(tight > 0.1 && after < 1e-3 * tight, "without friction {tight} N, then {after} N");
 }

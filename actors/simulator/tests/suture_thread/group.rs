@@ -1,5 +1,5 @@
-//! Threads of a scene that can touch each other: two loops that are hooked into each other carry the pull of a hand; without
-//! being told of each other they pass.
+//! Groups of threads with mutual contact: two loops hooked into each other transmit the pull of a hand; ungrouped
+//! threads pass through each other.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -8,8 +8,8 @@ use trocar_simulator::controller::{ThreadController, ThreadMemory};
 
 const HZ: f64 = 500.0;
 
-/// A loop held at both of its ends, to the left; one that goes around its bend, held at its lower end, and whose upper end lies
-/// between the jaws. `MORE` stands for what else is said of the second.
+/// A loop held at both of its ends, to the left; a second one around its bend, held at its lower end, with its upper
+/// end between the jaws. `MORE` stands for additional parameters of the second.
 const SCENE: &str = r#"
 [[entity]]
 name = "grasper"
@@ -58,7 +58,7 @@ fn grasper(x: f64) -> Pose {
     Isometry3::from_parts(Vector3::new(x, 0.006, 0.0).into(), turn * closing).into()
 }
 
-/// Jaws hold the upper end, and draw it to the right by a centimetre; another life begins on the way, if `ends` says so.
+/// Jaws hold the upper end, and pull it to the right by a centimetre, with a restart on the way if `ends`.
 fn drawn(text: &str, ends: bool) -> Stage<ThreadController> {
     let mut stage = Stage::new(scene(text), HZ, build);
     for tick in 0..360 {
@@ -81,7 +81,8 @@ fn hooked_loops_carry_the_pull_and_pass_each_other_when_they_are_not_told() {
         assert!(stage.measured("drawn.held_nodes") >= 2.0);
         let [held, drawn] = ["held", "drawn"].map(|name| stage.measured(&format!("{name}.tension_n")));
         assert!(drawn > 0.5, "{drawn} N");
-        // Either leg of the one bears either leg of the other, but for friction around its bend and how they lean.
+        // Either leg of the one balances either leg of the other, except for friction around its bend and their
+        // inclination.
         assert!((0.6..1.4).contains(&(held / drawn)), "{held} N of {drawn} N");
         for name in ["held", "drawn"] {
             let nodes = stage.get::<VertexPositions>(name).positions.len();

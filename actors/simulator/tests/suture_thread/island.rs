@@ -1,5 +1,6 @@
-//! Several threads in one problem: they touch each other as strands of one thread do. Two threads tied together by a reef
-//! knot bear two newtons on friction alone; smooth ones come apart. Threads that do not meet do not know of each other.
+//! Several threads in one problem: they contact each other as strands of one thread do. Two threads tied together by a
+//! reef knot bear two newtons by friction alone; frictionless ones come apart. Threads without contact do not influence
+//! each other.
 
 use crate::support::thread::loose_knot;
 use nalgebra::{Point3, Vector3};
@@ -9,10 +10,10 @@ use trocar_simulator::suture_thread::{
     TwistHold, nearest_edges,
 };
 
-/// Of an unloaded hand \[m/s\].
+/// Speed of an unloaded hand \[m/s\].
 const SPEED: f64 = 0.05;
 
-/// The throws of a loose knot as two threads: its slack loop is left out. Returns the last node of the first one as well.
+/// The throws of a loose knot as two threads, without the slack loop. Also returns the last node of the first one.
 fn two_tied(turns: &[i32], friction: f64) -> (Thread, usize) {
     let material = ThreadMaterial { friction, ..ThreadMaterial::silk_2_0() };
     let all = loose_knot(turns, material.radius, 1.5 * material.diameter());
@@ -24,7 +25,7 @@ fn two_tied(turns: &[i32], friction: f64) -> (Thread, usize) {
     (thread, first)
 }
 
-/// Goes on; `pull` gives the forces at the standing ends and at the short ones \[N\].
+/// Advances; `pull` gives the forces at the standing ends and at the short ones \[N\].
 fn pulled(thread: &mut Thread, first: usize, seconds: f64, dt: f64, pull: impl Fn(f64) -> [f64; 2]) {
     let last = thread.positions().len() - 1;
     for step in 0..(seconds / dt).round() as usize {
@@ -36,7 +37,7 @@ fn pulled(thread: &mut Thread, first: usize, seconds: f64, dt: f64, pull: impl F
             (0, side(0), short),
             (last, side(last), short),
         ];
-        // A hand gives way as it moves: all of its force at rest, none at its speed.
+        // The hand's force decreases linearly with its speed: full at rest, zero at its free speed.
         let holds = ends.map(|(node, side, force)| Hold {
             node,
             to: thread.positions()[node] + Vector3::x() * (side * SPEED * dt),
@@ -51,7 +52,7 @@ fn span(thread: &Thread, first: usize) -> f64 {
     (thread.positions()[first + 1] - thread.positions()[first]).norm()
 }
 
-/// Tightened at all four ends, then pulled at the standing ends alone with 2 N: by how much these have come apart \[m\].
+/// Tightened at all four ends, then pulled at the standing ends alone with 2 N: how far these have moved apart \[m\].
 fn slip(turns: &[i32], friction: f64, dt: f64) -> (f64, Thread) {
     let (mut thread, first) = two_tied(turns, friction);
     pulled(&mut thread, first, 0.25, dt, |time| [6.0 * (time / 0.15).min(1.0).powi(2); 2]);
@@ -71,7 +72,7 @@ fn two_threads_tied_together_bear_two_newtons_by_friction_and_come_apart_without
             "strands came as near as {} m",
             nearest_edges(&thread)
         );
-        // Their standing ends joined, it is the knot that was tied.
+        // With their standing ends joined, it is the knot that was tied.
         let first = thread.state().threads().next().expect("a thread")[1];
         let (one, other) = thread.positions().split_at(first + 1);
         assert_eq!(identify_joined(&[one, other]).expect("a knot").kind, KnotKind::Square);
@@ -113,13 +114,13 @@ fn threads_that_do_not_meet_go_as_each_alone() {
     }
     let apart: Vec<Point3<f64>> = alone.iter().flat_map(|thread| thread.positions()).copied().collect();
     let most = both.positions().iter().zip(&apart).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
-    // They end their iterations together, so that one may do one more than alone.
+    // Their iterations end together, so that one may do one more than alone.
     assert!(most < 1e-7, "{most} m");
     let fallen = a[29].z - apart[29].z;
     assert!(fallen > 3e-3, "{fallen} m");
 }
 
-/// How far the one line is over the other wherever the two cross as seen from above \[m\].
+/// Height of one line above the other at each crossing as seen from above \[m\].
 fn heights(upper: &[Point3<f64>], lower: &[Point3<f64>]) -> Vec<f64> {
     let mut heights = Vec::new();
     for a in upper.windows(2) {
@@ -163,7 +164,7 @@ fn a_thread_thrown_at_another_does_not_pass_and_gives_it_what_it_loses() {
     let mut thread = Thread::restore(material, state).expect("threads");
     for step in 0..20 {
         thread.step(1e-3, &Surroundings::default()).expect("a step");
-        // Where the one is over the other, as seen from above, it stays over it.
+        // Where one is over the other, as seen from above, it stays over it.
         let heights = heights(&thread.positions()[21..], &thread.positions()[..21]);
         assert!(step > 4 || !heights.is_empty(), "they cross for a while");
         for over in heights {
@@ -214,7 +215,7 @@ fn what_is_no_thread_among_several_is_refused() {
     let refused = |threads: &[&[Point3<f64>]]| Thread::several(material, threads).expect_err("refused");
     assert_eq!(refused(&[&line, &other[..2]]), ThreadError::Nodes(2));
     assert!(matches!(refused(&[]), ThreadError::Nodes(0)));
-    // One that begins where another ends is not known to be another.
+    // A thread that begins where another ends is not recognised as another.
     assert_eq!(refused(&[&line, &[line[4], other[3], other[2]]]), ThreadError::NoLength(vec![4]));
     let mut both = Thread::several(material, &[&line, &other]).expect("threads");
     let twist_holds = [TwistHold { edge: 4, director: Vector3::z() }];

@@ -1,4 +1,4 @@
-//! Knots told apart by their invariants: closed curves given by formulas, in many directions, and throws of a thread.
+//! Classification of knots by invariants: closed curves from formulas, in many directions, and throws of a thread.
 
 use std::f64::consts::{PI, TAU};
 
@@ -27,8 +27,8 @@ fn figure_eight(n: usize) -> Vec<Point3<f64>> {
     })
 }
 
-/// Throws of two ends one above the other, begun from a loop below: an open curve. `turns` are half turns of the two
-/// strands about each other, an odd number each: each strand goes over to the other side.
+/// Throws of two ends one above the other, from a loop below: an open curve. `turns` are half turns of the two strands
+/// around each other, an odd number each: each strand crosses to the other side.
 fn tied(turns: &[i32]) -> Vec<Point3<f64>> {
     let mut strands = [vec![Point3::new(-1.0, 0.0, -2.0)], vec![Point3::new(1.0, 0.0, -2.0)]];
     for (level, &half_turns) in turns.iter().enumerate() {
@@ -95,20 +95,21 @@ fn square_and_granny_differ_in_signature_and_not_in_determinant() {
         assert_eq!(mirrored.signature, -granny.signature);
         assert_ne!(granny.kind, mirrored.kind);
         assert_ne!(square.jones, granny.jones);
-        // What cannot tell them apart.
+        // Invariants that do not distinguish them.
         assert_eq!([square.determinant, granny.determinant], [9, 9]);
     }
 }
 
-/// Alexander's polynomial of an open curve, closed straight far above, at a number: the determinant of Fox's colouring matrix
-/// without a row and a column (Alexander 1928). Known up to a power of t, which is taken off.
+/// Alexander's polynomial of an open curve, closed straight far above, at a number: the determinant of Fox's colouring
+/// matrix without a row and a column (Alexander 1928). It is defined up to a power of t, which is removed.
 fn alexander(points: &[Point3<f64>], t: f64) -> f64 {
     let (first, last) = (points[0], points[points.len() - 1]);
     let mut closed = points.to_vec();
     closed.extend([Point3::new(last.x, last.y, 100.0), Point3::new(first.x, first.y, 100.0)]);
     let count = closed.len();
     let edge = |k: usize| (closed[k], closed[(k + 1) % count]);
-    // Seen along z: where an edge passes under another one, how far along it, and over which and how far along that.
+    // Seen along z: where an edge passes under another one, how far along it, and over which one and how far along
+    // that.
     let mut unders: Vec<(usize, f64, usize, f64, f64)> = Vec::new();
     for i in 0..count {
         for j in i + 1..count {
@@ -125,7 +126,7 @@ fn alexander(points: &[Point3<f64>], t: f64) -> f64 {
         }
     }
     unders.sort_by(|a, b| (a.0, a.1).partial_cmp(&(b.0, b.1)).expect("numbers"));
-    // Arcs run from one passage under to the next.
+    // Arcs run from one undercrossing to the next.
     let n = unders.len();
     let arc_at =
         |edge: usize, along: f64| unders.partition_point(|under| (under.0, under.1) < (edge, along)) % n;
@@ -140,7 +141,8 @@ fn alexander(points: &[Point3<f64>], t: f64) -> f64 {
     matrix.remove_row(0).remove_column(0).determinant().abs()
 }
 
-/// The control: what cannot tell a square knot from a granny. Both have (t² − t + 1)², here at 2, 3 and −1: 9, 49 and 9.
+/// The control: an invariant that does not distinguish a square knot from a granny. Both have (t² − t + 1)², here at 2,
+/// 3 and −1: 9, 49 and 9.
 #[test]
 fn the_polynomial_of_alexander_is_the_same_for_square_and_granny() {
     for (t, expected) in [(2.0_f64, 9.0), (3.0, 49.0), (-1.0, 9.0)] {
@@ -152,7 +154,7 @@ fn the_polynomial_of_alexander_is_the_same_for_square_and_granny() {
             assert!((found - expected).abs() < 1e-6, "{turns:?} at {t}: {found}, not {expected}");
         }
     }
-    // It is no constant: a single throw has t² − t + 1.
+    // It is not constant: a single throw has t² − t + 1.
     assert!((alexander(&turned(&tied(&[3]), 3), -1.0) - 3.0).abs() < 1e-6);
 }
 
@@ -183,7 +185,7 @@ fn throws_are_read_in_order_and_written_as_surgeons_do() {
 
 #[test]
 fn a_tangle_that_is_no_knot_is_none() {
-    // Loops laid on each other like a coil.
+    // Loops stacked like a coil.
     let points: Vec<_> = (0..200)
         .map(|i| {
             let s = i as f64 / 199.0;

@@ -1,8 +1,8 @@
-//! What a knot is for: a square knot tightened by hand holds its loop by friction alone, its ears free; what has less of a
-//! grip does not. Strands never pass through each other on the way, and the knot is the one that was tied.
+//! Holding strength of knots: a square knot tightened by hand holds its loop by friction alone with free ears; knots
+//! with less friction do not. Strands never pass through each other, and the knot remains the one that was tied.
 //!
-//! Which friction is enough for which knot is physics, and the polygon that stands for the thread adds to it: corners
-//! catch in each other. Found with this thread, 2 N, ears free, slip of what holds at most 0.34 mm:
+//! The friction required by a knot is physical, but the polygon that approximates the thread adds to it: its corners
+//! interlock. Results with this thread, 2 N, free ears; slip of holding knots at most 0.34 mm:
 //!
 //! | Throws | Edges of 1.5 diameters | Of 0.75 diameters |
 //! |---|---|---|
@@ -10,52 +10,52 @@
 //! | three | hold at 0.25, slip at 0.2 | hold at 0.3 |
 //! | five, pulled tight with 10 N | hold at 0.2, slip at 0.1 | – |
 //!
-//! Steps of 1 ms, 0.5 ms and 0.25 ms agree on it. In a minute at 0.3 with steps of 1 ms the two throws slip by 0.046 mm, of
-//! which 0.01 mm after the first second. The throws are laid loosely and then pulled tight all at once, so that more of
-//! them do not always hold better: at 0.2 six hold with some steps and come loose with others, and seven come loose. No
-//! throws of one turn hold at 0.1, with up to seven of them; what does is in `thread_turns.rs`. Longer runs:
+//! Steps of 1 ms, 0.5 ms and 0.25 ms agree. In a minute at 0.3 with steps of 1 ms the two throws slip by 0.046 mm, of
+//! which 0.01 mm after the first second. The throws are laid loosely and then tightened all at once, so that more
+//! throws do not always hold better: at 0.2 six hold with some steps and come loose with others, and seven come loose.
+//! No throws of one turn hold at 0.1, with up to seven of them; those that do are in `knot_turns.rs`. Longer runs:
 //! `examples/thread_trial.rs`.
 
 use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use trocar_simulator::suture_thread::knot::{KnotKind, identify};
 use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 
-/// Centre lines of strands never come nearer than this part of a diameter.
+/// Least distance of centre lines of strands, in diameters.
 const NEAREST: f64 = 0.85;
 
-/// By when the ears have been let go and the slack loop has come to rest \[s\].
+/// Time by which the ears are free and the slack loop is at rest \[s\].
 const BEDDED: f64 = 0.45;
 
-/// How a knot is tied and loaded.
+/// Parameters of a trial.
 #[derive(Clone, Copy)]
 struct Trial {
     /// Half turns of each throw.
     turns: &'static [i32],
     friction: f64,
-    /// At the loop, once it is tight \[N\].
+    /// Load at the loop, once tightened \[N\].
     pull: f64,
-    /// For how long \[s\].
+    /// Duration of the load \[s\].
     seconds: f64,
     dt: f64,
     /// Length of an edge, in diameters.
     segment: f64,
-    /// At all four ends, to tighten it \[N\].
+    /// Tightening force at all four ends \[N\].
     tight: f64,
 }
 
 const SQUARE: Trial =
     Trial { turns: &[3, -3], friction: 0.3, pull: 2.0, seconds: 0.2, dt: 5e-4, segment: 1.5, tight: 6.0 };
 
-/// What became of it.
+/// Result of a trial.
 struct Outcome {
-    /// How far the loop has grown since it was tight, when the knot had bedded in and at the end \[m\].
+    /// Growth of the loop since tightening, after the initial settling and at the end \[m\].
     slip: [f64; 2],
-    /// How near centre lines came to each other \[m\].
+    /// Least distance of centre lines \[m\].
     nearest: f64,
     kind: KnotKind,
 }
 
-/// Ties the throws, pulls all ends, then lets go of the ears and pulls the loop alone.
+/// Ties the throws, pulls all ends, then releases the ears and pulls the loop alone.
 fn tried(trial: &Trial) -> Outcome {
     let material = ThreadMaterial { friction: trial.friction, ..ThreadMaterial::silk_2_0() };
     let points = loose_knot(trial.turns, material.radius, trial.segment * material.diameter());
@@ -81,7 +81,7 @@ fn tried(trial: &Trial) -> Outcome {
     Outcome { slip: [bedded, bend.span() - begin], nearest, kind }
 }
 
-/// The slip of a square knot that has stayed one \[m\].
+/// Slip of a knot that has stayed a square knot \[m\].
 fn of_a_square(what: &str, trial: &Trial) -> [f64; 2] {
     let Outcome { slip, nearest, kind } = tried(trial);
     let diameter = ThreadMaterial::silk_2_0().diameter();
@@ -94,7 +94,7 @@ fn of_a_square(what: &str, trial: &Trial) -> [f64; 2] {
 #[test]
 fn a_square_knot_holds_and_stays_a_square_knot() {
     let [bedded, end] = of_a_square("square", &Trial { seconds: 0.6, ..SQUARE });
-    // 0.1 mm in 60 s, at the rate that is left once it has bedded in.
+    // 0.1 mm in 60 s, at the rate after the initial settling.
     let creep = (end - bedded) / (0.6 - BEDDED) * 60.0;
     assert!(creep <= 0.1e-3, "it creeps by {creep} m in a minute");
 }

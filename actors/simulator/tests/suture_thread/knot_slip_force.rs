@@ -1,8 +1,8 @@
-//! How much harder than a granny a square knot can be pulled before it slips, whatever the step and the length of edges.
+//! Slip force of a square knot relative to a granny, for several steps and edge lengths.
 //!
-//! Tied and drawn tight, the loop is put under its load, and then the ears are let go of, as in `thread_hold.rs`. A knot
-//! bears a load when its loop has not grown by more than half a millimetre a fifth of a second later. Found with silk 2-0,
-//! two throws drawn tight with 6 N, by how much the loop has grown \[mm\]:
+//! Tied and tightened, the loop is loaded, and then the ears are released, as in `knot_hold.rs`. A knot bears a load if
+//! its loop has grown by at most half a millimetre a fifth of a second later. Results with silk 2-0, two throws
+//! tightened with 6 N: growth of the loop \[mm\]:
 //!
 //! | Friction | Step | Edges in diameters | Square at 3 N | Granny at 2 N | at 1 N |
 //! |---|---|---|---|---|---|
@@ -12,24 +12,24 @@
 //! | 0.4 | 0.25 ms | 1.5 | 0.03 | slips | slips |
 //! | 0.4 | 0.5 ms | 0.75 | 0.29 | slips | slips |
 //!
-//! At 0.3 and with edges of 0.75 diameters two throws do not hold at all; of three those of opposite hands bear 3 N whatever the
-//! step and the edges, while those of one hand slip at 2 N. Friction knows no scale of force: what slips at one load does at others, what locks
-//! bears whatever it was drawn tight with. A loop that has once been slack is another matter: the stiffness of the thread
-//! opens its knot, and either kind slips at some 0.2 N.
+//! At 0.3 and with edges of 0.75 diameters two throws do not hold at all; of three, those of opposite hands bear 3 N
+//! whatever the step and the edges, while those of the same hand slip at 2 N. Friction has no force scale: a knot that
+//! slips at one load does at others, and one that locks bears whatever it was tightened with. A loop that has once been
+//! slack is different: the stiffness of the thread opens its knot, and either kind slips at some 0.2 N.
 
 use crate::support::thread::{Bend, loose_knot};
 use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 
-/// At all four ends, to tighten it \[N\].
+/// Tightening force at all four ends \[N\].
 const TIGHT: f64 = 6.0;
-/// The largest load at which a granny is tried \[N\].
+/// The largest load of a granny \[N\].
 const GRANNY: f64 = 2.0;
-/// Under load \[s\].
+/// Duration of the load \[s\].
 const SECONDS: f64 = 0.2;
-/// That is a slip \[m\].
+/// Growth that counts as slip \[m\].
 const SLIP: f64 = 0.5e-3;
 
-/// By how much the loop has grown under a load \[N\]; more than a slip for one that does not stop \[m\].
+/// Growth of the loop under a load \[N\]; above the slip limit for one that does not stop \[m\].
 fn slip(turns: &[i32], friction: f64, dt: f64, segment: f64, load: f64) -> f64 {
     let material = ThreadMaterial { friction, ..ThreadMaterial::silk_2_0() };
     let points = loose_knot(turns, material.radius, segment * material.diameter());
@@ -47,8 +47,8 @@ fn slip(turns: &[i32], friction: f64, dt: f64, segment: f64, load: f64) -> f64 {
     bend.span() - begin
 }
 
-/// A knot of throws of opposite hands bears half as much again as the largest load at which one of the same hand is tried; that
-/// slips there, and at the half of it as well, so that the ratio of their slip forces is 3 at least.
+/// A knot of throws of opposite hands bears half as much again as the largest load of one of the same hand; that one
+/// slips there, and at half of it as well, so that the ratio of their slip forces is at least 3.
 fn a_square_knot_bears_half_as_much_again(throws: usize, friction: f64, dt: f64, segment: f64) {
     let (square, granny) = (&[3, -3, 3][..throws], &[3; 3][..throws]);
     let [square, more, less] = [(square, 1.5 * GRANNY), (granny, GRANNY), (granny, 0.5 * GRANNY)]

@@ -1,19 +1,19 @@
-//! What holds where throws of one turn do not: square throws of two turns each, all laid loosely, pulled tight with 12 N and
-//! let go of, bear 2 N by friction alone at every friction from 0.1 to 0.3.
+//! Knots of throws with two turns and more, which hold where throws of one turn slip: square throws of two turns each,
+//! laid loosely, tightened with 12 N and released, bear 2 N by friction alone at every friction from 0.1 to 0.3.
 //!
-//! Every knot that holds is loaded for a whole minute at full length (`TROCAR_THOROUGH=1`) and for six seconds otherwise, with the whole and the half step and segment alike: slip is by how much
-//! its loop has grown then since all four ends were pulled with the load, creep how much of that came after the first second.
-//! Nothing is extrapolated.
+//! Every holding knot is loaded for a full minute (`TROCAR_THOROUGH=1`) or for six seconds otherwise, with the whole
+//! and the half step and segment alike: slip is the growth of its loop since all four ends were pulled with the load,
+//! creep the part of it after the first second. Nothing is extrapolated.
 //!
-//! Throws of one turn are a chain of nips, each of which has to lock by itself (Maddocks, Keller, *Ropes in Equilibrium*,
-//! 1987: a square knot above 0.24). With too little friction the last one, whose ears are free, opens, and then the next:
-//! at 0.1 five and seven slip, tightened with 8 N or 20 N. Drawing each throw tight before the next one is laid does not
-//! mend that: then at 0.2 three hold or slip by how fast the ears are let go and five hold, and at 0.15 seven slip. In
-//! throws of more turns strands are wound about each other, and friction multiplies by `exp(μθ)` of all of these turns;
-//! that this is why they hold is read off from which of them do.
+//! Throws of one turn are a chain of nips, each of which has to lock by itself (Maddocks, Keller, *Ropes in
+//! Equilibrium*, 1987: a square knot above 0.24). With too little friction the last one, whose ears are free, opens,
+//! and then the next: at 0.1 five and seven slip, tightened with 8 N or 20 N. Tightening each throw before the next one
+//! is laid does not help: then at 0.2 three hold or slip depending on how fast the ears are released and five hold, and
+//! at 0.15 seven slip. In throws of more turns strands are wound around each other, and friction multiplies by
+//! `exp(μθ)` of all of these turns; that this is why they hold is inferred from which of them do.
 //!
-//! Slip of the loop in silk 2-0 \[mm\], after a minute where it holds, by the length of edges in diameters; negative where the
-//! loop became smaller:
+//! Slip of the loop in silk 2-0 \[mm\], after a minute where it holds, by the edge length in diameters; negative where
+//! the loop became smaller:
 //!
 //! | Throws × turns | μ | 1.5 | 0.75 |
 //! |---|---|---|---|
@@ -26,23 +26,23 @@
 //! | 6 × 3 | 0.1 | 0.005 | −0.008 |
 //! | 4 × 2 | 0 | slips | – |
 //!
-//! The shorter the edges, the rounder is what lies on each other and the less its corners catch, so that what is at its
-//! limit with edges of 1.5 diameters slips with shorter ones. Six throws of three turns are not at their limit. Creep is 0.003
-//! to 0.007 mm in all of these minutes.
+//! Shorter edges make the contacts rounder and their corners interlock less, so that a knot at its limit with edges of
+//! 1.5 diameters slips with shorter ones. Six throws of three turns are not at their limit. Creep is 0.003 to 0.007 mm
+//! in all of these minutes.
 
 use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 use trocar_test_support::thorough;
 
-/// Centre lines of strands never come nearer than this part of a diameter while the loop is pulled.
+/// Least distance of centre lines of strands while the loop is pulled, in diameters.
 const NEAREST: f64 = 0.85;
-/// At all four ends, to tighten it \[N\].
+/// Tightening force at all four ends \[N\].
 const TIGHT: f64 = 12.0;
-/// At the loop \[N\].
+/// Load at the loop \[N\].
 const PULL: f64 = 2.0;
 /// Half turns of square throws of two turns each.
 const DOUBLE: [i32; 4] = [5, -5, 5, -5];
-/// For little friction: more of them, of three turns each.
+/// For low friction: more throws, of three turns each.
 const TRIPLE: [i32; 6] = [7, -7, 7, -7, 7, -7];
 
 #[derive(Clone, Copy)]
@@ -53,9 +53,9 @@ struct Trial {
     /// Length of an edge, in diameters.
     segment: f64,
     dt: f64,
-    /// Under load, once the ears are free \[s\].
+    /// Duration of the load, once the ears are free \[s\].
     seconds: f64,
-    /// Steps then \[s\].
+    /// Steps under load \[s\].
     loaded_dt: f64,
 }
 
@@ -64,11 +64,11 @@ const TRIAL: Trial =
 /// At a friction of a tenth.
 const SLIPPERY: Trial = Trial { turns: &TRIPLE, friction: 0.1, ..TRIAL };
 
-/// What of the time under load belongs to slip alone \[s\].
+/// Initial time under load that counts as slip, not creep \[s\].
 const BEDDED: f64 = 1.0;
 
-/// How far the loop has grown \[m\] since all four ends were pulled with the load: when the knot has bedded in and at the
-/// end. Strands keep out of each other.
+/// Growth of the loop \[m\] since all four ends were pulled with the load: after the initial settling and at the end.
+/// Checks that strands do not penetrate each other.
 fn tried(trial: &Trial) -> [f64; 2] {
     let material = ThreadMaterial { friction: trial.friction, ..ThreadMaterial::silk_2_0() };
     let points = loose_knot(trial.turns, material.radius, trial.segment * material.diameter());

@@ -1,5 +1,5 @@
-//! A thread that lies on soft tissue which another controller moves: it presses in what it is drawn over, and what the one
-//! gives is what the other takes.
+//! A thread on soft tissue moved by another controller: pulled over it, it presses it in, and action and reaction are
+//! equal.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use trocar_simulator::suture_thread::{Obstacle, Shape, Surroundings, Thread, Thr
 /// Ticks of the thread for one of the tissue.
 const RATE: u64 = 5;
 
-/// A block over whose top a thread is laid, held at its left end; its right one lies between jaws.
+/// A block with a thread over its top, held at its left end, its right end between jaws.
 const SCENE: &str = r#"
 [[entity]]
 name = "grasper"
@@ -91,7 +91,7 @@ fn grasper(x: f64) -> Pose {
     Isometry3::from_parts(Vector3::new(x, 0.0063, 0.003).into(), turn * closing).into()
 }
 
-/// The hand draws the thread over the block by so much, and holds it there; another life begins on the way, if `ends` says so.
+/// The hand pulls the thread over the block by this much, and holds it there, with a restart on the way if `ends`.
 fn drawn(more: &str, way: f64, ends: bool) -> Stage<Both> {
     let mut stage = {
         let mut stage = Stage::new(scene(&SCENE.replace("MORE", more)), 1000.0, Both::new);
@@ -113,7 +113,7 @@ fn drawn(more: &str, way: f64, ends: bool) -> Stage<Both> {
     stage
 }
 
-/// How far the vertex that is furthest from rest is from there \[m\].
+/// Largest displacement of a vertex \[m\].
 fn pressed(stage: &Stage<Both>) -> f64 {
     let now = stage.get::<VertexPositions>("block").positions;
     let rest = stage.get::<RestPositions>("block").positions;
@@ -127,7 +127,7 @@ fn a_thread_drawn_over_a_block_presses_it_in_and_gives_it_what_it_takes() {
     let mut stage = drawn(LIES, 0.002, false);
     let by = pressed(&stage);
     assert!(by > 2e-4, "pressed in by {by} m");
-    // All that the thread has given the tissue has taken, once that has had its turn.
+    // The tissue has received all of the thread's impulses, once it has stepped.
     while !stage.ticks.is_multiple_of(RATE) {
         stage.tick();
     }
@@ -138,14 +138,14 @@ fn a_thread_drawn_over_a_block_presses_it_in_and_gives_it_what_it_takes() {
     };
     let [given, taken] = sums(&stage);
     assert!(given.norm() > 0.0 && (given - taken).norm() <= 1e-12 * given.norm(), "{given:?} {taken:?} N·s");
-    // In a tick it is the force of the thread, which its own contacts say: four of five ticks are the thread's.
+    // Within a tick it is the force of the thread, as its own contacts report: four of five ticks are the thread's.
     stage.tick();
     let felt = stage.measured("thread.lying_force_n");
     let [then, _] = sums(&stage);
     let force = (then - given).norm() / 1e-3;
     assert!((force - felt).abs() < 1e-6 * felt, "{force} N given, {felt} N felt");
     assert!(felt > 0.1, "{felt} N");
-    // Nothing of the thread has sunk into the block.
+    // No part of the thread has sunk into the block.
     assert!(stage.measured("thread.penetration_m") < 3e-5, "{} m", stage.measured("thread.penetration_m"));
     assert!(stage.measured("thread.tension_n") > 0.2);
 }
@@ -193,7 +193,7 @@ fn what_cannot_be_lain_on_is_refused_by_name() {
     assert!(hard.contains("'grasper'") && hard.contains("dynamic_fem"), "{hard}");
 }
 
-/// A plate of free mass points, and a thread that falls on it: what it loses the plate has.
+/// A plate of free mass points, and a thread that falls on it: the plate gains the momentum that the thread loses.
 #[test]
 fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
     let material = ThreadMaterial { drag: 0.0, ..ThreadMaterial::silk_2_0() };
@@ -250,10 +250,10 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
     let has: Vector3<f64> = guests.iter().map(|guest| guest.velocity * mass).sum();
     let lost = before - after;
     assert!(has.norm() > 0.3 * before.norm(), "{has:?} of {before:?} kg·m/s");
-    // Friction has taken it along as well.
+    // Friction has dragged it along as well.
     assert!(has.x > 0.05 * before.x, "{has:?} of {before:?} kg·m/s");
     assert!((has - lost).norm() <= 1e-6 * has.norm(), "{has:?} for {lost:?} kg·m/s");
-    // Together they have no more energy than it had.
+    // Together they have no more energy than the thread had.
     let energy = |velocity: &Vector3<f64>| 0.5 * mass * velocity.norm_squared();
     let sum: f64 = guests.iter().map(|guest| energy(&guest.velocity)).sum();
     let had = 0.5 * 0.01 * material.mass_per_length * 0.26;

@@ -1,5 +1,5 @@
-//! A thread on a scene around an elastic body: it presses the body as it is pulled, the body gives way in the scene, and
-//! another life goes on with both.
+//! A thread on a scene around an elastic body: pulled, it presses the body, which deforms in the scene; a restart
+//! continues both.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -8,8 +8,8 @@ use trocar_simulator::controller::{ThreadController, ThreadMemory};
 
 const HZ: f64 = 500.0;
 
-/// A tube along y whose top is a tenth of a millimetre under the thread; that is held at its left end, over the tube, and lies
-/// between closed jaws at the right.
+/// A tube along y with its top a tenth of a millimetre under the thread; the thread is held at its left end, leads over
+/// the tube, and lies between closed jaws at the right.
 const SCENE: &str = r#"
 [[entity]]
 name = "tube"
@@ -43,7 +43,7 @@ fn build(context: &BuildContext<'_>) -> Result<ThreadController, ControllerError
     ThreadController::new(Vector3::zeros(), None, context)
 }
 
-/// Jaws that are closed about the right end, led out and down by a share of the whole way.
+/// Closed jaws around the right end, moved out and down by a fraction of the whole way.
 fn lead(stage: &mut Stage<ThreadController>, share: f64) {
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2)
         * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
@@ -73,14 +73,14 @@ fn a_body_gives_way_to_the_thread_that_is_pulled_over_it() {
     let tension = stage.measured("thread.tension_n");
     let pressed = stage.measured("tube.pressed_n");
     assert!(tension > 0.3 && pressed > 0.1 * tension, "{pressed} N at {tension} N");
-    // The tension is what runs over it, but for friction of an angle that is small.
+    // The tension is that of the other end, except for friction over a small angle.
     let over = stage.measured("tube.loop_tension_n");
     assert!((over / tension - 1.0).abs() < 0.1, "{over} N of {tension} N");
     // In its middle, where the line is.
     assert!(stage.measured("tube.line_off_m") < 2e-4, "{} m", stage.measured("tube.line_off_m"));
     assert_eq!(stage.measured("tube.precomputed_share"), 1.0);
     assert_eq!(stage.measured("tube.beyond_linear"), 0.0);
-    // Its top has gone down, in the scene as well, and nothing else is as far from rest.
+    // Its top has moved down, in the scene as well, and nothing else is displaced as much.
     let tube = stage.get::<VertexPositions>("tube");
     let rest = stage.get::<trocar_scene::RestPositions>("tube");
     let moved = tube.positions.iter().zip(rest.positions.iter()).map(|(now, rest)| now - rest);
@@ -88,7 +88,7 @@ fn a_body_gives_way_to_the_thread_that_is_pulled_over_it() {
     assert!((furthest.norm() - stage.measured("tube.displacement_max_m")).abs() < 1e-12);
     // The tube's y is the world's −z.
     assert!(furthest.norm() > 1e-6 && furthest.y > 0.7 * furthest.norm(), "{furthest:?}");
-    // Everybody is told of the force on it.
+    // The force on it is published.
     let (on, by) = (stage.entity("tube"), stage.entity("thread"));
     let lists = stage.store.view().iter::<CollisionList>();
     let told: Vec<_> = lists.flat_map(|(_, list)| list.collisions.clone()).collect();
@@ -101,7 +101,7 @@ fn another_life_goes_on_to_the_bit() {
     let whole = pulled(100, |_| {});
     let one = pulled(100, |stage| {
         stage.rebuild(build);
-        // It has its inverse computed anew, and stands still as long.
+        // It recomputes its inverse, and is at rest meanwhile.
         lead(stage, 0.49);
     });
     for name in ["thread", "tube"] {

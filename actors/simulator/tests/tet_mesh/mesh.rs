@@ -1,4 +1,4 @@
-//! What is wrong with a tetrahedral mesh is listed with its numbers, mended where that can be done, or refused.
+//! Validation of tetrahedral meshes: faults are listed by element, repaired where possible, or rejected.
 
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
@@ -107,7 +107,7 @@ fn what_can_be_mended_is_mended_and_said() {
     for tet in &mut tets {
         *tet = tet.map(|node| node + 1);
     }
-    // A corner doubled, an element turned, one flat, one twice.
+    // A corner doubled, an element inverted, one flat, one twice.
     let twin = nodes.len() as u32;
     nodes.push(nodes[4]);
     let user = tets.iter().position(|tet| tet.contains(&4)).expect("somebody uses it");
@@ -185,7 +185,7 @@ fn a_cut_may_leave_nodes_at_the_same_place() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// Of any numbers whatever: an answer, and a mended mesh is sound.
+    /// For arbitrary input there is a result, and a repaired mesh is valid.
     #[test]
     fn any_soup_is_answered(
         nodes in prop::collection::vec([-2..3_i32, -2..3, -2..3], 0..12),

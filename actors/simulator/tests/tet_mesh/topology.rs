@@ -1,5 +1,4 @@
-//! Volumes that come apart: what follows from the mesh follows each change as if it had been computed anew; meshes that
-//! are refined.
+//! Topology changes of volumes: all derived data are updated as if recomputed from the mesh; mesh refinement.
 
 use std::collections::BTreeSet;
 
@@ -21,7 +20,7 @@ fn block(cells: [usize; 3]) -> TetMesh {
     TetMesh::new(&nodes, &tets, &MeshRules::default()).expect("a sound mesh")
 }
 
-/// Compares everything that is kept with what a mesh that is made anew says.
+/// Compares everything stored with a mesh built anew.
 fn agrees(volume: &Volume) {
     let (mesh, nodes) = volume.mesh().expect("something is left");
     let turned = |triangle: [u32; 3]| {
@@ -31,7 +30,7 @@ fn agrees(volume: &Volume) {
     let kept: BTreeSet<[u32; 3]> = volume.surface().map(turned).collect();
     let anew: BTreeSet<[u32; 3]> =
         mesh.surface().iter().map(|corners| turned(corners.map(|node| nodes[node as usize]))).collect();
-    // Faces that are open, but whose corners still hold together elsewhere, are counted from both sides.
+    // Faces that are cut, but whose corners are still connected elsewhere, are counted from both sides.
     assert!(kept.is_superset(&anew));
     for triangle in kept.difference(&anew) {
         let [a, b, c] = *triangle;
@@ -94,7 +93,7 @@ fn a_blade_that_passes_through_makes_two_pieces_and_one_that_stops_does_not() {
         (volume.pieces(), change.born.len(), volume)
     };
     let (pieces, split, volume) = across(-0.01);
-    // A layer of nodes has been doubled, and no volume is lost.
+    // A layer of nodes has been duplicated, and no volume is lost.
     assert_eq!((pieces, split), (2, 9));
     assert!((volume.shares().iter().sum::<f64>() - mesh.volume()).abs() < 1e-15);
     let (pieces, split, _) = across(0.0101);
@@ -106,7 +105,7 @@ fn a_blade_that_passes_through_makes_two_pieces_and_one_that_stops_does_not() {
 fn it_tears_across_the_largest_tension() {
     let mesh = block([6, 2, 2]);
     let volume = Volume::new(&mesh);
-    // Pulled along x, most in the middle.
+    // Stretched along x, most in the middle.
     let stress = |tet: u32| {
         let x = mesh.tets()[tet as usize].iter().map(|&n| mesh.rest()[n as usize].x).sum::<f64>() / 4.0;
         Matrix3::from_diagonal(&Vector3::new(1e4 - 1e6 * (x - 0.03).abs(), -2e4, 0.0))
@@ -117,7 +116,7 @@ fn it_tears_across_the_largest_tension() {
     let face: Vec<_> =
         (0..4).filter(|k| *k != usize::from(corner)).map(|k| mesh.rest()[nodes[k] as usize]).collect();
     assert!(face.iter().all(|at| (at.x - 0.03).abs() < 1e-9), "{face:?}");
-    // Torn face by face it comes apart, and only there.
+    // Torn face by face it separates, and only there.
     let mut volume = volume;
     let mut steps = 0;
     while volume.pieces() == 1 {
@@ -158,8 +157,8 @@ fn a_refined_mesh_is_fine_where_it_is_asked_to_be_and_as_sound_as_before() {
     assert_eq!((same, none), (nodes, tets));
 }
 
-/// Draws a straight blade, which points along y from `x0` on, through a block in so many ticks, its path tilted by `slope`;
-/// everything moves on by `drift` in each tick.
+/// Sweeps a straight blade, which points along y from `x0` on, through a block in this many ticks, its path tilted by
+/// `slope`; everything moves by `drift` in each tick.
 fn drawn(ticks: u32, slope: f64, drift: Vector3<f64>) -> (Volume, Slit, Point3<f64>, Vector3<f64>) {
     let mesh = block([6, 3, 3]);
     let mut volume = Volume::new(&mesh);
@@ -196,8 +195,8 @@ fn volume_of(volume: &Volume, tet: u32) -> f64 {
     (b - a).cross(&(c - a)).dot(&(d - a)) / 6.0
 }
 
-/// However fast the blade goes, and whether or not the tissue moves meanwhile, there are two pieces, and what is on either side
-/// of the path is of another one; the lips are where the path was, not where faces happened to be.
+/// However fast the blade is, and whether or not the tissue moves meanwhile, there are two pieces, one on either side
+/// of the path; the lips are where the path was, not at existing faces.
 #[test]
 fn a_blade_cuts_where_it_passes_and_not_where_elements_meet() {
     for (ticks, slope, drift) in [
@@ -211,7 +210,7 @@ fn a_blade_cuts_where_it_passes_and_not_where_elements_meet() {
         let name = format!("{ticks} ticks, slope {slope}, drift {drift:?}");
         assert_eq!(volume.pieces(), 2, "{name}");
         let height = |node: u32| normal.dot(&(volume.rest()[node as usize] - middle));
-        // A tenth of an edge of 1 cm is what it may miss where an element would have become too small.
+        // A deviation of a tenth of an edge of 1 cm is allowed where an element would have become too small.
         let mut worst: f64 = 0.0;
         for (tet, nodes) in volume.tets() {
             let middle = nodes.iter().map(|&node| height(node)).sum::<f64>() / 4.0;
@@ -235,7 +234,7 @@ fn a_blade_cuts_where_it_passes_and_not_where_elements_meet() {
     }
 }
 
-/// A thousand cuts this way and that: the mesh stays sound, and no element is smaller or flatter than it may be.
+/// A thousand cuts in random directions: the mesh stays valid, and no element is smaller or flatter than allowed.
 #[test]
 fn a_thousand_random_cuts_leave_no_sliver() {
     let mesh = block([4, 4, 4]);
@@ -269,7 +268,8 @@ fn a_thousand_random_cuts_leave_no_sliver() {
     assert!(volume.pieces() > 1);
 }
 
-/// What explicit springs part along are faces between elements: after a thousand cuts, nothing has become stiffer for its mass.
+/// Explicit springs separate along faces between elements: after a thousand cuts, the ratio of stiffness to mass has
+/// not increased.
 #[test]
 fn a_thousand_random_cuts_never_halve_the_safe_step_of_a_volume_of_springs() {
     let mesh = block([5, 5, 5]);
@@ -298,8 +298,8 @@ fn a_thousand_random_cuts_never_halve_the_safe_step_of_a_volume_of_springs() {
     }
     assert!(opened > 500 && volume.pieces() > 10, "{opened} faces, {} pieces", volume.pieces());
     assert!(least > 0.5 * at_first, "{least} s of {at_first} s");
-    // And it steps at half of the first one, which would be refused if it were too large: it falls, and what it moves
-    // and stretches with is what it has lost in height.
+    // It accepts half of the initial step, which would be rejected if too large: it falls, and its kinetic and elastic
+    // energy equals the loss of potential energy.
     let (mesh, _) = volume.mesh().expect("something is left");
     let material = VolumeMaterial { young_modulus: 2e4, density: 1000.0 };
     let network = Network::from_volume(mesh.rest(), mesh.tets(), &material).expect("a network");

@@ -1,4 +1,4 @@
-//! Position-based bodies on a scene: pressed, hung and continued, of every kind of matter.
+//! XPBD bodies on a scene: pressed, hanging and restarted, with every kind of material.
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -25,7 +25,7 @@ fn down(z: f64) -> Pose {
     }
 }
 
-/// Leads the rod into a body from above for half a second; in the middle the controller may get another life.
+/// Moves the rod into a body from above for half a second; in the middle the controller may be restarted.
 fn press<C: Controller>(stage: &mut Stage<C>, hz: u32, depth: f64, mut halfway: impl FnMut(&mut Stage<C>)) {
     let ticks = hz / 2;
     for tick in 0..ticks {
@@ -37,7 +37,7 @@ fn press<C: Controller>(stage: &mut Stage<C>, hz: u32, depth: f64, mut halfway: 
     }
 }
 
-/// What the collision list says that the body bears \[N\].
+/// Force on the body according to the collision list \[N\].
 fn force<C: Controller>(stage: &Stage<C>) -> Vector3<f64> {
     let lists = stage.store.view().iter::<CollisionList>();
     lists.flat_map(|(_, list)| list.collisions.iter().map(|c| c.force_in_world).collect::<Vec<_>>()).sum()

@@ -1,4 +1,4 @@
-//! Position-based bodies.
+//! XPBD bodies.
 
 mod controller;
 mod reference;

@@ -1,4 +1,4 @@
-//! XPBD against closed forms: how it converges with the step and the iterations, the failing control, and its budgets of
+//! XPBD against closed forms: convergence with the step and the iterations, the failing control, and budgets of
 //! momentum and energy.
 
 use nalgebra::{Point3, Vector3};
@@ -8,7 +8,7 @@ use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdI
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
-/// Stretch of the chain of twenty grams on springs of 50 N/m after it has come to rest, over that of the closed form.
+/// Stretch at rest of the chain of twenty grams on springs of 50 N/m, relative to that of the closed form.
 fn chain(dt: f64, iterations: u32, damping: f64) -> f64 {
     let rest: Vec<_> = (0..21).map(|node| Point3::new(0.0, 0.0, -0.05 * f64::from(node))).collect();
     let distances: Vec<_> = (0..20)
@@ -23,7 +23,7 @@ fn chain(dt: f64, iterations: u32, damping: f64) -> f64 {
     (-solver.state().positions[20].z - 1.0) / 0.041202
 }
 
-/// The same by the algorithm as it was written down, one constraint after the other in the order given (Macklin, Müller, Chentanez
+/// The same by the published algorithm, one constraint after the other in the order given (Macklin, Müller, Chentanez
 /// 2016).
 fn plain_chain(dt: f64, iterations: u32, order: impl Iterator<Item = usize> + Clone) -> f64 {
     let mut heights: Vec<f64> = (0..21).map(|node| -0.05 * f64::from(node)).collect();
@@ -79,8 +79,9 @@ fn a_hanging_chain_converges_to_its_closed_form_as_the_table_says() {
     }
 }
 
-/// +4.4 % at 5 ms with 5 iterations, +26 % at 1/60 s with 20 and 13.6 times with 1 are those of a sweep from the pin down. Ours goes
-/// by colours, so that it can go in parallel: every second link, then the others, which is a little behind.
+/// +4.4 % at 5 ms with 5 iterations, +26 % at 1/60 s with 20 and 13.6 times with 1 are those of a sweep from the pin
+/// down. Ours sweeps colour by colour, so that it can run in parallel: every second link, then the others, which
+/// converges slightly more slowly.
 #[test]
 fn large_steps_are_too_soft_by_what_the_reference_says() {
     let by_colours = || (0..20).step_by(2).chain((1..20).step_by(2));
@@ -96,7 +97,7 @@ fn large_steps_are_too_soft_by_what_the_reference_says() {
     }
 }
 
-/// Damping takes from motion, and nothing from what hangs still.
+/// Damping acts on motion, not on static sag.
 #[test]
 fn what_hangs_is_as_long_however_it_is_damped() {
     for damping in [2.0, 20.0] {
@@ -105,7 +106,7 @@ fn what_hangs_is_as_long_however_it_is_damped() {
     }
 }
 
-/// The failing control: plain position-based dynamics, whose stiffness is a share of each correction.
+/// The failing control: plain position-based dynamics, whose stiffness is a fraction of each correction.
 #[test]
 fn plain_position_based_dynamics_has_the_stiffness_of_its_iterations() {
     let stretch = |dt: f64, iterations: u32| {
@@ -136,7 +137,7 @@ fn plain_position_based_dynamics_has_the_stiffness_of_its_iterations() {
 
 const SOFT: Elasticity = Elasticity { young_modulus: 1e4, poisson_ratio: 0.3, density: 1000.0 };
 
-/// What a body has: its momentum, its angular momentum about the origin, its energy.
+/// Momentum, angular momentum about the origin, and energy of a body.
 fn budget(body: &Xpbd) -> (Vector3<f64>, Vector3<f64>, f64) {
     let state = body.state();
     let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
@@ -147,8 +148,8 @@ fn budget(body: &Xpbd) -> (Vector3<f64>, Vector3<f64>, f64) {
     (linear, angular, body.elastic_energy() + body.kinetic_energy())
 }
 
-/// A body that flies, turns at 8 rad/s and quivers, for a fifth of a second in steps of 1 ms: how far linear and angular momentum
-/// and energy are from what they were at first, each as a share, and the most that the energy ever was.
+/// A body that flies, rotates at 8 rad/s and vibrates, for a fifth of a second in steps of 1 ms: relative changes of
+/// linear and angular momentum and of energy, and the largest energy relative to the initial one.
 fn flown(body: &Body<'_>, parts: u32) -> [f64; 4] {
     let mut solver = Xpbd::new(body, &[], XpbdConfig { parts, ..XpbdConfig::default() }).expect("a body");
     let mut state = solver.state().clone();
@@ -195,8 +196,8 @@ fn what_flies_keeps_its_momentum_and_gains_no_energy() {
             assert!(linear < 1e-9, "{name}: {linear} of its momentum");
             assert!(most < 1.0 + 1e-9, "{name}: {most} times the energy that there was");
         }
-        // Impulses act along the constraints as they are on the way, not as they were when the part began: turning slows down, in
-        // proportion to the length of a part.
+        // Impulses act along the constraints at the iterate, not at the beginning of the substep: rotation slows down,
+        // in proportion to the substep.
         let order = (coarse[1] / fine[1]).log2() / 2.0;
         assert!(
             coarse[1] < 1e-3 && (0.9..1.1).contains(&order),

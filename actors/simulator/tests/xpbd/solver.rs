@@ -12,7 +12,7 @@ use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdI
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
-/// A rod held in its first two nodes droops as the same springs and hinges do in equilibrium.
+/// A cantilever rod deflects as the same springs and hinges do in equilibrium.
 #[test]
 fn a_rod_bends_by_its_stiffness_and_not_by_its_iterations() {
     let (segments, edge) = (10_u32, 0.01);
@@ -43,7 +43,7 @@ fn a_rod_bends_by_its_stiffness_and_not_by_its_iterations() {
     assert!(coarse.abs() >= fine.abs(), "{coarse} and {fine}");
 }
 
-/// What jaws feel of a body that hangs in them is its weight, whatever it is made of.
+/// The force on jaws that hold a hanging body is its weight, for every material.
 #[test]
 fn what_hangs_in_jaws_weighs_what_it_weighs() {
     let (points, tets) = beam([4, 2, 2], [0.04, 0.02, 0.02]);
@@ -60,7 +60,7 @@ fn what_hangs_in_jaws_weighs_what_it_weighs() {
         bends: &network.hinges,
         ..Body::default()
     };
-    // Half an edge's mass is in what is held itself.
+    // Half an edge's mass belongs to the held nodes.
     for (body, weight) in [(volume, 9.81 * 1000.0 * 1.6e-5), (rod, 9.81 * 2e-3 * 0.08)] {
         let held: Vec<Prescribed> = (0..body.rest.len() as u32)
             .filter(|&node| body.rest[node as usize].x < 0.011)
@@ -164,7 +164,7 @@ fn a_beam_bends_as_the_same_tetrahedra_do_in_linear_elasticity() {
         let sunk = |node: &u32| points[*node as usize].z - solver.state().positions[*node as usize].z;
         ends.iter().map(sunk).sum::<f64>() / ends.len() as f64 / 1.306_239_43e-3 - 1.0
     };
-    // Too soft by what the square of the part's length makes it, whatever the iterations: small steps are the method.
+    // Too soft in proportion to the squared substep, whatever the iterations: small steps are the method.
     let (coarse, fine) = (sunk_with(16), sunk_with(64));
     assert!((0.0..0.04).contains(&coarse), "{coarse}");
     assert!(fine.abs() < 0.004, "{fine}");
@@ -178,8 +178,8 @@ fn a_body_turned_inside_out_recovers() {
     let middle = points.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / points.len() as f64;
     let mut random = Pcg64Mcg::seed_from_u64(11);
     let mut shaken = || Vector3::from_fn(|_, _| random.random_range(-5e-4..5e-4));
-    // One node drawn through all others; everything in a plane, half of the elements the wrong way by chance; everything its own
-    // mirror image, every element inside out; everything in one place but for half a millimetre.
+    // One node pulled through all others; everything in a plane, with half of the elements inverted by chance;
+    // everything mirrored, every element inverted; everything in one point except for half a millimetre.
     let mut one = points.clone();
     one[0] = Point3::new(0.025, 0.025, 0.025);
     let mut drawn = |scale: Vector3<f64>| -> Vec<Point3<f64>> {
@@ -204,7 +204,7 @@ fn a_body_turned_inside_out_recovers() {
             solver.step(1e-3, &XpbdInput::default()).expect("a step");
         }
         assert_eq!(solver.inverted().count, 0, "{what}");
-        // In its form again, wherever it lies.
+        // Back in its shape, at any pose.
         let now = &solver.state().positions;
         for tet in &tets {
             for (a, b) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
@@ -218,7 +218,7 @@ fn a_body_turned_inside_out_recovers() {
 
 #[test]
 fn the_bits_are_the_same_on_any_number_of_threads_and_after_a_restart() {
-    // Large enough: what threads share are colours of 512 packs of four tetrahedra, or 512 distances, and more.
+    // Large enough: threads share colours of 512 packs of four tetrahedra, or 512 distances, and more.
     let (points, tets) = beam([34, 26, 20], [0.34, 0.26, 0.20]);
     let near = |node: &u32| (points[*node as usize] - points[*node as usize + 1]).norm() < 0.0101;
     let next_to = (0..points.len() as u32 - 1).filter(near);
@@ -266,7 +266,7 @@ fn momentum_is_kept_and_nonsense_refused() {
     }
     solver.restore(state).expect("a state");
     let middle = |solver: &Xpbd| {
-        // Corners differ in mass by the tetrahedra that they have.
+        // Corners differ in mass by their number of tetrahedra.
         let mut sum = Vector3::zeros();
         for tet in &tets {
             tet.iter().for_each(|&node| sum += solver.state().positions[node as usize].coords);
@@ -299,7 +299,7 @@ fn momentum_is_kept_and_nonsense_refused() {
 fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState, OF_BODY, Tie};
     use trocar_simulator::xpbd::{Member, step_together};
-    // A chain of 20 masses, whole or in two bodies that share a place, hanging from its first node in a side wind.
+    // A chain of 20 masses, whole or in two bodies that share a node, hanging from its first node in a side wind.
     let chain = |from: usize, to: usize| -> Vec<Point3<f64>> {
         (from..=to).map(|k| Point3::new(0.005 * k as f64, 0.0, 0.0)).collect()
     };
@@ -313,7 +313,7 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     let gravity = Vector3::new(1.0, 3.0, -9.81);
     let input = XpbdInput { gravity, ..XpbdInput::default() };
     let mut whole = body(&chain(0, 19), &[1e-4; 20], &[0]);
-    // The node in the middle has half of its mass in each.
+    // The node in the middle has half of its mass in each body.
     let mut masses = [1e-4; 11];
     masses[10] = 0.5e-4;
     let mut first = body(&chain(0, 10), &masses, &[0]);
@@ -333,11 +333,11 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     let end = |body: &Xpbd| *body.state().positions.last().expect("an end");
     let (one, two) = (end(&whole), end(&second));
     assert!((one - two).norm() < 2e-4, "{one} and {two}");
-    // The tie bears all that hangs below it.
+    // The tie bears everything that hangs below it.
     let below = gravity * (9.5 * 1e-4);
     let tied = state.moved().ties[0].force;
     assert!((tied - below).norm() < 0.01 * below.norm(), "{tied:?} for {below:?}");
-    // Without a pin it flies as one: momentum is kept.
+    // Without a pin it flies as one: momentum is conserved.
     let mut first = body(&chain(0, 10), &[1e-4; 11], &[]);
     let mut second = body(&chain(10, 19), &[2e-4; 10], &[]);
     let mut moving = second.state().clone();
@@ -354,12 +354,12 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     let still = XpbdInput::default();
     let mut members = [Member { body: &mut first, input: still }, Member { body: &mut second, input: still }];
     step_together(0.01, &mut members, &company, &mut state).expect("a step");
-    // Its damping takes the same share of everything: 40 parts of a quarter millisecond at 2 1/s.
+    // Damping removes the same fraction of everything: 40 substeps of a quarter millisecond at 2 1/s.
     let kept = (1.0 + 2.0 * 0.01 / 40.0_f64).powi(-40);
     let after = momentum(&first, &second);
     assert!((after - damped * kept).norm() < 1e-9 * damped.norm(), "{after:?} of {:?}", damped * kept);
     assert!(state_of(&first).velocities[10].norm() > 0.01, "the one draws the other along");
-    // A tie to a node that there is not is refused, and nothing has moved.
+    // A tie to a missing node is rejected, and nothing has moved.
     let wrong = [Tie { guests: [(OF_BODY + 99, 1.0); 4], ..ties[0] }];
     let company = ExternalNodes { ties: &wrong, ..ExternalNodes::default() };
     let before = (state_of(&first), state_of(&second));

@@ -1,4 +1,4 @@
-//! The nodes' own 3 × 3 blocks as preconditioner: nothing is kept from one step to the next.
+//! Block Jacobi preconditioner: the nodes' 3 × 3 diagonal blocks, rebuilt in each step.
 
 use nalgebra::Matrix3;
 
@@ -10,12 +10,12 @@ use crate::simd::f64x4::Quad;
 #[derive(Clone, Debug, Default)]
 pub(super) struct NodeBlocks {
     inverse: Vec<Matrix3<f64>>,
-    /// Their columns.
+    /// Columns of the inverse blocks.
     columns: Vec<[Quad; 3]>,
 }
 
 impl NodeBlocks {
-    /// Takes the blocks from the matrix as it is now.
+    /// Builds the blocks from the current matrix.
     pub fn update(&mut self, matrix: &StepMatrix, network: &Network, contacts: &[Contact]) {
         self.inverse.clear();
         self.inverse.extend(matrix.masses.iter().map(|&mass| Matrix3::from_diagonal_element(mass)));
@@ -40,7 +40,7 @@ impl NodeBlocks {
             *inverse = if *mass > 0.0 {
                 inverse.try_inverse().unwrap_or_else(|| Matrix3::from_diagonal_element(1.0 / mass))
             } else {
-                // A held node has an empty block: its residual never becomes a direction.
+                // A held node has a zero block: its residual never becomes a direction.
                 Matrix3::zeros()
             };
         }

@@ -1,4 +1,4 @@
-//! Sparse Cholesky of the step's matrix: pattern and ordering once per network, numbers in each step.
+//! Sparse Cholesky factorisation of the step's matrix: symbolic once per network, numeric in each step.
 
 use std::sync::Arc;
 
@@ -22,8 +22,7 @@ use crate::mass_spring::{Contact, Network};
 pub(super) struct Cholesky {
     pattern: Arc<SymbolicSparseColMat<usize>>,
     symbolic: Option<Arc<SymbolicCholesky<usize>>>,
-    /// Blocks below the diagonal of each block column, as (row, column) in ascending order of column, then row; the
-    /// diagonal block first.
+    /// Blocks of each block column, as (row, column) sorted by column, then row; the diagonal block first.
     starts: Vec<usize>,
     rows: Vec<u32>,
     values: Vec<f64>,
@@ -53,8 +52,8 @@ impl Clone for Cholesky {
     }
 }
 
-/// In which order the rows of a network are eliminated whose shape at rest is known, for minimum degree gets lost in large
-/// grids; empty for another one.
+/// Elimination order of a network with a known rest shape, since minimum degree is poor on large grids; empty without
+/// one.
 fn order(network: &Network, starts: &[usize], rows: &[u32]) -> Vec<usize> {
     if network.rest.len() != network.masses.len() {
         return Vec::new();
@@ -111,7 +110,7 @@ impl Cholesky {
         } else {
             SymmetricOrdering::Custom(PermRef::new_checked(&order, &inverse, order.len()))
         };
-        // Out of memory is the only failure, and is told by the first step.
+        // Out of memory is the only failure; the first step reports it.
         let symbolic = factorize_symbolic_cholesky(
             pattern.as_ref(),
             Side::Lower,
@@ -134,13 +133,13 @@ impl Cholesky {
         }
     }
 
-    /// Where a block's first number of each of its three columns stands; `None` for a pair the pattern does not have.
+    /// Index of the first number in each of a block's three columns; `None` for a pair outside the pattern.
     fn place(&self, row: u32, column: u32) -> Option<[usize; 3]> {
         let from = self.starts[column as usize];
         let blocks = &self.rows[from..self.starts[column as usize + 1]];
         let at = blocks.binary_search(&row).ok()?;
         let starts = self.pattern.col_ptr();
-        // The diagonal block has lost 0, 1 and 2 numbers in its columns.
+        // The diagonal block lacks 0, 1 and 2 numbers in its columns.
         let place = |axis: usize| {
             let skipped = if at == 0 { 0 } else { 3 * at - axis };
             starts[3 * column as usize + axis] + skipped
@@ -187,7 +186,7 @@ impl Cholesky {
         values.fill(0.0);
         let starts = self.pattern.col_ptr();
         for (node, &mass) in matrix.masses.iter().enumerate() {
-            // A held node has a row of its own: what is solved for is no change.
+            // A held node has a row of its own, with a zero change of velocity.
             let diagonal = if mass > 0.0 { mass } else { network.masses[node] };
             (0..3).for_each(|axis| values[starts[3 * node + axis]] += diagonal);
         }
@@ -196,7 +195,7 @@ impl Cholesky {
             if held(a) || held(b) {
                 return;
             }
-            // Symmetric, so that the block below the diagonal is the one above it.
+            // Symmetric, so that the block below the diagonal equals the one above it.
             let Some(places) = self.place(a.max(b), a.min(b)) else { return };
             let own = block.matrix() * weight;
             for (axis, place) in places.into_iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Conjugate gradients on the step's matrix, which is never formed.
+//! Matrix-free conjugate gradients on the step's matrix.
 
 use nalgebra::Vector3;
 
@@ -6,9 +6,9 @@ use super::operator::Operator;
 use crate::simd::dispatch::wide;
 use crate::simd::f64x4::{Quad, dot};
 
-/// Something near the inverse of the matrix: symmetric and definite on the nodes that are free, nothing on those held.
+/// An approximate inverse of the matrix: symmetric and definite on free nodes, zero on held ones.
 pub(super) trait Preconditioner {
-    /// Always inlined, so that it is compiled for the registers that the iteration is compiled for.
+    /// Always inlined, so that it is compiled for the same registers as the iteration.
     fn apply(&mut self, masses: &[f64], residual: &[Quad], product: &mut [Quad]);
 }
 
@@ -29,7 +29,7 @@ impl ConjugateGradients {
         Self { tolerance, iterations_max, solution, residual, preconditioned, direction, product }
     }
 
-    /// Iterations taken, and what remains of the right-hand side, in the preconditioner's norm.
+    /// Solves; returns the iterations taken and the relative residual in the preconditioner's norm.
     pub fn solve(
         &mut self,
         preconditioner: &mut impl Preconditioner,
@@ -76,8 +76,8 @@ impl ConjugateGradients {
                 *residual -= *product * along;
             }
             preconditioner.apply(masses, residual, preconditioned);
-            // Against the change of the residual, so that a preconditioner of few digits does not spoil the directions
-            // (Golub and Ye 1999).
+            // Flexible variant, with the change of the residual: an inexact preconditioner does not spoil the
+            // directions (Golub and Ye 1999).
             let keep = -along * dot(preconditioned, product) / size;
             size = dot(residual, preconditioned);
             for (direction, preconditioned) in direction.iter_mut().zip(preconditioned.iter()) {

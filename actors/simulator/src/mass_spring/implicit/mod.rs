@@ -1,5 +1,5 @@
-//! Backward Euler: M Δv = h f at the end of the step, linearised where the iteration stands. The first iteration
-//! linearises at the beginning of the step (Baraff and Witkin 1998); further ones are Newton's.
+//! Backward Euler: M Δv = h f at the end of the step, linearised at the current iterate. The first iteration linearises
+//! at the beginning of the step (Baraff and Witkin 1998); further ones are Newton iterations.
 
 pub(crate) mod block_jacobi;
 mod cholesky;
@@ -18,23 +18,23 @@ use conjugate_gradients::ConjugateGradients;
 use operator::Operator;
 use warped::Warped;
 
-/// Slip \[m/s\] at which friction has reached its full size; below, it is a drag.
+/// Slip velocity \[m/s\] at which friction reaches its full magnitude; below, it is a viscous drag.
 const CREEP: f64 = 1e-3;
 
-/// How often a step is solved for anew at most because contacts press that did not, or press no longer: a light sheet on a
-/// rod would be thrown off and come back in turns.
+/// Maximum number of repeated solutions after a change of the active contacts: without repetition, a light sheet on a
+/// rod would alternately bounce off and come back.
 const CHANGES_MAX: u32 = 3;
 
-/// What an implicit step needs beside the state.
+/// Data of an implicit step besides the state.
 #[derive(Clone, Debug)]
 pub(super) struct Implicit {
     matrix: StepMatrix,
     operator: Operator,
     solver: Solver,
-    /// Right-hand side, and what is solved for: change of velocity \[m/s\].
+    /// Right-hand side, and the unknowns: change of velocity \[m/s\].
     right: Vec<Vector3<f64>>,
     change: Vec<Vector3<f64>>,
-    /// How far the positions are from where the velocity leads.
+    /// Difference of the positions from those implied by the velocities.
     lead: Vec<Vector3<f64>>,
 }
 
@@ -46,8 +46,8 @@ enum Solver {
 }
 
 impl Implicit {
-    /// Follows a network that has changed: of the former one nothing serves. A factor is somebody else's to make, as it takes
-    /// longer than a step; until then the nodes' own blocks do.
+    /// Adapts to a changed network: nothing of the former one can be reused. A new factor takes longer than a step and
+    /// is computed elsewhere; until then the block Jacobi preconditioner is used.
     pub fn follow(&mut self, network: &Network) {
         self.operator.forget();
         for list in [&mut self.right, &mut self.change, &mut self.lead] {
@@ -84,13 +84,13 @@ impl Implicit {
     }
 }
 
-/// The factor of a sheet at rest, made beside the steps that it is to be the preconditioner of.
+/// Factor of the rest-state matrix of a sheet, computed in parallel to the steps as their preconditioner.
 #[derive(Clone, Debug)]
 pub struct SheetFactor(Box<Warped>);
 
 impl SheetFactor {
-    /// Of a network that a mesh made, of which nodes move as `mobility` says \[1/kg\] (0: not at all), for steps of `dt`
-    /// \[s\] with the damping of a configuration.
+    /// For a network built from a mesh with inverse masses `mobility` \[1/kg\] (0: held), steps of `dt` \[s\] and the
+    /// damping of a configuration.
     #[must_use]
     pub fn new(network: &Network, mobility: &[f64], dt: f64, config: &Config) -> Self {
         Self(Box::new(Warped::made(network, mobility, (dt, config.lag, config.damping))))
@@ -98,14 +98,14 @@ impl SheetFactor {
 }
 
 impl MassSpring {
-    /// Goes on without a factor, as if its network had just changed.
+    /// Continues without a factor, as after a change of the network.
     pub fn forget_factor(&mut self) {
         if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut() {
             **warped = Warped::default();
         }
     }
 
-    /// Goes on with a factor of its network as it is now; one of another number of nodes or springs is none.
+    /// Continues with a factor of the current network; a factor with another number of nodes or springs is ignored.
     pub fn take_factor(&mut self, factor: SheetFactor) {
         let fits = factor.0.fits(&self.network);
         if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut()
@@ -115,7 +115,7 @@ impl MassSpring {
         }
     }
 
-    /// Numbers of the factor that an implicit step is preconditioned with; none where there is no such factor.
+    /// Number of entries of the factor used as preconditioner; 0 without one.
     #[must_use]
     pub fn factor_entries(&self) -> usize {
         match self.implicit.as_deref() {
@@ -130,7 +130,7 @@ impl MassSpring {
         input: &Input<'_>,
         newton: u32,
     ) -> Result<Report, StepError> {
-        // Taken out for the time of the step, so that solver and state can be borrowed side by side.
+        // Taken out during the step, so that solver and state can be borrowed separately.
         let Some(mut implicit) = self.implicit.take() else { return Err(StepError::Factorisation) };
         let mut report = Report { parts: 1, safe_step: f64::INFINITY, ..Report::default() };
         let mut result = Ok(());
@@ -152,7 +152,7 @@ impl MassSpring {
         Ok(report)
     }
 
-    /// Matrix and right-hand side where the iteration stands.
+    /// Matrix and right-hand side at the current iterate.
     fn linearise(&mut self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
         let scratch = &mut self.scratch;
         let (positions, velocities) = (&scratch.next.positions, &scratch.next.velocities);
@@ -164,7 +164,7 @@ impl MassSpring {
             scratch.forces[force.node as usize] += force.force;
         }
 
-        // f(x₀ + h v) is linearised about the positions of this iteration: what separates the two, times h K.
+        // f(x₀ + h v) is linearised at the positions of this iteration: their difference, times h K.
         let began = &self.state.positions;
         for (((lead, velocity), position), began) in
             implicit.lead.iter_mut().zip(velocities).zip(positions).zip(began)
@@ -177,7 +177,7 @@ impl MassSpring {
         {
             let slip = contact.slip(velocities);
             let normal = contact.normal;
-            // At the end of the step, from its beginning: the normal part is linear in the velocity.
+            // Depth at the end of the step, from its beginning: the normal part is linear in the velocity.
             let out = normal.dot(&(contact.point(positions) - touched - contact.velocity * h));
             let ahead: Vector3<f64> =
                 contact.joint().into_iter().map(|(node, share)| implicit.lead[node as usize] * share).sum();
@@ -202,7 +202,7 @@ impl MassSpring {
             let held = scratch.mobility[node] == 0.0;
             matrix.masses.push(if held { 0.0 } else { mass * (1.0 + h * damping) });
         }
-        // Springs only: the contacts' depth has been taken at its end already. Damping has no share in the lead.
+        // Springs only: the contacts' depth is already that at the end. Damping does not act on the lead.
         let lag = self.config.lag;
         for (spring, block) in self.network.springs.iter().zip(&matrix.springs) {
             let [a, b] = spring.nodes.map(|node| node as usize);
@@ -250,7 +250,7 @@ impl MassSpring {
         Ok(())
     }
 
-    /// Brings the preconditioner to where the iteration stands.
+    /// Updates the preconditioner to the current iterate.
     fn prepare_solver(&self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
         let Implicit { matrix, operator, solver, .. } = implicit;
         if !matches!(solver, Solver::Cholesky(_)) {
@@ -269,7 +269,7 @@ impl MassSpring {
         }
     }
 
-    /// Velocities and positions of the end of the step as the iteration sees them.
+    /// Velocities and positions at the end of the step for the current iterate.
     fn advance(&mut self, implicit: &Implicit, h: f64, input: &Input<'_>) {
         let scratch = &mut self.scratch;
         let next = &mut scratch.next;
@@ -286,8 +286,8 @@ impl MassSpring {
         }
     }
 
-    /// Makes the forces of contacts what the linear system made of them, which is what acted: the momentum that it gave.
-    /// Whether all that pressed do, and no others would.
+    /// Sets the contact forces to those of the linear system, which are the impulses applied. Returns whether exactly
+    /// the contacts assumed active are active.
     fn press(&mut self, implicit: &Implicit, h: f64, input: &Input<'_>) -> bool {
         let scratch = &mut self.scratch;
         let mut is_settled = true;
@@ -296,7 +296,7 @@ impl MassSpring {
             let nodes = contact.joint();
             let change: Vector3<f64> =
                 nodes.iter().map(|(node, share)| implicit.change[*node as usize] * *share).sum();
-            // A block along the normal is there where it pressed when it was linearised.
+            // A normal term is present where the contact was active when linearised.
             let pressed = block.along + block.all > 0.0;
             *total -= block.matrix() * change / h;
             is_settled &= if pressed {

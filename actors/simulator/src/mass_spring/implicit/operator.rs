@@ -1,8 +1,8 @@
-//! The step's matrix as an iteration multiplies by it, many times for each time that it is made: only what a product needs,
-//! in few bytes, four numbers at a time.
+//! The step's matrix as a compact operator for iterative solvers: built once, multiplied many times, with only the data
+//! of a product, in few bytes, four numbers at a time.
 //!
-//! What is rounded to 32 bits is the stiffness of a spring and its direction, once for a step: the operator stays symmetric
-//! and definite, and pushes both ends alike.
+//! Stiffness and direction of springs are rounded to 32 bits, once per step: the operator stays symmetric and definite,
+//! and forces on both ends of a spring stay opposite.
 
 use super::StepMatrix;
 use crate::mass_spring::matrix::Block;
@@ -27,9 +27,9 @@ struct Joint<const N: usize> {
     axis: Quad,
 }
 
-/// Hinges that are flat at rest and are not damped: whatever way they bend, a node pulls another by the same number along all
-/// axes (Bergou et al., *A quadratic bending model for inextensible surfaces*, 2006), so that all of them together are one
-/// matrix of numbers that does not change. It is kept by rows, without the diagonal: each row's sum is zero.
+/// Hinges that are flat at rest and undamped: their coupling of two nodes is isotropic and independent of the shape
+/// (Bergou et al., *A quadratic bending model for inextensible surfaces*, 2006), so that all of them together are one
+/// constant scalar matrix. It is stored by rows, without the diagonal: each row sums to zero.
 #[derive(Clone, Debug, Default)]
 struct Flat {
     starts: Vec<u32>,
@@ -37,10 +37,10 @@ struct Flat {
     values: Vec<f64>,
 }
 
-/// See the module.
+/// The compact operator; see the module.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Operator {
-    /// Mass of each node, damping included; 0 where it is held \[kg\].
+    /// Mass of each node, including damping; 0 where it is held \[kg\].
     pub masses: Vec<f64>,
     struts: Vec<Strut>,
     hinges: Vec<Joint<4>>,
@@ -72,7 +72,7 @@ impl Flat {
         let mut sum = Self { starts: vec![0], ..Self::default() };
         for row in 0..nodes {
             let own = &mut all[starts[row] as usize..starts[row + 1] as usize];
-            // Stable, so that both halves of the matrix add up in one order.
+            // A stable sort, so that both halves of the matrix are summed in one order.
             own.sort_by_key(|entry| entry.0);
             for same in own.chunk_by(|first, next| first.0 == next.0) {
                 let value: f64 = same.iter().map(|entry| entry.1).sum();
@@ -88,12 +88,12 @@ impl Flat {
 }
 
 impl Operator {
-    /// Forgets what it knows of a network that has changed.
+    /// Discards the data of a changed network.
     pub fn forget(&mut self) {
         self.flat = None;
     }
 
-    /// Takes the matrix over as it is now.
+    /// Takes over the current matrix.
     pub fn take(
         &mut self,
         matrix: &StepMatrix,
@@ -181,7 +181,7 @@ mod tests {
     use super::*;
     use crate::mass_spring::SurfaceMaterial;
 
-    /// A bent sheet on a table, with and without damping along its springs: the product is that of its parts.
+    /// A bent sheet on a table, with and without damping along its springs: the product equals the sum of its terms.
     #[test]
     fn a_product_is_the_sum_of_what_each_part_gives() {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(5);
@@ -229,7 +229,7 @@ mod tests {
             operator.apply(&quads, &mut product);
             let largest = expected.iter().fold(0.0, |most, vector| f64::max(most, vector.norm()));
             for (node, (found, expected)) in product.iter().zip(&expected).enumerate() {
-                // Of numbers with 24 bits.
+                // Within the rounding of 24-bit mantissas.
                 assert!((found.vector() - expected).norm() < 1e-6 * largest, "node {node}, damping {lag} s");
                 assert_eq!(found.0[3], 0.0);
             }

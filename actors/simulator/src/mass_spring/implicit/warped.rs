@@ -1,10 +1,9 @@
-//! The factor of the matrix at rest as preconditioner, turned at each node as far as its surroundings have turned since
-//! (stiffness warping: Müller et al., *Stable real-time deformations*, 2002; here it changes how soon the iteration ends and
-//! not what it ends at).
+//! Preconditioner: the factor of the rest-state matrix, rotated at each node with its surroundings (stiffness warping:
+//! Müller et al., *Stable real-time deformations*, 2002; here it affects the number of iterations, not the result).
 //!
-//! At rest each node has a frame of its own, two axes along the surface and one across. In these a sheet's stiffness
-//! along itself and its bending have next to nothing to do with each other, and what little there is is left out: the
-//! factor falls apart in two that are much smaller. Contacts and led nodes are left to the iteration.
+//! At rest each node has its own frame, two axes along the surface and one normal to it. In these frames the in-plane
+//! stiffness and the bending of a sheet are almost uncoupled, and the small coupling is dropped: the factor splits into
+//! two much smaller ones. Contacts and prescribed nodes are left to the iteration.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -14,27 +13,27 @@ use crate::linear_algebra::supernodal_bf16::Triangles;
 use crate::mass_spring::Network;
 use crate::simd::f64x4::Quad;
 
-/// Share of two unknowns' own stiffness below which what couples them is left out.
+/// Couplings below this fraction of both unknowns' own stiffness are dropped.
 const NEGLIGIBLE: f64 = 5e-3;
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Warped {
-    /// For which step \[s\] and damping \[1/s\]\[s\] the factor is.
+    /// Step \[s\], lag \[s\] and damping \[1/s\] that the factor was made for.
     made_for: Option<[f64; 3]>,
     factor: Option<Triangles>,
-    /// Of each spring what its vector counts for the two axes of its first node and of its second \[m\].
+    /// Components of each spring's vector along the two tangent axes of its first and of its second node \[m\].
     shares: Vec<[f64; 4]>,
-    /// Axes of each node at rest, as columns.
+    /// Rest axes of each node, as columns.
     at_rest: Vec<Matrix3<f64>>,
     now: Vec<Matrix3<f64>>,
-    /// The same, axis by axis, as an iteration reads them.
+    /// The current axes, axis by axis, as read by an iteration.
     axes_now: Vec<[[f32; 3]; 3]>,
     axes: Vec<[Vector3<f64>; 2]>,
     vector: Vec<f32>,
 }
 
 impl Warped {
-    /// For a network whose shape at rest is known; of another one it has no factor.
+    /// For a network with a known rest shape; without one there is no factor.
     pub fn new(network: &Network) -> Self {
         let mut warped = Self::default();
         if network.rest.len() != network.masses.len() {
@@ -47,7 +46,7 @@ impl Warped {
             let along = along(spring.nodes);
             spring.nodes.iter().for_each(|&node| spread[node as usize] += along * along.transpose());
         }
-        // The two directions in which a node has most neighbours.
+        // The two principal directions of each node's neighbours.
         let main: Vec<[Vector3<f64>; 2]> = spread
             .into_iter()
             .map(|spread| {
@@ -68,7 +67,7 @@ impl Warped {
         warped
     }
 
-    /// The factor of a network whose shape at rest is known, for so long a step \[s\] and such damping.
+    /// Factor of a network with a known rest shape, for this step \[s\] and damping.
     pub fn made(network: &Network, mobility: &[f64], (h, lag, damping): (f64, f64, f64)) -> Self {
         let mut warped = Self::new(network);
         if !warped.at_rest.is_empty() {
@@ -78,12 +77,12 @@ impl Warped {
         warped
     }
 
-    /// Whether it has one of so many nodes and springs, or can make one.
+    /// Whether its factor has this many nodes and springs, or it can make one.
     pub fn fits(&self, network: &Network) -> bool {
         self.at_rest.len() == network.masses.len() && self.shares.len() == network.springs.len()
     }
 
-    /// The axes of each node at these positions: sums over its springs, which turn with them.
+    /// Axes of each node at these positions: sums over its springs, which rotate with them.
     fn turn(&mut self, network: &Network, positions: &[Point3<f64>]) {
         self.axes.clear();
         self.axes.resize(network.masses.len(), [Vector3::zeros(); 2]);
@@ -109,7 +108,7 @@ impl Warped {
         }));
     }
 
-    /// Makes the factor if it is not there for this step already, and turns it. Whether there is one.
+    /// Makes the factor unless it exists for this step, and rotates it. Returns whether there is one.
     pub fn update(
         &mut self,
         network: &Network,
@@ -134,7 +133,7 @@ impl Warped {
         self.is_ready()
     }
 
-    /// Numbers of the factor.
+    /// Number of entries of the factor.
     pub fn factor_entries(&self) -> usize {
         self.factor.as_ref().map_or(0, Triangles::entries)
     }
@@ -167,7 +166,7 @@ impl Warped {
                 blocks.push((row, column, left.transpose() * block.matrix() * right * weight));
             }
         });
-        // Stable, so that each sum has one order.
+        // A stable sort, so that each sum has one order.
         blocks.sort_by_key(|&(row, column, _)| (column, row));
         blocks.dedup_by(|next, first| {
             let same = (next.0, next.1) == (first.0, first.1);
@@ -190,7 +189,7 @@ impl Warped {
                     if value * value > NEGLIGIBLE * NEGLIGIBLE * sizes[of[0]] * sizes[of[1]] {
                         entries.push((at, other, value));
                     } else {
-                        // What is left out is put on the diagonal, which keeps it definite.
+                        // Dropped entries are added to the diagonal, which keeps the matrix definite.
                         of.iter().for_each(|&at| diagonal[at] += value.abs());
                     }
                 }
@@ -206,7 +205,7 @@ impl Preconditioner for Warped {
     #[inline(always)]
     fn apply(&mut self, masses: &[f64], residual: &[Quad], product: &mut [Quad]) {
         let Some(factor) = &mut self.factor else { return product.copy_from_slice(residual) };
-        // What a held node is pushed with concerns nobody, and moves nobody else.
+        // Forces on a held node have no effect, and it moves no other node.
         let all = self.vector.chunks_exact_mut(3).zip(&self.axes_now).zip(residual);
         for (((slot, axes), residual), mass) in all.zip(masses) {
             let free = f32::from(u8::from(*mass > 0.0));

@@ -1,21 +1,21 @@
-//! Where a needle is and how it moves: momenta are the state, velocities follow from them, so that what is exchanged with
-//! others is exchanged to rounding.
+//! Rigid-body state of a needle: momenta are stored and velocities derived, so that momentum exchanged with other
+//! bodies is conserved to rounding.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::Solid;
 
-/// Everything that a needle needs to go on.
+/// State of a needle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NeedleState {
     /// Centre of mass, in the world \[m\].
     pub center: Point3<f64>,
     /// `world_from_needle`.
     pub rotation: UnitQuaternion<f64>,
-    /// \[kg·m/s\].
+    /// Linear momentum \[kg·m/s\].
     pub momentum: Vector3<f64>,
-    /// About the centre of mass, in the world \[kg·m²/s\].
+    /// Angular momentum about the centre of mass, in the world \[kg·m²/s\].
     pub angular_momentum: Vector3<f64>,
 }
 
@@ -37,20 +37,20 @@ impl NeedleState {
         Isometry3::from_parts(Translation3::from(self.center.coords), self.rotation)
     }
 
-    /// About the centre of mass, in the world \[kg·m²\].
+    /// Inertia about the centre of mass, in the world \[kg·m²\].
     #[must_use]
     pub fn inertia(&self, solid: &Solid) -> Matrix3<f64> {
         let turn = self.rotation.to_rotation_matrix();
         turn * solid.inertia() * turn.transpose()
     }
 
-    /// Of the centre of mass \[m/s\].
+    /// Velocity of the centre of mass \[m/s\].
     #[must_use]
     pub fn velocity(&self, solid: &Solid) -> Vector3<f64> {
         self.momentum / solid.mass()
     }
 
-    /// In the world \[rad/s\].
+    /// Angular velocity, in the world \[rad/s\].
     #[must_use]
     pub fn spin(&self, solid: &Solid) -> Vector3<f64> {
         let turn = self.rotation.to_rotation_matrix();
@@ -58,13 +58,13 @@ impl NeedleState {
         turn * (inverse * (turn.transpose() * self.angular_momentum))
     }
 
-    /// Of its motion \[J\].
+    /// Kinetic energy \[J\].
     #[must_use]
     pub fn kinetic_energy(&self, solid: &Solid) -> f64 {
         0.5 * (self.momentum.norm_squared() / solid.mass() + self.angular_momentum.dot(&self.spin(solid)))
     }
 
-    /// Whether every number is one.
+    /// Whether every value is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {
         let numbers = self.center.iter().chain(&self.momentum).chain(&self.angular_momentum);

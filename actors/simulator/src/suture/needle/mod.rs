@@ -1,11 +1,11 @@
-//! A suture needle: a rigid piece of an arc, with a tip that tapers and a tail to which the thread is swaged.
+//! Suture needle: a rigid arc with a tapered tip and a tail to which the thread is swaged.
 //!
 //! | Part | File |
 //! |---|---|
-//! | Shape, mass, inertia, the nearest place on it | `shape.rs` |
-//! | Momenta, and where it is | `body.rs` |
+//! | Shape, mass, inertia, closest point | `shape.rs` |
+//! | Momenta and pose | `body.rs` |
 //!
-//! What it does in tissue, and together with its thread, is the matter of [`suture`](crate::suture).
+//! Its interaction with tissue and thread is in [`suture`](crate::suture).
 
 mod body;
 mod shape;

@@ -1,37 +1,37 @@
-//! The shape of a needle: an arc of round wire. Its frame has the origin in the centre of mass; the arc lies in the plane
-//! of x and y, bulges towards +x, and runs from the tail (−y) to the tip (+y).
+//! Shape of a needle: an arc of round wire. The origin of its frame is the centre of mass; the arc lies in the x–y
+//! plane, bulges towards +x, and runs from the tail (−y) to the tip (+y).
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Pieces for the integrals over the wire.
+/// Number of pieces for the integrals along the wire.
 const PIECES: usize = 512;
 
-/// An arc of round wire. Needles are named by the length of the arc and its share of a circle.
+/// An arc of round wire. Needles are named by their arc length and fraction of a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NeedleShape {
-    /// Of the arc, to the axis of the wire \[m\].
+    /// Radius of the arc, to the axis of the wire \[m\].
     pub radius: f64,
-    /// That the arc spans \[rad\].
+    /// Angle of the arc \[rad\].
     pub angle: f64,
-    /// Of the wire \[m\].
+    /// Radius of the wire \[m\].
     pub wire_radius: f64,
-    /// From the tip, over which the wire grows from nothing to its radius \[m\].
+    /// Length of the taper at the tip, over which the wire grows from zero to its radius \[m\].
     pub taper: f64,
-    /// \[kg/m³\].
+    /// Density \[kg/m³\].
     pub density: f64,
 }
 
-/// What no needle is.
+/// Why a needle was rejected.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 #[error("a needle with {what} {value}: valid is {valid}")]
 pub struct NeedleError {
-    /// Which number.
+    /// The parameter.
     pub what: &'static str,
-    /// What it is.
+    /// Its value.
     pub value: f64,
-    /// What it may be.
+    /// Its valid range.
     pub valid: &'static str,
 }
 
@@ -49,16 +49,16 @@ impl NeedleShape {
         }
     }
 
-    /// Of the arc \[m\].
+    /// Length of the arc \[m\].
     #[must_use]
     pub fn length(&self) -> f64 {
         self.radius * self.angle
     }
 
-    /// Refuses what no needle is.
+    /// Rejects invalid parameters.
     ///
     /// # Errors
-    /// Names the first number that is out of range, and its range.
+    /// The first parameter out of range, and its range.
     pub fn check(&self) -> Result<(), NeedleError> {
         let within = |what, value: f64, least: f64, most: f64, valid| {
             if value >= least && value <= most { Ok(()) } else { Err(NeedleError { what, value, valid }) }
@@ -72,14 +72,14 @@ impl NeedleShape {
         within("density", self.density, 100.0, 3e4, "100 to 30,000 kg/m³")
     }
 
-    /// Of the wire at an arc length from the tail \[m\].
+    /// Radius of the wire at an arc length from the tail \[m\].
     #[must_use]
     pub fn wire_radius_at(&self, along: f64) -> f64 {
         let from_tip = (self.length() - along).max(0.0);
         if from_tip < self.taper { self.wire_radius * from_tip / self.taper } else { self.wire_radius }
     }
 
-    /// What follows from the shape by integration along the wire.
+    /// Mass properties of the shape, by integration along the wire.
     ///
     /// # Errors
     /// As [`NeedleShape::check`].
@@ -115,12 +115,12 @@ impl NeedleShape {
     }
 }
 
-/// A shape with its mass. Points are in the frame of the needle.
+/// A shape with its mass properties. Points are in the frame of the needle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solid {
     shape: NeedleShape,
     mass: f64,
-    /// From the centre of the arc.
+    /// Centre of mass, from the centre of the arc.
     center: Vector3<f64>,
     inertia: Matrix3<f64>,
 }
@@ -132,32 +132,32 @@ impl Solid {
         &self.shape
     }
 
-    /// \[kg\].
+    /// Mass \[kg\].
     #[must_use]
     pub fn mass(&self) -> f64 {
         self.mass
     }
 
-    /// About the centre of mass \[kg·m²\].
+    /// Inertia about the centre of mass \[kg·m²\].
     #[must_use]
     pub fn inertia(&self) -> &Matrix3<f64> {
         &self.inertia
     }
 
-    /// The centre of the circle that the arc is a piece of.
+    /// The centre of the arc.
     #[must_use]
     pub fn center_of_arc(&self) -> Point3<f64> {
         Point3::from(-self.center)
     }
 
-    /// The place on the axis at an arc length from the tail \[m\]; beyond the ends the circle goes on.
+    /// The point on the axis at an arc length from the tail \[m\]; the circle is continued beyond the ends.
     #[must_use]
     pub fn point(&self, along: f64) -> Point3<f64> {
         let (sin, cos) = self.turn(along).sin_cos();
         Point3::from(Vector3::new(cos, sin, 0.0) * self.shape.radius - self.center)
     }
 
-    /// The direction towards the tip there.
+    /// The unit tangent towards the tip there.
     #[must_use]
     pub fn tangent(&self, along: f64) -> Vector3<f64> {
         let (sin, cos) = self.turn(along).sin_cos();
@@ -168,7 +168,7 @@ impl Solid {
         along / self.shape.radius - 0.5 * self.shape.angle
     }
 
-    /// The arc length at which the circle is nearest to a point \[m\]: below 0 behind the tail, above the length beyond the
+    /// Arc length of the circle's closest point to a point \[m\]: below 0 behind the tail, above the length beyond the
     /// tip. The circle is cut opposite the middle of the arc.
     #[must_use]
     pub fn nearest(&self, point: &Point3<f64>) -> f64 {

@@ -1,4 +1,4 @@
-//! Which edges may touch what during a step: boxes around runs of neighbouring edges first, then capsules.
+//! Broad phase of a thread's contacts: bounding boxes around runs of neighbouring edges first, then capsules.
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::continuous::{Sweep, edge_edge, segment_face};
@@ -7,12 +7,12 @@ use trocar_collision::primitive::{Segment, closest_segments};
 use super::{Motion, Obstacle, Shape};
 use crate::suture_thread::state::{ContactKey, PARTED};
 
-/// Neighbouring edges that share a box.
+/// Number of neighbouring edges in one box.
 const RUN: usize = 8;
-/// Centre lines that come nearer than this part of the sum of the radii are passing through each other.
+/// Centre lines nearer than this fraction of the sum of the radii count as passing through each other.
 const CORE: f64 = 0.3;
 
-/// Two things that may touch during the step.
+/// A pair that may touch during the step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Candidate {
     pub key: ContactKey,
@@ -40,7 +40,7 @@ impl Bounds {
     }
 }
 
-/// Finds candidates, and keeps the room that it needs.
+/// Finds candidate pairs; keeps its buffers.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Candidates {
     pub found: Vec<Candidate>,
@@ -49,8 +49,8 @@ pub(crate) struct Candidates {
 }
 
 impl Candidates {
-    /// Edges that come within `slack` of each other or of an obstacle while each node moves no further than its
-    /// `reach`. Edges of one strand nearer along it than `apart` cannot touch: the strand would have to be folded.
+    /// Edges that come within `slack` of each other or of an obstacle while each node moves by at most its `reach`.
+    /// Edges of one strand nearer along it than `apart` cannot touch: the strand would have to be folded.
     #[expect(clippy::too_many_arguments, reason = "lists that belong to the step")]
     pub fn find(
         &mut self,
@@ -145,7 +145,7 @@ impl Candidates {
             for (pose, later) in [(&motion.from, false), (&motion.to, true)] {
                 let (normal, origin) = (pose.rotation * normal, pose.translation.vector);
                 for edge in (0..edges).filter(|edge| joins(arcs, *edge)) {
-                    // The last edge of a thread answers for both of its ends.
+                    // The last edge of a thread covers both of its ends.
                     for end in 0..=u32::from(edge + 1 == edges || !joins(arcs, edge + 1)) {
                         let node = edge + end as usize;
                         let key = ContactKey { with, edge: edge as u32, feature: end };
@@ -178,12 +178,12 @@ impl Candidates {
     }
 }
 
-/// Whether an edge is part of a thread, by where its nodes are along it.
+/// Whether an edge is real, by the arc lengths of its nodes.
 fn joins(arcs: &[f64], edge: usize) -> bool {
     arcs[edge + 1] - arcs[edge] < 0.5 * PARTED
 }
 
-/// The boxes that the parts of an obstacle sweep.
+/// Visits the swept boxes of an obstacle's features.
 fn for_each_feature(obstacle: &Obstacle, motion: &Motion, mut visit: impl FnMut(u32, Bounds)) {
     let poses = [&motion.from, &motion.to];
     let mut bounds = Bounds::empty();
@@ -215,13 +215,13 @@ fn for_each_feature(obstacle: &Obstacle, motion: &Motion, mut visit: impl FnMut(
     }
 }
 
-/// How near to each other centre lines may come \[m\].
+/// Least allowed distance between centre lines \[m\].
 pub(crate) fn centre_separation(radius: f64) -> f64 {
     CORE * 2.0 * radius
 }
 
-/// Whether two edges stay further apart than `separation` \[m\] for being further apart at the beginning than they can
-/// come nearer: no point of one moves against a point of the other by more than the nodes do.
+/// Whether two edges stay further apart than `separation` \[m\] because their initial distance exceeds the largest
+/// relative displacement of their nodes.
 fn apart(first: &Sweep<Segment>, second: &Sweep<Segment>, separation: f64) -> bool {
     let mut way = 0.0_f64;
     for a in 0..2 {
@@ -230,12 +230,12 @@ fn apart(first: &Sweep<Segment>, second: &Sweep<Segment>, separation: f64) -> bo
             way = way.max(moved.norm_squared());
         }
     }
-    // A hundredth more than rounding needs.
+    // A margin of a hundredth, more than rounding needs.
     let least = (way.sqrt() + separation) * 1.01;
     closest_segments(&first.from, &second.from).distance_squared > least * least
 }
 
-/// Whether the edge of `key` passes through the other one, or through the obstacle, on the way from `from` to `to`.
+/// Whether the edge of `key` passes through the other edge or the obstacle on the way from `from` to `to`.
 pub(crate) fn passed_through(
     key: &ContactKey,
     from: &[Point3<f64>],
@@ -246,9 +246,9 @@ pub(crate) fn passed_through(
 ) -> bool {
     let edge = key.edge as usize;
     let swept = |edge: usize| Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
-    // What was that near at the beginning is not stopped: it is on its way out.
+    // A pair that was already that near at the beginning is separating and not stopped.
     let hit = |found: Option<trocar_collision::continuous::Impact>| found.is_some_and(|at| at.time > 0.0);
-    // Most pairs are decided by how far they are apart at the beginning.
+    // Most pairs are decided by their initial distance.
     let edges = |other: &Sweep<Segment>, separation: f64| {
         let own = swept(edge);
         !apart(&own, other, separation) && hit(edge_edge(&own, other, separation))
@@ -286,7 +286,7 @@ pub(crate) fn passed_through(
     }
 }
 
-/// The same of a triangle of a surface that gives way, by its corners before and after.
+/// The same for a triangle of a deforming surface, given its corners before and after.
 pub(crate) fn passed_through_face(
     edge: usize,
     [from, to]: [&[Point3<f64>]; 2],

@@ -1,16 +1,16 @@
-//! Nearest points, chosen so that they move continuously with the shapes: of parallel segments any pair along the
-//! overlap is nearest, and one that jumps from end to end would lose what a contact remembers.
+//! Closest points, regularised to depend continuously on the shapes: on parallel segments any pair along the overlap is
+//! closest, and a pair that jumped from end to end would lose the contact's memory.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{closest_on_segment, closest_segment_triangle};
 
 use super::{Motion, Shape};
 
-/// How much a point in the middle is preferred, relative to the squared length.
+/// Weight of the preference for the middle, relative to the squared length.
 const CENTRING: f64 = 5e-3;
 
-/// Where along each of two segments they are nearest, 0 to 1, with a slight preference for their middles: the unique
-/// minimum of a strictly convex function, by exact minimisation along one coordinate at a time.
+/// Parameters of the closest points of two segments, 0 to 1, with a slight preference for their middles: the unique
+/// minimum of a strictly convex function, by exact coordinate minimisation.
 #[inline]
 pub(crate) fn nearest_segments(first: &[Point3<f64>; 2], second: &[Point3<f64>; 2]) -> [f64; 2] {
     let (d1, d2, r) = (first[1] - first[0], second[1] - second[0], first[0] - second[0]);
@@ -30,21 +30,21 @@ pub(crate) fn nearest_segments(first: &[Point3<f64>; 2], second: &[Point3<f64>; 
     [s, t]
 }
 
-/// The nearest point of an obstacle to an edge of the thread.
+/// The closest point of an obstacle to an edge of the thread.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ObstaclePoint {
-    /// Where along the edge, 0 to 1.
+    /// Parameter along the edge, 0 to 1.
     pub along: f64,
-    /// From the obstacle to the edge, unit, in the world.
+    /// Unit normal from the obstacle to the edge, in the world.
     pub normal: Vector3<f64>,
-    /// Between the centre line and the obstacle's surface; negative inside \[m\].
+    /// Distance of the centre line from the obstacle's surface; negative inside \[m\].
     pub distance: f64,
-    /// The material point of the obstacle's surface, at the beginning and at the end of the part of the step \[m\].
+    /// The material point of the obstacle's surface, at the beginning and at the end of the substep \[m\].
     pub surface: [Point3<f64>; 2],
 }
 
-/// The nearest point of `shape` (its triangle `feature`, of a mesh) at the end of `motion` to `edge` in the world.
-/// `end` says which end of the edge is asked for: of a half-space either.
+/// The closest point of `shape` (of triangle `feature`, for a mesh) at the end of `motion` to `edge`, in the world.
+/// `end` selects the end of the edge for a half-space.
 pub(crate) fn nearest_on_obstacle(
     shape: &Shape,
     motion: &Motion,

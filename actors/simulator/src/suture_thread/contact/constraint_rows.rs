@@ -1,36 +1,37 @@
-//! What a contact moves: how far the surfaces come apart along a direction when nodes and turns change.
+//! Constraint rows (Jacobian) of a contact: separation of the surfaces along a direction per motion of nodes and turn
+//! angles.
 
 use nalgebra::{Point3, Vector3};
 
 use crate::linear_algebra::block_banded::{Cell, LANES, LaneCell};
 
-/// Three directions at one place, each as weights on at most four block rows.
+/// Three directions at one contact, each as weights on at most four block rows.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Rows {
     pub nodes: [u32; 4],
-    /// Of each direction, on each block row.
+    /// Weights of each direction on each block row.
     pub cells: [[Cell; 4]; 3],
-    /// Block rows in use: two for an obstacle, four for another strand, none where the rod is not touched.
+    /// Block rows in use: two for an obstacle, four for another strand, none for a contact without the rod.
     pub used: usize,
-    /// Unit, in the world: the normal, from the other to the edge, and two tangents.
+    /// Unit vectors in the world: the normal, from the other feature to the edge, and two tangents.
     pub directions: [Vector3<f64>; 3],
 }
 
-/// A place on the surface of an edge.
+/// A point on the surface of an edge.
 pub(crate) struct Side {
     pub edge: usize,
-    /// Along it, 0 to 1.
+    /// Parameter along the edge, 0 to 1.
     pub along: f64,
-    /// From the centre line to the surface \[m\].
+    /// Vector from the centre line to the surface \[m\].
     pub arm: Vector3<f64>,
     pub tangent: Vector3<f64>,
     pub length: f64,
 }
 
 impl Side {
-    /// How far the place moves along `direction`, as weights on the two nodes and the turn of the edge. The edge turns
-    /// about itself and with its nodes, and the place with it: so forces act where the surfaces touch, and angular
-    /// momentum is kept.
+    /// Motion of the point along `direction`, as weights on the two nodes and the turn angle of the edge. The point
+    /// rotates with the edge about its axis and with its nodes: forces act where the surfaces touch, and angular
+    /// momentum is conserved.
     #[inline]
     pub fn weights(&self, direction: &Vector3<f64>) -> [Cell; 2] {
         let turn = direction.dot(&self.tangent.cross(&self.arm));
@@ -44,7 +45,7 @@ impl Side {
 }
 
 impl Rows {
-    /// Of a contact of `side` with another edge, or with what is no part of the thread.
+    /// Rows of a contact of `side` with another edge, or with anything that is not part of the thread.
     pub fn new(side: &Side, other: Option<&Side>, directions: [Vector3<f64>; 3]) -> Self {
         let mut rows = Self { nodes: [0; 4], cells: [[Cell::zeros(); 4]; 3], used: 2, directions };
         let edge = side.edge as u32;
@@ -63,12 +64,12 @@ impl Rows {
         rows
     }
 
-    /// The first block row that is touched; beyond all of them where none is.
+    /// The first block row that it touches; past the end where there is none.
     pub fn first(&self) -> usize {
         self.nodes[..self.used].iter().copied().min().unwrap_or(u32::MAX) as usize
     }
 
-    /// How far the surfaces come apart along the three directions.
+    /// Separation of the surfaces along the three directions for a motion.
     #[inline]
     pub fn apart(&self, moved: &[Cell]) -> [f64; 3] {
         let mut sum = [0.0; 3];
@@ -95,7 +96,7 @@ impl Rows {
         sum
     }
 
-    /// Adds forces along the three directions to the block rows that they act on.
+    /// Adds forces along the three directions to their block rows.
     #[inline]
     pub fn push(&self, forces: &[f64; 3], right: &mut [Cell]) {
         for (force, cells) in forces.iter().zip(&self.cells) {
@@ -105,7 +106,7 @@ impl Rows {
         }
     }
 
-    /// A vector in the world of components along the three directions.
+    /// The world vector with these components along the three directions.
     pub fn vector(&self, components: &[f64; 3]) -> Vector3<f64> {
         self.directions[0] * components[0]
             + self.directions[1] * components[1]
@@ -113,13 +114,13 @@ impl Rows {
     }
 }
 
-/// Two unit directions across `normal` and each other, the first of them as near to `along` as it can be.
+/// Two tangents perpendicular to `normal`, the first as near to `along` as possible.
 pub(crate) fn tangents(normal: &Vector3<f64>, along: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = crate::suture_thread::bishop_frame::perpendicular(along, normal);
     [first, normal.cross(&first)]
 }
 
-/// A place on an edge \[m\].
+/// A point on an edge \[m\].
 pub(crate) fn place(edge: &[Point3<f64>; 2], along: f64) -> Vector3<f64> {
     edge[0].coords.lerp(&edge[1].coords, along)
 }

@@ -1,29 +1,29 @@
-//! Coulomb's law at a place that gives way: force as a function of where the surfaces are, and its slope.
+//! Coulomb's law with contact compliance: force as a function of surface separation, and its derivative.
 
 use super::Rows;
 use crate::linear_algebra::block_banded::{Added, Block, Cell};
 
-/// What a place does, and with it how its force changes with where its surfaces are.
+/// State of a contact, which determines the derivative of its force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Law {
-    /// It does not touch.
+    /// No contact.
     Open,
-    /// It stays where it sticks.
+    /// Sticking.
     Sticks,
-    /// It slides.
+    /// Sliding.
     Slides {
-        /// Where to, unit, along the two tangents.
+        /// Sliding direction, unit, in the two tangents.
         along: [f64; 2],
-        /// How far it would be drawn at most while it sticks, over how far it is: from 1, where it begins to slide, to 0.
+        /// Largest elastic tangential displacement over the actual one: 1 where sliding begins, decreasing to 0.
         share: f64,
     },
 }
 
-/// The share of a place that slides falls to no less than this part of itself at once.
+/// In one step, `share` falls at most to this fraction of itself.
 const SHARE_KEPT: f64 = 0.1;
 
 impl Law {
-    /// What a place does that pushes with `force` \[N\] and whose surfaces are expected to be `apart` \[m\].
+    /// Initial state of a contact with `force` \[N\] and expected separation `apart` \[m\].
     pub fn begin(force: [f64; 3], apart: [f64; 3], friction: f64, compliance: f64) -> Self {
         let held = force[1].hypot(force[2]);
         if force[0] <= 0.0 {
@@ -31,7 +31,7 @@ impl Law {
         } else if held < friction * force[0] * (1.0 - 1e-9) {
             Self::Sticks
         } else if held > 0.0 {
-            // It goes on sliding as it did.
+            // It continues to slide in the same direction.
             let along = [-force[1] / held, -force[2] / held];
             let most = compliance * held;
             let way = (apart[1] * along[0] + apart[2] * along[1]).max(most);
@@ -41,9 +41,9 @@ impl Law {
         }
     }
 
-    /// What a place is taken to do next that was taken to do this and would do `found`. Plain Newton steps go in circles
-    /// where places slide; they hardly ever do when what slid back is taken to stick, as it would have on the way, and
-    /// when none begins to slide far at once.
+    /// The next state to assume, after assuming `self` and finding `found`. Plain Newton steps cycle where contacts
+    /// slide; they rarely do when a contact that slid backwards is assumed to stick, as it would have on the way, and
+    /// when `share` is limited as contacts begin to slide.
     #[inline]
     pub fn next(self, found: Self, friction: f64) -> Self {
         match (self, found) {
@@ -58,12 +58,12 @@ impl Law {
         }
     }
 
-    /// Force \[N\] at a place whose surfaces are `apart` \[m\] along the normal and two tangents, the latter from where
-    /// they stick, and which gives way by `compliance` \[m/N\]; and what the place does there. The radial return of
-    /// plasticity (Simo, Hughes, *Computational Inelasticity*, 1998, §1.2), with friction for the yield stress.
+    /// Force \[N\] and state of a contact whose surfaces are `apart` \[m\] along the normal and two tangents, the
+    /// latter from their sticking point, with compliance `compliance` \[m/N\]. The radial return of plasticity (Simo,
+    /// Hughes, *Computational Inelasticity*, 1998, §1.2), with friction as the yield stress.
     #[inline]
     pub fn of(apart: [f64; 3], friction: f64, compliance: f64) -> ([f64; 3], Self) {
-        // Not a number touches as well, so that it is found out.
+        // NaN counts as contact, so that it is detected.
         if apart[0] >= 0.0 {
             return ([0.0; 3], Self::Open);
         }
@@ -80,7 +80,7 @@ impl Law {
         (force, Self::Slides { along, share: most / size })
     }
 
-    /// Force by the law as it is linearised here: it pulls where the law lets go.
+    /// Force of the law linearised in this state: it becomes tensile where the law would open.
     #[inline]
     pub fn linear(&self, apart: [f64; 3], friction: f64, compliance: f64) -> [f64; 3] {
         let stiffness = 1.0 / compliance;
@@ -96,7 +96,7 @@ impl Law {
         }
     }
 
-    /// Adds the slope of the force to the matrix of a rod, of a place that touches two neighbouring block rows.
+    /// Adds the force derivative of a contact on two neighbouring block rows to the rod's matrix.
     #[inline]
     pub fn add(&self, rows: &Rows, friction: f64, compliance: f64, to: &mut Added) {
         let (first, second) = (rows.nodes[0] as usize, rows.nodes[1] as usize);
@@ -109,7 +109,7 @@ impl Law {
         });
     }
 
-    /// The slope of the force of a place that touches four block rows, and whether it is not symmetric.
+    /// The force derivative of a contact on four block rows, and whether it is unsymmetric.
     #[inline]
     pub fn blocks(&self, rows: &Rows, friction: f64, compliance: f64) -> ([[Block; 4]; 4], bool) {
         let mut blocks = [[Block::zeros(); 4]; 4];
@@ -124,8 +124,7 @@ impl Law {
         (blocks, slanted)
     }
 
-    /// The slope of the force as a sum of products: which forces on the block rows go with which of their motions. Whether it
-    /// is not symmetric.
+    /// The force derivative as a sum of products of force and motion rows. Also whether it is unsymmetric.
     #[inline]
     fn slopes(
         &self,
@@ -166,7 +165,7 @@ mod tests {
     const FRICTION: f64 = 0.4;
     const YIELDS: f64 = 1e-6;
 
-    /// A place on an edge that is neither along nor across anything.
+    /// A contact on an edge in general position.
     fn rows() -> Rows {
         let edge = Point3::new(0.3, -0.2, 0.5) - Point3::new(0.1, 0.4, 0.2);
         let (tangent, length) = (edge.normalize(), edge.norm());

@@ -1,37 +1,37 @@
-//! What a place of three rows may do: force as a function of where its sides are, for every kind of place that the dense
-//! problem of an island knows. Each of them gives way a little, so each force is a function, and Newton's method finds it.
+//! Force laws of contacts and joints with three rows, for every kind that the dense problem of an island knows: force
+//! as a function of separation. Each has a small compliance, so that the law is a function and Newton's method applies.
 
 use super::Law;
 
-/// A rule.
+/// A force law.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Rule {
-    /// Surfaces that push each other along the first row, and hold each other across it by friction.
+    /// Unilateral contact along the first row, with Coulomb friction in the other two.
     Contact { friction: f64 },
-    /// The same where one of them gives way beyond a push of `most` \[N\].
+    /// The same, yielding plastically at a normal force of `most` \[N\].
     Skin { friction: f64, most: f64 },
-    /// Every row holds with a force in its bounds \[N\], or gives way with one of them.
+    /// Each row is a bilateral constraint with bounded force \[N\].
     Within { least: [f64; 3], most: [f64; 3] },
-    /// A line in a channel: held across, in the last two rows; along the first it sticks up to `base` \[N\] and `friction`
-    /// times what presses across, and slides with that.
+    /// A line in a channel: constrained laterally in the last two rows; along the first, it sticks up to `base` \[N\]
+    /// plus `friction` times the lateral force, and slides at that limit.
     Passes { base: f64, friction: f64 },
 }
 
-/// What a place does.
+/// The state of a contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum ContactState {
     Contact(Law),
-    /// It pushes with all that it may; across, it does as a contact would.
+    /// Yields at its largest normal force; tangentially, the state of a contact.
     Gives(Law),
     Within([Bound; 3]),
     /// It sticks.
     Stays,
-    /// It slides, pushed this way (1 or −1), where this presses across, unit or zero.
+    /// It slides in this direction (1 or −1), with this lateral direction of force, unit or zero.
     Slides(f64, [f64; 2]),
 }
 
 impl ContactState {
-    /// Whether the same rows hold here as there.
+    /// Whether the same rows are active in both states.
     pub fn is_like(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Slides(one, _), Self::Slides(other, _)) => one == other,
@@ -39,7 +39,7 @@ impl ContactState {
         }
     }
 
-    /// One row of it as in `next`.
+    /// This state with one row changed to that of `next`.
     pub fn exchanged(&self, next: &Self) -> Self {
         let (Self::Within(before), Self::Within(next)) = (self, next) else { return *next };
         let mut bounds = *before;
@@ -49,7 +49,7 @@ impl ContactState {
         Self::Within(bounds)
     }
 
-    /// Which rows have a force as large as it may be.
+    /// Which rows are at their force bounds.
     pub fn gives_way(&self) -> [bool; 3] {
         match self {
             Self::Contact(Law::Open) => [true; 3],
@@ -65,7 +65,7 @@ impl ContactState {
     }
 }
 
-/// Where a force is between its bounds.
+/// Position of a force relative to its bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Bound {
     Free,
@@ -73,29 +73,29 @@ pub(crate) enum Bound {
     Most,
 }
 
-/// One equation of a Newton step on a place: a combination of its rows is zero with a combination of forces.
+/// One equation of a Newton step on a contact: a linear combination of its rows and forces is zero.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Equation {
-    /// The three rows for one unit of the unknown \[N\].
+    /// Forces in the three rows per unit of the unknown \[N\].
     pub force: [f64; 3],
     /// Weights of the three rows.
     pub along: [f64; 3],
-    /// How far it gives way in addition \[m/N\].
+    /// Additional compliance \[m/N\].
     pub yields: f64,
 }
 
 const UNIT: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl Rule {
-    /// Holds with any force.
+    /// Bilateral constraint with unbounded force.
     pub const HELD: Self = Self::Within { least: [f64::NEG_INFINITY; 3], most: [f64::INFINITY; 3] };
 
-    /// Whether what it does is a matter of bounds, and not of a surface.
+    /// Whether it is a law with bounds, rather than a surface contact.
     pub fn is_bounded(&self) -> bool {
         matches!(self, Self::Within { .. } | Self::Passes { .. })
     }
 
-    /// Force \[N\] of a place whose sides are `apart` \[m\] and which gives way by `yields` \[m/N\], and what it does.
+    /// Force \[N\] and state of a contact with separation `apart` \[m\] and compliance `yields` \[m/N\].
     pub fn of(&self, apart: [f64; 3], yields: [f64; 3]) -> ([f64; 3], ContactState) {
         match *self {
             Self::Contact { friction } => {
@@ -138,7 +138,7 @@ impl Rule {
         }
     }
 
-    /// What a place does that holds with `force` \[N\] and whose sides are `apart` \[m\].
+    /// Initial state of a contact with `force` \[N\] and separation `apart` \[m\].
     pub fn begin(&self, force: [f64; 3], apart: [f64; 3], yields: [f64; 3]) -> ContactState {
         match *self {
             Self::Contact { friction } | Self::Skin { friction, .. } => {
@@ -158,7 +158,7 @@ impl Rule {
         }
     }
 
-    /// What a place is taken to do next that was taken to do `before` and would do `found`: see [`Law::next`].
+    /// The next state to assume, after assuming `before` and finding `found`: see [`Law::next`].
     pub fn next(&self, before: ContactState, found: ContactState) -> ContactState {
         match (*self, before, found) {
             (Self::Contact { friction }, ContactState::Contact(before), ContactState::Contact(found)) => {
@@ -175,7 +175,7 @@ impl Rule {
             {
                 ContactState::Stays
             }
-            // From one bound to the other it comes by where it holds.
+            // From one bound to the other it passes through the inactive state.
             (Self::Within { .. }, ContactState::Within(before), ContactState::Within(found)) => {
                 let far = |k: usize| before[k] != Bound::Free && found[k] != before[k];
                 ContactState::Within(std::array::from_fn(|k| if far(k) { Bound::Free } else { found[k] }))
@@ -184,8 +184,8 @@ impl Rule {
         }
     }
 
-    /// Equations of a place that does this and gives way `softness` times as much, and the part of its force that is
-    /// known.
+    /// Equations of a contact in this state with its compliance multiplied by `softness`, and the known part of its
+    /// force.
     pub fn linearise(
         &self,
         doing: ContactState,
@@ -206,7 +206,7 @@ impl Rule {
                     Law::Slides { along: [x, y], share } => {
                         let force = [1.0, -friction * x, -friction * y];
                         equation(Equation { force, along: UNIT[0], yields: more[0] });
-                        // Across its slide a place is held the more the less it slides.
+                        // Perpendicular to the sliding direction friction is stiffer, the less it slides.
                         if friction > 0.0 && share > 1e-9 {
                             let across = [0.0, -y, x];
                             let yields = (softness / share - 1.0) * yields[0];
@@ -248,7 +248,7 @@ impl Rule {
                 }
                 return [way * base, 0.0, 0.0];
             }
-            // A place that holds; what belongs to another rule never meets it.
+            // A sticking contact; states of other laws do not occur here.
             _ => {
                 for k in 0..3 {
                     equation(Equation { force: UNIT[k], along: UNIT[k], yields: more[k] });
@@ -258,14 +258,13 @@ impl Rule {
         [0.0; 3]
     }
 
-    /// The force that it would answer with if nothing but itself gave way, by `own` \[m/N\], and it held with `force` \[N\]
-    /// over a `gap` \[m\].
+    /// The force if only this contact's own compliance `own` \[m/N\] responded, given `force` \[N\] and `gap` \[m\].
     pub fn wanted(&self, force: [f64; 3], gap: [f64; 3], own: [f64; 3]) -> [f64; 3] {
         let held = std::array::from_fn(|k| force[k] - gap[k] / own[k]);
         self.confined(held)
     }
 
-    /// The force that is nearest to this one and allowed.
+    /// The nearest allowed force.
     pub fn confined(&self, force: [f64; 3]) -> [f64; 3] {
         match *self {
             Self::Contact { friction } | Self::Skin { friction, .. } => {

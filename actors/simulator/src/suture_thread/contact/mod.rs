@@ -1,6 +1,6 @@
-//! Contacts of a thread with itself and with what is around it: found ahead of the motion, solved together with the
-//! rod, those of strands through its compliance (`W = J A⁻¹ Jᵀ`, as Duriez et al. 2006 do for deformable solids), with
-//! static friction as a place to which the surfaces are drawn back.
+//! Contacts of a thread with itself and with obstacles: detected ahead of the motion and solved together with the rod,
+//! those between strands through its compliance (`W = J A⁻¹ Jᵀ`, as in Duriez et al. 2006 for deformable solids).
+//! Static friction is a spring to the sticking point.
 
 pub(crate) mod broad_phase;
 pub(crate) mod closest_points;
@@ -20,5 +20,5 @@ pub(crate) use semismooth_newton::{Complementarity, SOFTENING};
 
 pub(crate) use closest_points::{nearest_on_obstacle, nearest_segments};
 
-/// Contacts of strands with each other that are solved for at most; of those with obstacles any number is.
+/// Maximum number of strand contacts; contacts with obstacles are unlimited.
 pub const CONTACTS_MAX: usize = 1000;

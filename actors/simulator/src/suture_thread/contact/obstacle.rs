@@ -1,61 +1,61 @@
-//! What a thread can touch besides itself.
+//! Obstacles that a thread can touch.
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 /// The shape of an obstacle in its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape<'a> {
-    /// A ball about the origin.
+    /// A sphere about the origin.
     Sphere {
-        /// \[m\].
+        /// Radius \[m\].
         radius: f64,
     },
-    /// All points within a radius of a segment: shafts, jaws, posts.
+    /// All points within a radius of a segment, for shafts, jaws and posts.
     Capsule {
-        /// Of the segment \[m\].
+        /// Ends of the segment \[m\].
         ends: [Point3<f64>; 2],
-        /// \[m\].
+        /// Radius \[m\].
         radius: f64,
     },
     /// All points behind the plane through the origin.
     HalfSpace {
-        /// Unit, outwards.
+        /// Outward unit normal.
         normal: Vector3<f64>,
     },
-    /// A surface; either side of a triangle stops the thread. It may change its form during the step.
+    /// A surface; triangles stop the thread on both sides. It may deform during the step.
     Mesh {
-        /// Of the vertices at the beginning of the step \[m\].
+        /// Vertices at the beginning of the step \[m\].
         from: &'a [Point3<f64>],
-        /// Of the vertices at its end \[m\].
+        /// Vertices at its end \[m\].
         to: &'a [Point3<f64>],
-        /// Corners.
+        /// Corners of the triangles.
         triangles: &'a [[u32; 3]],
         /// Half the thickness of the surface \[m\].
         radius: f64,
     },
 }
 
-/// Something that the thread touches and that moves as it is told.
+/// An obstacle with a prescribed motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Obstacle<'a> {
-    /// In its own frame.
+    /// Shape, in its own frame.
     pub shape: Shape<'a>,
     /// `world_from_obstacle` at the beginning of the step.
     pub from: Isometry3<f64>,
     /// The same at its end.
     pub to: Isometry3<f64>,
-    /// Coulomb's coefficient of the thread on it.
+    /// Coulomb's friction coefficient of the thread on it.
     pub friction: f64,
 }
 
 impl<'a> Obstacle<'a> {
-    /// One that stands still.
+    /// A fixed obstacle.
     #[must_use]
     pub fn fixed(shape: Shape<'a>, world_from_obstacle: Isometry3<f64>, friction: f64) -> Self {
         Self { shape, from: world_from_obstacle, to: world_from_obstacle, friction }
     }
 
-    /// What is wrong with it, if anything is.
+    /// What is invalid in it, if anything.
     pub(crate) fn wrong(&self) -> Option<String> {
         let finite = |point: &Point3<f64>| point.iter().all(|x| x.is_finite());
         let pose = |pose: &Isometry3<f64>| {
@@ -100,17 +100,17 @@ impl<'a> Obstacle<'a> {
     }
 }
 
-/// Where an obstacle is in a part of the step.
+/// Motion of an obstacle in a substep.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Motion {
     pub from: Isometry3<f64>,
     pub to: Isometry3<f64>,
-    /// Fractions of the whole step, for what changes its form.
+    /// Fractions of the whole step, for deforming meshes.
     pub fractions: [f64; 2],
 }
 
 impl Motion {
-    /// Between two fractions of the whole step.
+    /// The motion between two fractions of the whole step.
     pub fn of(obstacle: &Obstacle, fractions: [f64; 2]) -> Self {
         let at = |fraction: f64| {
             let (a, b) = (&obstacle.from, &obstacle.to);

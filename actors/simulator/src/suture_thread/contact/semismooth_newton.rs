@@ -1,19 +1,19 @@
-//! Forces of many places that act on each other through the bodies that they are between: Newton's method on the rules of
-//! places that give way (Alart, Curnier 1991, for Coulomb's), on the assembled compliance.
+//! Forces of many coupled contacts by a semismooth Newton method on their regularised force laws (Alart, Curnier 1991,
+//! for Coulomb's), on the assembled dense compliance.
 
 use super::force_law::{ContactState, Equation, Rule};
 use crate::simd::dispatch::wide;
 
-/// Newton steps from where the forces of the last time are, at most.
+/// Maximum Newton steps from the warm-started forces.
 const STEPS_MAX: usize = 24;
-/// Where those go in circles: how many times more the places give way at first, and then less and less. What is soft is
-/// soon found, and each solution is a good beginning for the next (numerical continuation: Allgower, Georg 1990).
+/// Compliance factors for numerical continuation where those steps cycle (Allgower, Georg 1990): the soft problem is
+/// solved easily, and each solution starts the next, stiffer one.
 pub(crate) const SOFTENING: [f64; 5] = [1e4, 1e3, 1e2, 1e1, 1.0];
-/// Where places with bounds go in circles, they are exchanged one by one (Murty 1974), so many times at most.
+/// Maximum number of single exchanges (Murty 1974) where contacts with bounds cycle.
 const EXCHANGES_MAX: usize = 400;
-/// By a smaller share of its force, or of a newton, no place is beyond its bounds then.
+/// During exchanges, a force violates its bounds only by more than this share of its magnitude, or of a newton.
 const ROUNDING: f64 = 1e-10;
-/// Newton steps with each of [`SOFTENING`] at most.
+/// Maximum Newton steps with each of [`SOFTENING`].
 const SOFTENED_STEPS_MAX: usize = 20;
 
 /// One unknown of a Newton step.
@@ -23,32 +23,32 @@ struct Unknown {
     equation: Equation,
 }
 
-/// The problem `gap = offset + (W + C) force`, where every place obeys its rule, and its solution.
+/// The problem `gap = offset + (W + C) force` with a force law at every contact, and its solution.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Complementarity {
     /// `W`, column by column, with `C` on its diagonal \[m/N\].
     pub compliance: Vec<f64>,
-    /// What the rows are with the forces, the yielding of the contacts included \[m\].
+    /// Gaps of the rows with the forces, contact compliance included \[m\].
     pub gap: Vec<f64>,
-    /// Where to begin, then the solution \[N\].
+    /// Initial guess, then the solution \[N\].
     pub force: Vec<f64>,
-    /// Of each place.
+    /// Force law of each contact.
     pub rules: Vec<Rule>,
-    /// `C` of each place \[m/N\].
+    /// `C` of each contact \[m/N\].
     pub yields: Vec<[f64; 3]>,
     offset: Vec<f64>,
     doing: Vec<ContactState>,
     unknowns: Vec<Unknown>,
     known: Vec<f64>,
-    /// The forces that were nearest to the law.
+    /// The forces with the smallest error so far.
     nearest: Vec<f64>,
-    /// Row by row, the right-hand side last.
+    /// Row-major system matrix, with the right-hand side last.
     system: Vec<f64>,
     column: Vec<f64>,
 }
 
 impl Complementarity {
-    /// For so many places of three rows each; the force to begin at is 0.
+    /// Resets to this many contacts of three rows each; initial forces are 0.
     pub fn clear(&mut self, places: usize) {
         let rows = 3 * places;
         for (list, length) in
@@ -61,12 +61,11 @@ impl Complementarity {
         self.yields.clear();
     }
 
-    /// Finds forces with which no place is further than `tolerance` \[m\] from obeying its rule, in at most so many
-    /// `steps`. Says how many; more than that many mean that there are none that were found, and that those that came
-    /// nearest are left.
+    /// Finds forces whose error at each contact is at most `tolerance` \[m\], in at most `steps` Newton steps. Returns
+    /// the number of steps; a number above `steps` means that it did not converge and the best forces are kept.
     pub fn solve(&mut self, steps: usize, tolerance: f64) -> usize {
         if self.error() <= tolerance {
-            // What is at rest needs no step.
+            // A state at rest needs no step.
             return 0;
         }
         self.offset.clone_from(&self.gap);
@@ -114,12 +113,12 @@ impl Complementarity {
         steps + exchanges + 1
     }
 
-    /// How far the place that is furthest from its rule would have to move for it \[m\].
+    /// The largest error over all contacts \[m\].
     pub fn error(&self) -> f64 {
         (0..self.rules.len()).map(|place| self.error_of(place)).fold(0.0, f64::max)
     }
 
-    /// How far a place would have to move for its rule \[m\].
+    /// Error of a contact: the distance that it would have to move to satisfy its law \[m\].
     pub fn error_of(&self, place: usize) -> f64 {
         let (rows, at) = (self.force.len(), 3 * place);
         let mut own: [f64; 3] = std::array::from_fn(|k| self.compliance[(at + k) * (rows + 1)]);
@@ -131,12 +130,12 @@ impl Complementarity {
         let wanted = self.rules[place].wanted(force, self.gap(place), own);
         let off: [f64; 3] = std::array::from_fn(|k| (wanted[k] - force[k]) * own[k]);
         let across = (off[1] * off[1] + off[2] * off[2]).sqrt();
-        // Not a number is the furthest of all.
+        // NaN counts as an infinite error.
         if off[0].is_nan() || across.is_nan() { f64::INFINITY } else { off[0].abs().max(across) }
     }
 
-    /// The forces that obey the laws as they are linearised, of places that give way so many times as much; and the gaps.
-    /// False where there are none.
+    /// Forces and gaps of the linearised laws with compliances multiplied by `softness`. False where the system is
+    /// singular.
     fn newton(&mut self, softness: f64) -> bool {
         let rows = self.force.len();
         self.unknowns.clear();
@@ -147,7 +146,7 @@ impl Complementarity {
             let known = self.rules[place].linearise(*doing, self.yields[place], softness, push);
             self.known.extend(known);
         }
-        // How every row moves with the part of the forces that is known.
+        // Gaps due to the known part of the forces.
         self.gap.clone_from(&self.offset);
         for (row, known) in self.known.iter().enumerate() {
             if *known != 0.0 {
@@ -160,7 +159,7 @@ impl Complementarity {
         self.system.resize(count * width, 0.0);
         for column in 0..count {
             let Unknown { place, equation } = self.unknowns[column];
-            // How far every row moves for it.
+            // Response of every row to this unknown.
             self.column.clear();
             self.column.resize(rows, 0.0);
             for (k, force) in equation.force.into_iter().enumerate() {
@@ -195,8 +194,8 @@ impl Complementarity {
         true
     }
 
-    /// What the places are taken to do next; of those that have bounds only one is taken to do anything else when it is
-    /// `one_by_one`. Whether that is anything else than before.
+    /// The active set for the next step; with `one_by_one`, only one of the bounded contacts may change. Returns
+    /// whether anything changed.
     fn next(&mut self, softness: f64, one_by_one: bool) -> bool {
         let (mut changed, mut exchanged) = (false, false);
         for place in 0..self.doing.len() {
@@ -219,24 +218,24 @@ impl Complementarity {
         changed
     }
 
-    /// Leaves no force that a rule forbids for being within the tolerance of one that it allows.
+    /// Projects each force onto those that its law allows, removing violations within the tolerance.
     fn confine(&mut self) {
         for (force, rule) in self.force.chunks_exact_mut(3).zip(&self.rules) {
             force.copy_from_slice(&rule.confined([force[0], force[1], force[2]]));
         }
     }
 
-    /// The three rows of a place \[m\].
+    /// The gaps of a contact's three rows \[m\].
     pub fn gap(&self, place: usize) -> [f64; 3] {
         std::array::from_fn(|k| self.gap[3 * place + k])
     }
 
-    /// The force of a place \[N\].
+    /// The force of a contact \[N\].
     pub fn force(&self, place: usize) -> [f64; 3] {
         std::array::from_fn(|k| self.force[3 * place + k])
     }
 
-    /// Where the surfaces of a place are, without its yielding \[m\].
+    /// Separation of a contact's surfaces, without its own compliance \[m\].
     fn apart(&self, place: usize) -> [f64; 3] {
         let yields = self.yields[place];
         std::array::from_fn(|k| self.gap[3 * place + k] - yields[k] * self.force[3 * place + k])
@@ -244,7 +243,7 @@ impl Complementarity {
 }
 
 impl Unknown {
-    /// Of its place, what its equation says of these rows.
+    /// Applies a contact's equation to these three rows.
     #[inline]
     fn of(&self, rows: &[f64]) -> f64 {
         let at = &rows[3 * self.place..][..3];
@@ -253,11 +252,11 @@ impl Unknown {
     }
 }
 
-/// Columns that are eliminated together.
+/// Width of the panels in the elimination.
 const PANEL: usize = 4;
 
-/// Solves a system in place by elimination with row exchanges, a few columns at a time; the solution is left in its last
-/// column. False where it has none.
+/// Solves a system in place by Gaussian elimination with row pivoting, in panels of a few columns; the solution is left
+/// in the last column. False where the system is singular.
 fn eliminate(system: &mut [f64], count: usize) -> bool {
     wide(
         #[inline(always)]
@@ -330,7 +329,7 @@ fn add(sum: &mut [f64], column: &[f64], factor: f64) {
 mod tests {
     use super::*;
 
-    /// One place on a body as stiff in any direction.
+    /// One contact on a body with isotropic compliance.
     fn single(offset: [f64; 3], friction: f64) -> Complementarity {
         let mut problem = Complementarity::default();
         problem.clear(1);
@@ -360,7 +359,7 @@ mod tests {
 
     #[test]
     fn a_chain_of_contacts_ends_where_every_law_holds() {
-        // Neighbours push each other through a common body.
+        // Neighbouring contacts are coupled through a common body.
         let places = 12;
         let rows = 3 * places;
         let mut problem = Complementarity::default();

@@ -1,4 +1,4 @@
-//! Which contacts are near, and how deep they are.
+//! Active contacts of a substep, and their depth.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,12 +11,13 @@ use crate::suture_thread::contact::{
 use crate::suture_thread::state::{ContactKey, ContactMemory};
 use crate::suture_thread::{Surroundings, ThreadMaterial};
 
-/// What sinks deeper than this part of a diameter asks for shorter steps.
+/// Penetration beyond this fraction of a diameter requires shorter steps.
 const DEPTH_MAX: f64 = 0.15;
 
 impl Island {
-    /// The candidates that are near, as rows, with the forces of the last time: those with other strands and with the elastic
-    /// body in `dense` for now, those with obstacles in `sprung`. `ahead` is for how long it is expected to go on as it does \[s\].
+    /// Builds the rows of near candidates with warm-started forces: contacts with other strands and with the elastic
+    /// body in `dense` for now, those with obstacles in `sprung`. `ahead` is how long the present motion is
+    /// extrapolated \[s\].
     pub(super) fn gather(
         &mut self,
         material: &ThreadMaterial,
@@ -57,7 +58,7 @@ impl Island {
             key: ContactKey { with: u32::MAX, edge: 0, feature: number as u32 },
             rows: tie.rows,
             friction: 0.0,
-            // What the rod has moved already is in the gap.
+            // The rod's own motion is already in the gap.
             offset: tie.gap,
             force: tie.force,
             compliance: 0.0,
@@ -135,7 +136,7 @@ impl Island {
         let of = |list: &[ContactMemory]| {
             list.binary_search_by_key(&key, |memory| memory.key).ok().map(|place| list[place])
         };
-        // The force of the last iteration, but drawn from where it stuck when the step began.
+        // The force of the last iteration, but the displacement from where it stuck at the beginning of the step.
         let force = of(&self.former).map_or(Vector3::zeros(), |memory| memory.force);
         let drawn = of(&self.trial.contacts).map_or(Vector3::zeros(), |memory| memory.drawn);
         let apart = rows.apart(&self.moved);
@@ -166,10 +167,10 @@ impl Island {
         }
     }
 
-    /// How deep the contacts are where they ended \[m\].
+    /// Largest penetration of the contacts at the end \[m\].
     pub(super) fn penetration(&self, material: &ThreadMaterial, around: &Surroundings) -> f64 {
         self.contacts().fold(0.0, |most, contact| {
-            // An elastic surface has given way since it was measured: what is left is what the contact itself does.
+            // The elastic surface has deformed since the gap was measured: only the contact's own compliance is left.
             let gap = match contact.gives {
                 Some(_) => -contact.compliance * contact.force[0],
                 None => self.gap(material, around, &contact.key, &self.at.positions),
@@ -178,7 +179,7 @@ impl Island {
         })
     }
 
-    /// An edge that has come deep into something, whether that was taken for a contact or not, and deeper than it was.
+    /// An edge that has penetrated deeply, contact or not, and deeper than before.
     pub(super) fn sunk(
         &self,
         material: &ThreadMaterial,
@@ -199,7 +200,7 @@ impl Island {
         found.map(|candidate| candidate.key.edge as usize)
     }
 
-    /// Between the surfaces of two things at the end of the part, the thread being where these `positions` say \[m\].
+    /// Gap between two surfaces at the end of the substep, with the thread at these `positions` \[m\].
     fn gap(
         &self,
         material: &ThreadMaterial,

@@ -1,4 +1,4 @@
-//! What holds do to the island, and what they and the surroundings feel of it.
+//! Boundary conditions of the island, and the reactions of holds and surroundings.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -7,7 +7,8 @@ use crate::suture_thread::bishop_frame::{angle_about, perpendicular};
 use crate::suture_thread::{Hold, Surroundings, ThreadMaterial, TwistHold};
 
 impl Island {
-    /// Of a hold on its node \[N\], and how stiff it is there \[N/m\]; `share` of the way from the beginning of this part.
+    /// Force of a hold on its node \[N\] and its stiffness \[N/m\]; `share` is the fraction of the way from the
+    /// beginning of this substep.
     pub(super) fn pull(&self, hold: &Hold, share: f64) -> (Vector3<f64>, Matrix3<f64>) {
         let from = self.trial.positions[hold.node];
         let pull = (from + (hold.to - from) * share - self.at.positions[hold.node]) * hold.stiffness;
@@ -15,21 +16,22 @@ impl Island {
         if size <= hold.force_max {
             return (pull, Matrix3::identity() * hold.stiffness);
         }
-        // All that it can give, whose direction turns with the node.
+        // At the force limit; the direction turns with the node.
         let (along, held) = (pull / size, hold.force_max / size);
         (pull * held, (Matrix3::identity() - along * along.transpose()) * (hold.stiffness * held))
     }
 
-    /// How far an edge still has to turn \[rad\]; `share` of the way from the beginning of this part.
+    /// Remaining rotation of a held edge \[rad\]; `share` is the fraction of the way from the beginning of this
+    /// substep.
     pub(super) fn turn_left(&self, hold: &TwistHold, share: f64) -> f64 {
         let (tangent, director) = (&self.at.tangents[hold.edge], &self.at.directors[hold.edge]);
         let wanted = perpendicular(&hold.director, tangent);
         let left = angle_about(director, &wanted, tangent);
-        // The whole way is what is left and what has been turned.
+        // The whole way is the remaining plus the completed rotation.
         (left + self.at.turns[hold.edge]) * share - self.at.turns[hold.edge]
     }
 
-    /// Adds the forces of this part to what holds and obstacles feel, by its share of the step.
+    /// Accumulates the reactions of holds and obstacles in this substep, weighted by its share of the step.
     pub(super) fn feel(&mut self, material: &ThreadMaterial, fractions: [f64; 2], around: &Surroundings) {
         let weight = fractions[1] - fractions[0];
         let share = weight / (1.0 - fractions[0]);

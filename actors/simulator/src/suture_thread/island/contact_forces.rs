@@ -1,15 +1,15 @@
-//! Contact forces of the rod as it is linearised at an iterate.
+//! Contact forces for the rod linearised at an iterate.
 //!
-//! A contact with an obstacle touches two neighbouring nodes: what it answers is a spring within the band of the rod's
-//! matrix, once it is known whether it is open, sticks or slides. So these are found by Newton's method on the law
-//! itself (the active sets of Alart, Curnier 1991; Hintermüller, Ito, Kunisch 2002), each iteration one factorisation
-//! along the rod, however many they are. Contacts of strands with each other are such springs as well, between nodes that are
-//! far apart along the rod: each iteration is one factorisation of a sparse matrix then.
+//! A contact with an obstacle touches two neighbouring nodes: once it is known to be open, sticking or sliding, it is a
+//! spring within the band of the rod's matrix. These states are found by Newton's method on the force law (the active
+//! sets of Alart, Curnier 1991; Hintermüller, Ito, Kunisch 2002), one factorisation along the rod per iteration for any
+//! number of contacts. Contacts between strands are such springs as well, between nodes that are far apart along the
+//! rod: each iteration then factorises a sparse matrix.
 //!
-//! Contacts with what gives way are coupled through that, and ties with companions through these: they are solved as one
-//! dense problem through the compliance of all of them, strands that push each other included, and in turn with the springs
-//! of obstacles. Where these turns do not end the obstacles that are touched become part of the dense problem. Strands that are springs beside a dense problem were tried: where a tied strand pulls on its knot the two go
-//! in circles.
+//! Contacts with compliant bodies and ties to coupled bodies are coupled through those bodies: they are solved as one
+//! dense problem with the compliance of all of them, strand contacts included, alternating with the obstacle springs.
+//! Where the alternation does not converge, the touched obstacles join the dense problem. Strand contacts as springs
+//! beside a dense problem were tried: they cycle where a tied strand pulls on its knot.
 
 use super::coupled_body::{Companion, Tied};
 use super::{Active, Failure, Island, Nearest, TOLERANCE};
@@ -18,30 +18,30 @@ use crate::simd::dispatch::wide;
 use crate::suture_thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
 use crate::suture_thread::{ThreadReport, Trouble};
 
-/// Factorisations in search of what contacts that are springs do at most.
+/// Maximum factorisations in search of the states of contact springs.
 const ROUNDS_MAX: usize = 10;
-/// Where those go in circles, with each of [`SOFTENING`] at most.
+/// The same with each of [`SOFTENING`], where that search cycles.
 const SOFTENED_ROUNDS_MAX: usize = 8;
-/// The same two where strands that push each other are among them.
+/// Both limits when strand contacts are among the springs.
 const KNOTTED_ROUNDS_MAX: (usize, usize) = (24, 20);
-/// Times that the contacts that are springs and the dense problem are solved in turn at most.
+/// Maximum alternations between contact springs and the dense problem.
 const TURNS_MAX: usize = 5;
-/// A place does not change what it does for less \[N\]: `TOLERANCE` of a thread that gives way by a metre per newton, as
-/// one of 2-0 silk in steps of a millisecond does.
+/// Force tolerance \[N\]: `TOLERANCE` times the stiffness of a thread with a compliance of a metre per newton, as 2-0
+/// silk in steps of a millisecond.
 const FORCE_TOLERANCE: f64 = 1e-9;
-/// Ties that are further from obeying their rules ask for shorter steps \[m\].
+/// Ties with a larger error require shorter steps \[m\].
 const TIE_ERROR_MAX: f64 = 1e-7;
-/// What is further away from another strand than this once forces of the last time have moved it is no contact \[m\].
+/// A strand pair further apart than this, after motion by the warm-started forces, is no contact \[m\].
 const NEAR: f64 = 3e-5;
 
 impl Island {
-    /// Solves the linearised island: leaves the change of the iterate in `moved` and forces in the contacts.
+    /// Solves the linearised island: leaves the change of the iterate in `moved` and the forces in the contacts.
     pub(super) fn answer(
         &mut self,
         companion: &mut impl Companion,
         report: &mut ThreadReport,
     ) -> Result<(), Failure> {
-        // With the forces of the last time the rod moves nearly as it will; what it then stays away from is no contact.
+        // With the warm-started forces the rod moves nearly as in the solution; pairs that stay apart are dropped.
         self.with_obstacles = self.sprung.len();
         self.factorise(1.0)?;
         self.settle(report)?;
@@ -55,7 +55,7 @@ impl Island {
         if let Some(beyond) = contacts.nth(CONTACTS_MAX) {
             return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
         }
-        // Beside ties and what gives way strands are part of the dense problem.
+        // Beside ties and compliant bodies, strand contacts belong to the dense problem.
         if self.dense.iter().all(Active::is_of_strands) {
             self.sprung.append(&mut self.dense);
         }
@@ -73,13 +73,13 @@ impl Island {
         }
         self.take_ties()?;
         for contact in self.dense.iter_mut().chain(&mut self.sprung) {
-            // Drawn as far as it gives way, whether it sticks or slides.
+            // Elastic displacement by the contact compliance, sticking or sliding.
             contact.drawn = [-contact.compliance * contact.force[1], -contact.compliance * contact.force[2]];
         }
         Ok(())
     }
 
-    /// Solves the dense problem and the contacts that are springs in turn. Whether each ended at what the other ended at.
+    /// Alternates between the dense problem and the contact springs. Returns whether the two agree.
     fn take_turns(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
         for _ in 0..TURNS_MAX {
             if self.dense.is_empty() {
@@ -101,8 +101,8 @@ impl Island {
         Ok(false)
     }
 
-    /// Makes contacts with obstacles that push, or are about to, part of the dense problem: where what is tied is tied next to
-    /// one of them, the two go in circles. Whether there are any.
+    /// Moves obstacle contacts that are active or nearly so into the dense problem: where a tie is next to one of them,
+    /// the alternation cycles. Returns whether there were any.
     fn draw_in(&mut self) -> bool {
         let before = self.dense.len();
         let Self { sprung, dense, moved, .. } = self;
@@ -119,12 +119,12 @@ impl Island {
         self.dense.len() > before
     }
 
-    /// Whether strands push each other within the rod's matrix.
+    /// Whether strand contacts are in the rod's matrix.
     fn is_knotted(&self) -> bool {
         self.sprung.len() > self.with_obstacles
     }
 
-    /// The factors of the rod's matrix with the springs of the contacts, so many times as soft.
+    /// Factorises the rod's matrix with the contact springs, their compliance multiplied by `softness`.
     fn factorise(&mut self, softness: f64) -> Result<(), Failure> {
         self.added.clear(self.right.len());
         for contact in &mut self.sprung {
@@ -161,8 +161,8 @@ impl Island {
         })
     }
 
-    /// Moves the rod with the factors that there are: with the dense problem's forces and those of springs so many times as
-    /// soft.
+    /// Moves the rod with the current factors: with the forces of the dense problem, and of springs with their
+    /// compliance multiplied by `softness`.
     fn carry(&mut self, softness: f64) {
         self.moved.clone_from(&self.right);
         for contact in &self.dense {
@@ -180,9 +180,9 @@ impl Island {
         }
     }
 
-    /// Moves the rod with the forces of the dense problem as they are until the contacts that are springs obey their law,
-    /// beginning with the factors that there are. Whether those were the right ones. Where none are found, what came nearest
-    /// to the laws of strands is left.
+    /// Solves for the states of the contact springs with the forces of the dense problem fixed, starting with the
+    /// current factors. Returns whether the initial states were right. Without convergence, the best result for strand
+    /// contacts is kept.
     fn settle(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
         let knotted = self.is_knotted();
         let (rounds, softened) = if knotted { KNOTTED_ROUNDS_MAX } else { (ROUNDS_MAX, SOFTENED_ROUNDS_MAX) };
@@ -223,8 +223,8 @@ impl Island {
         Ok(false)
     }
 
-    /// How far contacts that are springs, so many times as soft, are from their law \[m\], and what they are taken to be next.
-    /// What is near enough is moved on by that much.
+    /// Error of the contact springs, compliances multiplied by `softness` \[m\], and their next states. Contacts near
+    /// enough are corrected by that error.
     fn error(&mut self, softness: f64) -> f64 {
         let (mut changed, mut off) = (false, false);
         self.rest.clear();
@@ -253,7 +253,7 @@ impl Island {
         if changed && !knotted {
             return f64::INFINITY;
         }
-        // What is lacking moves the rod on, and the places by how much they are away from their law.
+        // The residual forces move the rod, and the errors move the contacts.
         if knotted {
             self.sparse.solve(&mut self.rest);
         } else {
@@ -274,7 +274,7 @@ impl Island {
         largest
     }
 
-    /// Where the places of the dense problem are, with their forces.
+    /// Gaps of the dense problem with its current forces.
     fn measure(&mut self) {
         for (place, contact) in self.dense.iter().enumerate() {
             let apart = contact.rows.apart(&self.moved);
@@ -287,7 +287,7 @@ impl Island {
         self.give_way();
     }
 
-    /// The dense problem: the compliance of its places through the rod and its springs, column by column.
+    /// Assembles the dense problem: the compliance of its contacts through the rod and its springs, column by column.
     fn pose(&mut self) {
         let places = self.dense.len();
         let rows = 3 * places;
@@ -314,8 +314,8 @@ impl Island {
                     }
                 }
             }
-            // In their order along the thread, none of the places that are still to be read lies before the first; what
-            // is not symmetric has to be read everywhere.
+            // Sorted along the thread, no remaining contact lies before the first one; an unsymmetric matrix has to be
+            // read everywhere.
             let (until, skipped) = if slanted { (begin, 0) } else { (from, first / 3) };
             self.factors.solve_lanes(&mut self.lanes, from, until);
             let (dense, lanes, compliance) = (&self.dense, &self.lanes, &mut self.problem.compliance);
@@ -349,7 +349,7 @@ impl Island {
         self.add_giving();
         self.measure();
     }
-    /// What the ties came to; refused where they do not obey their rules.
+    /// Results of the ties; an error where they violate their laws.
     fn take_ties(&mut self) -> Result<(), Failure> {
         if self.ties.is_empty() {
             self.tied.clear();

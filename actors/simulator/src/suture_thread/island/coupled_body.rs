@@ -1,6 +1,6 @@
-//! Bodies that share the island with the rod: what it is swaged to, goes through or lies on. They and the rod see each
-//! other's forces in one problem per iteration, so nothing is exchanged between two solvers and nothing can build up between
-//! them, however stiff either is.
+//! Bodies coupled to the rod in one island: what it is swaged to, passes through or lies on. All of their forces are
+//! solved in one problem per iteration. Nothing is exchanged between two solvers, so the coupling is stable for any
+//! stiffness.
 
 use nalgebra::{Point3, Vector3};
 
@@ -9,90 +9,90 @@ use crate::suture_thread::contact::{Rows, Rule};
 use crate::suture_thread::discrete_elastic_rod::Iterate;
 use crate::suture_thread::elastic::SurfacePlace;
 
-/// When iterations may end.
+/// Convergence criteria of the iterations.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tolerance {
-    /// Nothing moves further in the last of them \[m\], and lengths of edges differ by no larger share from what their tension
-    /// says, as long as the rod touches nothing.
+    /// Without contact: largest displacement in the last iteration \[m\], and largest relative error of the edge
+    /// lengths against the tensions.
     pub free: (f64, f64),
-    /// The same once it does: contacts come and go by less.
+    /// The same with contacts, which come and go by less.
     pub touching: (f64, f64),
-    /// After as many as are allowed nothing moves further than this, or the step is divided \[m\].
+    /// At the iteration limit: a larger displacement than this divides the step \[m\].
     pub moved_at_most: f64,
     /// Iterations at most.
     pub iterations: usize,
 }
 
-/// A place between a companion and the rod, or of companions alone.
+/// A tie between a coupled body and the rod, or between coupled bodies.
 #[derive(Clone, Debug)]
 pub(crate) struct Tie {
-    /// What it does to the rod; the directions are those of its three rows.
+    /// Its rows on the rod, with their three directions.
     pub rows: Rows,
     pub rule: Rule,
-    /// At the iterate, with all that moves the companion but the forces of ties and contacts; without the rod's motion \[m\].
+    /// Gap at the iterate without the forces of ties and contacts and without the rod's motion \[m\].
     pub gap: [f64; 3],
-    /// How far it gives way \[m/N\].
+    /// Compliance \[m/N\].
     pub yields: [f64; 3],
-    /// To begin with \[N\].
+    /// Initial force \[N\].
     pub force: [f64; 3],
 }
 
-/// What a tie came to.
+/// Result of a tie.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Tied {
-    /// Of its rows \[N\].
+    /// Forces of its rows \[N\].
     pub force: [f64; 3],
-    /// What is left of its gaps, what it gives way included \[m\].
+    /// Remaining gaps, its compliance included \[m\].
     pub gap: [f64; 3],
-    /// Which rows gave way: their force is as large as it may be.
+    /// Which rows yielded: their force is at its bound.
     pub gives_way: [bool; 3],
 }
 
-/// A place of the dense problem at which a companion moves.
+/// A point of the dense problem at which a coupled body moves.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Link {
-    /// A tie, by its place in the list that the companion gave.
+    /// A tie, by its index in the coupled body's list.
     Tie(usize),
-    /// A contact of the rod with the companion's surface, and its three directions in the world.
+    /// A contact of the rod with the coupled body's surface, and its three directions in the world.
     Surface(SurfacePlace, [Vector3<f64>; 3]),
 }
 
-/// How companions give way at all links together: three rows of each.
+/// Compliance of coupled bodies at all links together: three rows each.
 #[derive(Debug)]
 pub(crate) struct ComplianceRows<'a> {
-    /// Of each row, how far the surface was displaced before \[m\]: along the normal since it was at rest until the step
-    /// began, across it since then until this part began. Of ties 0.
+    /// Surface displacement of each row at the linearisation point \[m\]: along the normal from rest to the beginning
+    /// of the step, tangentially from then to the beginning of this substep. 0 for ties.
     pub base: &'a mut [f64],
-    /// Between rows, column by column \[m/N\].
+    /// Compliance between rows, column by column \[m/N\].
     pub compliance: &'a mut [f64],
 }
 
-/// The rod's partner.
+/// A body coupled to the rod.
 pub(crate) trait Companion {
-    /// The place of its surface in the list of obstacles, which has it as it is when the step begins.
+    /// The obstacle index of its surface, whose mesh is that at the beginning of the step.
     fn surface(&self) -> Option<usize>;
 
-    /// A part of a step of `dt` seconds begins, or does so anew for being shorter.
+    /// A substep of `dt` seconds begins, or is repeated with a shorter one.
     fn begin(&mut self, _dt: f64) {}
 
-    /// Where the nodes of its surface were when the part began and are at the iterate, in the world \[m\]; none of a surface
-    /// that hardly moves in a step.
+    /// Nodes of its surface at the beginning of the substep and at the iterate, in the world \[m\]; `None` for a
+    /// surface that hardly moves in a step.
     fn swept(&self) -> Option<[&[Point3<f64>]; 2]> {
         None
     }
 
-    /// An edge of the rod that passes through something of the companion's on the way of its nodes from the first to the second
-    /// of these \[m\].
+    /// An edge of the rod that passes through a part of the coupled body while its nodes move from the first to the
+    /// second positions \[m\].
     fn stops(&self, _way: [&[Point3<f64>]; 2]) -> Option<usize> {
         None
     }
 
-    /// Whether the surface has a ridge along a rim of a triangle, from its corner of this number to the next.
+    /// Whether the surface has a sharp ridge along an edge of a triangle, from its corner of this number to the next.
     fn is_sharp(&self, _triangle: u32, _rim: usize) -> bool {
         false
     }
 
-    /// Another tolerance than that of a rod alone.
+    /// Convergence criteria other than those of a rod alone.
     fn tolerance(&self) -> Option<Tolerance> {
         None
     }
@@ -102,17 +102,17 @@ pub(crate) trait Companion {
         Ok(())
     }
 
-    /// How it gives way.
+    /// Fills in its compliance.
     fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble>;
 
-    /// Moves by the forces of all links, which are on the rod \[N\]; how far anything moved \[m\].
+    /// Moves by the link forces, given as acting on the rod \[N\]; returns the largest displacement \[m\].
     fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble>;
 
-    /// Takes down the forces of a part that has come to its end.
+    /// Stores the forces of a completed substep.
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]);
 }
 
-/// No partner.
+/// No coupled body.
 pub(crate) struct Alone;
 
 impl Companion for Alone {

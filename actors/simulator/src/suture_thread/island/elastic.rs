@@ -1,4 +1,4 @@
-//! Contacts with a body that gives way: what one of them pushes in, others feel.
+//! Contacts with compliant bodies, coupled through their deformation.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{closest_on_triangle, closest_segments};
@@ -10,37 +10,37 @@ use crate::suture_thread::elastic::{ElasticBody, Press, SurfacePlace};
 use crate::suture_thread::state::ContactKey;
 use crate::suture_thread::{Shape, Surroundings, ThreadMaterial, Trouble};
 
-/// Contacts of one place of an edge with a body that gives way at most: the bottom of a groove and both of its sides.
+/// Maximum contacts of one point of an edge with a compliant body: the bottom of a groove and both of its sides.
 const SIDES: usize = 3;
-/// Places that are nearer to each other than this are one, in radii of the thread.
+/// Contact points nearer to each other than this are merged, in radii of the thread.
 const SAME: f64 = 0.2;
-/// Places of an edge that may touch a triangle.
+/// Number of points of an edge that may touch a triangle.
 const PLACES: u32 = 4;
-/// A sharp rim touches for itself where it is nearer than the places of the edge that always do by this much, in radii.
+/// A sharp ridge makes its own contact where it is nearer than the fixed points of the edge by this much, in radii.
 const RIDGE: f64 = 0.3;
-/// What is deeper in a body than this is in it, and not on it, in radii of the thread.
+/// A point deeper than this is inside the body, not on its surface, in radii of the thread.
 const DEEP: f64 = 2.0;
 
-/// A triangle of a body that gives way near to a place of an edge.
+/// A triangle of a compliant body near a point of an edge.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Near {
     key: ContactKey,
-    /// It is touched already.
+    /// Whether it was in contact before.
     is_known: bool,
     place: SurfacePlace,
-    /// On the edge, 0 to 1.
+    /// Parameter on the edge, 0 to 1.
     along: f64,
-    /// In the world \[m\].
+    /// Closest point, in the world \[m\].
     point: Point3<f64>,
-    /// From there to the edge, unit.
+    /// Unit normal from there to the edge.
     normal: Vector3<f64>,
     distance: f64,
 }
 
-/// Places at which companions move, and how they give way there.
+/// Contacts and ties at which coupled bodies move, and their compliance there.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Joined {
-    /// Which contacts, and what they are to the companion.
+    /// Which contacts, and their links.
     places: Vec<usize>,
     pub links: Vec<Link>,
     pub forces: Vec<[f64; 3]>,
@@ -49,9 +49,9 @@ pub(super) struct Joined {
 }
 
 impl Island {
-    /// Takes down a triangle that is near to an edge. Two places of an edge touch, its first end and its middle, always the
-    /// same: of an edge that lies flat on a triangle every place is nearest, and one that jumps from end to end would not let
-    /// the step come to its end. Where a sharp rim of a triangle is clearly nearer than these, that touches too.
+    /// Records a triangle near an edge. Two fixed points of an edge make contact, its first end and its middle: all
+    /// points of an edge flat on a triangle are equally close, and a point that jumped from end to end would prevent
+    /// convergence. Where a sharp ridge of a triangle is clearly nearer than these, it makes contact too.
     pub(super) fn note_near(
         &mut self,
         material: &ThreadMaterial,
@@ -72,7 +72,7 @@ impl Island {
             let way = from.coords.lerp(&to.coords, along) - point.coords;
             let mut distance = way.norm();
             let Some(mut normal) = way.try_normalize(1e-12) else { return };
-            // Below a face it has sunk in; below an edge of one it may be beside the body.
+            // Below the interior of a face the point has sunk in; below an edge it may be beside the body.
             if way.dot(&outwards) < 0.0 && weights.iter().all(|weight| *weight > 0.0) {
                 if distance > DEEP * material.radius {
                     return;
@@ -87,7 +87,7 @@ impl Island {
             let place = SurfacePlace { nodes, weights };
             island.near.push(Near { key, is_known, place, along, point, normal, distance });
         };
-        // The last edge touches with both of its ends.
+        // The last edge makes contact with both of its ends.
         let last = edge + 2 == self.at.positions.len();
         for (which, along) in [(0, 0.0), (1, 0.5), (3, 1.0)].into_iter().take(if last { 3 } else { 2 }) {
             let touching = from + (to - from) * along;
@@ -116,8 +116,8 @@ impl Island {
         }
     }
 
-    /// The contacts of the edges with a body that gives way, of Coulomb's coefficient `friction`: of triangles that are
-    /// touched at the same place one, and rather one that was touched before.
+    /// The contacts of the edges with a compliant body of friction coefficient `friction`: one for all triangles
+    /// touched at the same point, preferring one that was touched before.
     pub(super) fn touch_elastic(&mut self, material: &ThreadMaterial, friction: f64) {
         self.near.sort_unstable_by(|a, b| {
             let order = |near: &Near| (near.key.edge, near.key.feature % PLACES, !near.is_known);
@@ -158,7 +158,7 @@ impl Island {
         }
     }
 
-    /// Finds how companions give way at their ties and contacts.
+    /// Gets the compliance of coupled bodies at their ties and contacts.
     pub(super) fn join(&mut self, companion: &mut impl Companion) -> Result<(), Failure> {
         let Joined { places, links, base, compliance, .. } = &mut self.joined;
         places.clear();
@@ -180,7 +180,7 @@ impl Island {
         companion.join(links, ComplianceRows { base, compliance }).map_err(|why| Failure { node: 0, why })
     }
 
-    /// Adds how companions give way to the problem's compliance.
+    /// Adds the compliance of coupled bodies to the problem's.
     pub(super) fn add_giving(&mut self) {
         let Joined { places, compliance, .. } = &self.joined;
         let (own, rows) = (3 * places.len(), self.problem.force.len());
@@ -194,7 +194,7 @@ impl Island {
         }
     }
 
-    /// Adds to the gaps how far companions give way to the forces as they are.
+    /// Adds the displacement of coupled bodies under the current forces to the gaps.
     pub(super) fn give_way(&mut self) {
         let Joined { places, base, compliance, .. } = &self.joined;
         let own = 3 * places.len();
@@ -212,7 +212,7 @@ impl Island {
         }
     }
 
-    /// The forces of the links as they are.
+    /// The current forces of the links.
     pub(super) fn link_forces(&mut self) {
         let Joined { places, forces, .. } = &mut self.joined;
         forces.clear();
@@ -223,10 +223,10 @@ impl Island {
 /// An elastic body that a thread is tied around, during one step.
 pub(crate) struct TiedAround<'a> {
     pub body: &'a ElasticBody,
-    /// Its place in the list of obstacles, and in the world.
+    /// Its obstacle index, and its pose in the world.
     pub obstacle: usize,
     pub world_from_body: Isometry3<f64>,
-    /// What presses it at the end of the last part.
+    /// Forces on it at the end of the last substep.
     pub presses: Vec<Press>,
 }
 
@@ -241,8 +241,8 @@ impl Companion for TiedAround<'_> {
         Some(self.obstacle)
     }
 
-    /// Gaps were measured to the surface as it was when the step began; how far the thread has slid is counted from the
-    /// beginning of the part.
+    /// Gaps were measured to the surface as it was at the beginning of the step; slip is counted from the beginning of
+    /// the substep.
     fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
         let rows = 3 * links.len();
         let on_surface = |link: &Link| match link {
@@ -273,7 +273,7 @@ impl Companion for TiedAround<'_> {
     }
 
     fn advance(&mut self, _links: &[Link], _forces: &[[f64; 3]]) -> Result<f64, Trouble> {
-        // It has given way in the problem, and is deformed by what presses it when the step is over.
+        // Its compliance is in the problem; it is deformed by the resulting forces after the step.
         Ok(0.0)
     }
 

@@ -1,6 +1,6 @@
-//! One step of a thread and all of its contacts together: Newton iterations on the implicit rod, each of them ending in
-//! contact forces that obey Coulomb's law for the rod as it is linearised there.
-// One index walks several arrays.
+//! One step of a thread with all of its contacts: Newton iterations on the implicit rod, each with contact forces that
+//! obey Coulomb's law for the linearised rod.
+// One index runs over several arrays.
 #![allow(clippy::needless_range_loop)]
 
 pub(crate) mod active_contacts;
@@ -24,73 +24,73 @@ use super::{Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepErro
 use crate::linear_algebra::block_banded::{Added, BlockBand, Cell, Factors, LaneCell};
 use crate::linear_algebra::block_sparse_lu::BlockSparse;
 
-/// Linearised solutions of one part of a step at most.
+/// Maximum linearised solutions in one substep.
 const ITERATIONS_MAX: usize = 6;
-/// A part of a step is not divided more often than this.
+/// Maximum number of halvings of a step.
 const HALVINGS_MAX: u32 = 8;
-/// Parts of one step at most.
+/// Maximum number of substeps in one step.
 const PARTS_MAX: usize = 512;
-/// Lengths of edges that differ from what their tension says by more than this ask for another iteration.
+/// Another iteration is needed when edge lengths differ from those implied by the tension by more than this.
 const LENGTH_TOLERANCE: f64 = 2e-4;
-/// And by more than this for shorter steps.
+/// Shorter steps are needed when they differ by more than this.
 const LENGTH_ERROR_MAX: f64 = 2e-2;
-/// A place obeys its law when it would not have to move further than this for it \[m\].
+/// A contact satisfies its law when its error is at most this \[m\].
 const TOLERANCE: f64 = 1e-9;
 
-/// A contact that is solved for.
+/// A contact in the solution.
 #[derive(Clone, Debug)]
 struct Active {
     key: ContactKey,
     rows: Rows,
     friction: f64,
-    /// Between the surfaces, and how far they have been drawn from where they stick, before this iteration \[m\].
+    /// Surface separation, and displacement from the sticking point, before this iteration \[m\].
     offset: [f64; 3],
     force: [f64; 3],
     compliance: f64,
-    /// Of a contact with an obstacle: as it is in the factors, and as it will be in the next ones.
+    /// For a contact with an obstacle: its state in the current and in the next factors.
     law: Law,
     next: Law,
-    /// On the obstacle \[m\].
+    /// Contact point on the obstacle \[m\].
     surface: Point3<f64>,
     drawn: [f64; 2],
-    /// On a surface that gives way.
+    /// Contact point on a compliant surface.
     gives: Option<SurfacePlace>,
-    /// Of what it is a place, when it is no contact.
+    /// The tie that it belongs to, if it is not a contact.
     tie: Option<TieOf>,
 }
 
-/// What a place of a companion is that is no contact of the rod.
+/// A tie of a coupled body, which is not a contact of the rod.
 #[derive(Clone, Copy, Debug)]
 struct TieOf {
-    /// In the companion's list.
+    /// Index in the coupled body's list.
     number: usize,
     rule: Rule,
     yields: [f64; 3],
 }
 
-/// What came nearest to the laws of the contacts.
+/// The best approximation of the contact laws so far.
 #[derive(Clone, Debug, Default)]
 struct Nearest {
-    /// How far it is away from them \[m\].
+    /// Its error \[m\].
     error: f64,
     moved: Vec<Cell>,
     forces: Vec<[f64; 3]>,
 }
 
-/// Room for a step.
+/// Workspace of a step.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Island {
-    /// Over the contacts of one linearised solution at most.
+    /// Newton steps on the contacts of one linearised solution, at most.
     pub sweeps_max: usize,
     trial: ThreadState,
     at: Iterate,
     matrix: BlockBand,
     added: Added,
     factors: Factors,
-    /// The factors of a rod whose strands push each other.
+    /// Factors of a rod with strand contacts.
     sparse: BlockSparse,
-    /// Contacts in `sprung` that are with obstacles; those after them are of strands with each other. None of these means
-    /// that the factors are those near the diagonal.
+    /// Number of obstacle contacts in `sprung`; strand contacts follow them. Without strand contacts the banded factors
+    /// are used.
     with_obstacles: usize,
     nearest: Nearest,
     right: Vec<Cell>,
@@ -102,23 +102,23 @@ pub(crate) struct Island {
     reach: Vec<f64>,
     motions: Vec<Motion>,
     candidates: Candidates,
-    /// Contacts with what gives way, ties, and contacts of strands with each other beside those.
+    /// Contacts with compliant bodies, ties, and strand contacts solved beside those.
     dense: Vec<Active>,
-    /// Contacts that are springs in the rod's matrix: with obstacles, and of strands with each other.
+    /// Contacts that are springs in the rod's matrix: with obstacles, and between strands.
     sprung: Vec<Active>,
     former: Vec<ContactMemory>,
     problem: Complementarity,
     hold_forces: Vec<Vector3<f64>>,
     hold_torques: Vec<f64>,
     reactions: Vec<Reaction>,
-    /// Triangles of what gives way that are near to edges.
+    /// Triangles of compliant bodies near edges.
     near: Vec<elastic::Near>,
     joined: elastic::Joined,
     ties: Vec<Tie>,
     tied: Vec<Tied>,
 }
 
-/// What went wrong in a part of the step, and where.
+/// Why and where a substep failed.
 pub(crate) struct Failure {
     pub node: usize,
     pub why: Trouble,
@@ -141,22 +141,22 @@ impl Island {
         &self.reactions
     }
 
-    /// What the ties of the last iteration came to, in the order in which the companion gave them.
+    /// Results of the ties of the last iteration, in the coupled body's order.
     pub fn tied(&self) -> &[Tied] {
         &self.tied
     }
 
-    /// Where companions move and the forces there, of the last iteration.
+    /// Links of coupled bodies and their forces, of the last iteration.
     pub fn links(&self) -> (&[Link], &[[f64; 3]]) {
         (&self.joined.links, &self.joined.forces)
     }
 
-    /// The rod at the end of the parts so far.
+    /// The rod at the end of the completed substeps.
     pub fn trial(&self) -> &ThreadState {
         &self.trial
     }
 
-    /// Begins a step of a rod that is as `state` says.
+    /// Begins a step of a rod in this `state`.
     pub fn begin(&mut self, state: &ThreadState, around: &Surroundings) {
         self.trial.clone_from(state);
         self.hold_forces.clear();
@@ -167,7 +167,7 @@ impl Island {
         self.reactions.resize(around.obstacles.len(), Reaction::default());
     }
 
-    /// Takes the state on by `dt`, or leaves it as it is.
+    /// Advances the state by `dt`, or leaves it unchanged.
     pub fn step(
         &mut self,
         material: &ThreadMaterial,
@@ -178,7 +178,7 @@ impl Island {
     ) -> Result<ThreadReport, ThreadStepError> {
         self.begin(state, around);
         let mut report = ThreadReport::default();
-        // Time in units of the shortest part, so that the parts add up exactly.
+        // Time in units of the shortest substep, so that substeps add up exactly.
         let whole = 1_u32 << HALVINGS_MAX;
         let (mut done, mut part) = (0_u32, whole);
         while done < whole {
@@ -192,7 +192,7 @@ impl Island {
                     self.finish(material, length, fractions, around);
                     done += part;
                     report.parts += 1;
-                    // A part is as long as the place it begins at allows: 1, 2, 4 … of the shortest.
+                    // A substep is as long as alignment allows: 1, 2, 4 … of the shortest.
                     while done < whole && part < whole && done % (2 * part) == 0 {
                         part *= 2;
                     }
@@ -213,7 +213,7 @@ impl Island {
         Ok(report)
     }
 
-    /// What is to be said of the rod at the end of a step.
+    /// Fills in the report at the end of a step.
     pub fn tell(&self, material: &ThreadMaterial, around: &Surroundings, report: &mut ThreadReport) {
         report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
         let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths).filter(|(_, rest)| **rest > 0.0);
@@ -222,7 +222,7 @@ impl Island {
         report.penetration_max = self.penetration(material, around);
     }
 
-    /// Finds the end of one part of the step; `divisible` says whether it might be shorter.
+    /// Solves one substep; `divisible` says whether a shorter one is possible.
     #[expect(clippy::too_many_arguments, reason = "a step, a part of it and what is around it")]
     pub fn part(
         &mut self,
@@ -279,11 +279,11 @@ impl Island {
             if error.1 > LENGTH_ERROR_MAX {
                 return Err(Failure { node: error.0, why: Trouble::Strain });
             }
-            // A rod whose contacts come and go ends where it is.
+            // A rod whose contacts alternate is accepted as it is.
             if (if touches { of_companion } else { largest }) > tolerance.moved_at_most {
                 return Err(Failure { node: error.0, why: Trouble::Wanders });
             }
-            // What came near in the last iterate only has not been solved for.
+            // A pair that came near only in the last iterate has not been solved for.
             if let Some(node) = self.sunk(material, around, companion).filter(|_| divisible) {
                 return Err(Failure { node, why: Trouble::PassedThrough });
             }
@@ -291,7 +291,7 @@ impl Island {
         Ok(())
     }
 
-    /// Moves the companion by the forces that were found.
+    /// Moves the coupled body by the solved forces.
     fn advance_companion(&mut self, companion: &mut impl Companion) -> Result<f64, Failure> {
         self.link_forces();
         companion.advance(&self.joined.links, &self.joined.forces).map_err(|why| Failure { node: 0, why })
@@ -322,7 +322,7 @@ impl Island {
         }
     }
 
-    /// The rod's matrix and forces at the iterate, with what holds and pulls it.
+    /// The rod's matrix and forces at the iterate, with boundary conditions.
     fn linearise(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
         let nodes = self.at.positions.len();
         self.matrix.clear(nodes);
@@ -351,13 +351,13 @@ impl Island {
         }
     }
 
-    /// All contacts that are solved for.
+    /// All contacts in the solution.
     fn contacts(&self) -> impl Iterator<Item = &Active> {
         self.dense.iter().chain(&self.sprung).filter(|contact| contact.tie.is_none())
     }
 
-    /// Halves a change of the iterate that takes back the one before: contacts whose places jump between two edges, or turn
-    /// with a free end, would swing to and fro for ever. Whether it did.
+    /// Halves a change of the iterate that reverses the previous one: contacts that jump between two edges, or turn
+    /// with a free end, would oscillate for ever. Returns whether it did.
     fn damp(&mut self, iteration: usize) -> bool {
         if iteration == 0 {
             self.last.clear();
@@ -377,7 +377,7 @@ impl Island {
         damped
     }
 
-    /// Moves the iterate; returns how far the furthest node moved \[m\].
+    /// Moves the iterate; returns the largest displacement of a node \[m\].
     fn advance(&mut self, material: &ThreadMaterial) -> Result<f64, Failure> {
         let at = &mut self.at;
         let change =
@@ -415,7 +415,7 @@ impl Island {
         Ok(largest)
     }
 
-    /// Refuses an iterate that has passed through something; looks further where it moved further than foreseen.
+    /// Rejects an iterate that has passed through something; repeats detection where it moved further than predicted.
     fn guard(
         &mut self,
         material: &ThreadMaterial,
@@ -434,7 +434,7 @@ impl Island {
             self.seek(material, around);
         }
         let (from, to) = (&self.trial.positions, &self.at.positions);
-        // An edge next to one that is spared reaches with its end into what that one is in.
+        // An edge next to a spared one reaches with its end into the same body.
         let beside_spared = |key: &ContactKey| {
             around.spared.iter().any(|spared| {
                 let edge = key.edge as usize;
@@ -465,7 +465,7 @@ impl Island {
         }
     }
 
-    /// The edge whose length differs most from what its tension says, and by how much of it.
+    /// The edge whose length differs most from that implied by its tension, and the relative error.
     fn length_error(&self, material: &ThreadMaterial) -> (usize, f64) {
         let mut worst = (0, 0.0);
         for (edge, length) in self.at.lengths.iter().enumerate() {
@@ -474,7 +474,7 @@ impl Island {
                 continue;
             }
             let error = (length / rest - 1.0 - self.at.tensions[edge] / material.axial_stiffness).abs();
-            // Not a number is the worst of all.
+            // NaN counts as the worst.
             if error > worst.1 || error.is_nan() {
                 worst = (edge, if error.is_nan() { f64::INFINITY } else { error });
             }
@@ -482,7 +482,7 @@ impl Island {
         worst
     }
 
-    /// Makes the iterate the state at the end of the part, and adds what holds and obstacles feel.
+    /// Makes the iterate the state at the end of the substep, and accumulates the reactions.
     pub fn finish(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
         self.feel(material, fractions, around);
         let state = &mut self.trial;

@@ -1,4 +1,4 @@
-//! Names of the knots that threads are tied into, and the throws that they are made of.
+//! Names of surgical knots, and the throws that they consist of.
 
 use std::fmt;
 
@@ -11,28 +11,28 @@ use super::kauffman_bracket::{Laurent, jones};
 use super::polygon::{directions, turns_freely};
 use super::{KnotError, close_towards, simplified};
 
-/// Which way a throw is twisted.
+/// Handedness of a throw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hand {
-    /// Its crossings are positive.
+    /// Positive crossings.
     Right,
-    /// Its crossings are negative.
+    /// Negative crossings.
     Left,
 }
 
-/// One throw: the ends led around each other once, twice …
+/// One throw: the ends wrapped around each other once, twice …
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Throw {
-    /// How often: 1 for an overhand throw, 2 for a surgeon's.
+    /// Number of wraps: 1 for an overhand throw, 2 for a surgeon's throw.
     pub wraps: u32,
-    /// Which way.
+    /// Handedness.
     pub hand: Hand,
 }
 
 impl Throw {
-    /// How often the ends are led half way around each other, positive for a right-handed throw: 3 for a single one.
+    /// Half turns of the ends around each other, positive for a right-handed throw: 3 for a single one.
     #[must_use]
     pub fn half_turns(&self) -> i32 {
         let turns = 2 * self.wraps as i32 + 1;
@@ -40,10 +40,10 @@ impl Throw {
     }
 }
 
-/// What a knot is called.
+/// The name of a knot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum KnotKind {
-    /// None at all.
+    /// No knot.
     Unknot,
     /// 3₁: a single throw, an overhand knot.
     Trefoil(Hand),
@@ -55,37 +55,37 @@ pub enum KnotKind {
     Granny(Hand),
     /// A double throw and a single one of the opposite hand.
     Surgeon(Hand),
-    /// Other sums of throws; their order cannot be told from a closed curve: most wraps first, right before left.
+    /// Other sums of throws; a closed curve does not determine their order: most wraps first, right before left.
     Throws(Vec<Throw>),
-    /// None of these.
+    /// Any other knot.
     Other,
 }
 
-/// A knot by its invariants.
+/// A knot and its invariants.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Knot {
     /// Its name; the hand of a surgeon's knot is that of its double throw.
     pub kind: KnotKind,
-    /// 0 for what is its own mirror image; −2 for the right-handed trefoil.
+    /// Signature: 0 for an amphichiral knot; −2 for the right-handed trefoil.
     pub signature: i32,
-    /// Of Alexander's polynomial at −1.
+    /// Determinant: Alexander's polynomial at −1.
     pub determinant: u64,
-    /// In t.
+    /// Jones polynomial in t.
     pub jones: Laurent,
-    /// Of the diagram in which it was read.
+    /// Crossings of the diagram that was read.
     pub crossings: usize,
 }
 
-/// How far out the ends of two threads are joined, in radii of all of them: beyond them, and nearer than the two ends that are
-/// left.
+/// Distance at which the ends of two threads are joined, in radii of all of them: outside of the threads, but nearer
+/// than where the two remaining ends are joined.
 const AWAY: f64 = 2.0;
-/// Throws of one knot at most.
+/// Maximum number of throws in one knot.
 const THROWS_MAX: usize = 5;
-/// Wraps of one throw at most.
+/// Maximum number of wraps in one throw.
 const WRAPS_MAX: u32 = 3;
 
 impl Knot {
-    /// Whether the Jones polynomial takes it for its own mirror image.
+    /// Whether the Jones polynomial equals that of the mirror image.
     #[must_use]
     pub fn is_amphichiral(&self) -> bool {
         self.signature == 0 && self.jones == self.jones.mirrored()
@@ -116,8 +116,8 @@ impl fmt::Display for KnotKind {
     }
 }
 
-/// Throws in order as surgeons write them (Tera, Åberg 1976): wraps, with `=` between throws of opposite hands and `x`
-/// between throws of one hand.
+/// Throws in order in surgical notation (Tera, Åberg 1976): wraps, with `=` between throws of opposite hands and `x`
+/// between throws of the same hand.
 #[must_use]
 pub fn notation(throws: &[Throw]) -> String {
     let mut text = String::new();
@@ -130,14 +130,14 @@ pub fn notation(throws: &[Throw]) -> String {
     text
 }
 
-/// The knot of a thread, open at both ends: the one that most of its closures have, see [`close_towards`]; of equally
-/// many the one that was found first.
+/// The knot of an open thread: the most frequent one over its closures, see [`close_towards`]; at a tie, the first
+/// found.
 ///
 /// # Errors
-/// What keeps the crossings of all closures from being read.
+/// Why the crossings cannot be read in any closure.
 pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
     let mut found: Vec<(Knot, usize)> = Vec::new();
-    // Directions that were closed towards, and which of those that were found each gave.
+    // The directions tried, each with the index of the knot found.
     let mut closed: Vec<(Vector3<f64>, Option<usize>)> = Vec::new();
     let mut error = None;
     let all = directions().count();
@@ -162,7 +162,7 @@ pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
         closed.push((direction, of));
         if let Some(of) = of {
             found[of].1 += 1;
-            // Those that are left cannot change it any more.
+            // The remaining directions cannot change the majority.
             if 2 * found[of].1 > all {
                 break;
             }
@@ -176,12 +176,12 @@ pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
     }
 }
 
-/// The knot of several threads taken as one: the end of each is led away and joined to the beginning of the next, as the
-/// first end and the last are joined of one alone ([`identify`]). Two threads tied together by throws of their ends are the
-/// knot that one thread is which is tied into such throws, its loop cut through.
+/// The knot of several threads taken as one: the end of each is extended and joined to the beginning of the next, and
+/// the first and last end as for a single thread ([`identify`]). Two threads tied together by throws of their ends give
+/// the same knot as one thread tied by such throws with its loop cut.
 ///
 /// # Errors
-/// What keeps the crossings of all closures from being read.
+/// Why the crossings cannot be read in any closure.
 pub fn identify_joined(threads: &[&[Point3<f64>]]) -> Result<Knot, KnotError> {
     if let [one] = threads {
         return identify(one);
@@ -198,7 +198,7 @@ pub fn identify_joined(threads: &[&[Point3<f64>]]) -> Result<Knot, KnotError> {
             let [Some(first), Some(last)] = [thread.first(), thread.last()] else {
                 return Err(KnotError::Points(thread.len()));
             };
-            // Nearer than where the two that are left are joined, so that no two of the lines there cross.
+            // Nearer than where the two remaining ends are joined, so that no two of the extensions cross there.
             let away = direction * (radius * AWAY);
             line.push(first + away);
             line.extend_from_slice(thread);
@@ -227,9 +227,9 @@ pub fn identify_joined(threads: &[&[Point3<f64>]]) -> Result<Knot, KnotError> {
 /// The knot of a closed curve; its last point is joined to its first.
 ///
 /// # Errors
-/// What keeps its crossings from being read.
+/// Why its crossings cannot be read.
 pub fn identify_closed(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
-    // A curve that meets itself is refused before its corners are taken out.
+    // A self-intersecting curve is rejected before its corners are removed.
     if let Some(bad) = points.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
         return Err(KnotError::NotFinite(bad));
     }
@@ -295,7 +295,7 @@ fn kind(jones: &Laurent, signature: i32) -> KnotKind {
     }
 }
 
-/// Looks for throws, in the order of `kinds`, whose polynomials multiply to `wanted` and whose signatures add up.
+/// Finds throws, in the order of `kinds`, whose polynomials multiply to `wanted` and whose signatures add up.
 fn product(
     wanted: &Laurent,
     signature: i32,
@@ -310,7 +310,7 @@ fn product(
             .sum();
         return sum == signature;
     }
-    // Products are as broad as their factors together.
+    // The span of a product is the sum of the spans of its factors.
     if chosen.len() == THROWS_MAX || so_far.coefficients.len() >= wanted.coefficients.len() {
         return false;
     }

@@ -7,11 +7,11 @@ use super::KnotError;
 /// One passage of the curve through a crossing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pass {
-    /// Which crossing.
+    /// The crossing.
     pub crossing: usize,
-    /// Whether on the upper strand.
+    /// Whether it is the upper strand.
     pub over: bool,
-    /// Where along the curve: edge and part of it.
+    /// Position along the curve: edge number plus fraction.
     pub at: f64,
 }
 
@@ -22,17 +22,17 @@ pub struct Diagram {
     pub(super) signs: Vec<i8>,
 }
 
-/// Two edges whose crossing is nearer to an end than this part of their length are looked at from elsewhere.
+/// Projections with a crossing nearer to an end of an edge than this fraction of its length are rejected.
 const END: f64 = 1e-9;
-/// Directions that are tried before a curve is given up as crossing itself.
+/// Number of projections tried before a curve counts as self-intersecting.
 const DIRECTIONS: usize = 24;
 
 impl Diagram {
-    /// Of the closed polygon through `points` \[m\], in the first of a fixed sequence of directions in which no crossing
-    /// lies on a corner.
+    /// Diagram of the closed polygon through `points` \[m\], in the first of a fixed sequence of directions in which no
+    /// crossing lies on a corner.
     ///
     /// # Errors
-    /// Fewer than three points, numbers that are not finite, or a curve that meets itself.
+    /// Fewer than three points, non-finite coordinates, or a curve that intersects itself.
     pub fn of(points: &[Point3<f64>]) -> Result<Self, KnotError> {
         if points.len() < 3 {
             return Err(KnotError::Points(points.len()));
@@ -42,7 +42,7 @@ impl Diagram {
         }
         let mut best: Option<Self> = None;
         for attempt in 0..DIRECTIONS {
-            // Turned by irrational parts of a turn: no two alike, none along an axis.
+            // Rotations by irrational fractions of a turn: all different, none along an axis.
             let k = attempt as f64 + 1.0;
             let axis = Vector3::new((1.3 * k).sin(), (2.1 * k).cos(), (0.7 * k + 0.4).sin());
             let turn = Rotation3::new(axis.normalize() * (0.618_033_988_749_895 * k * 2.0));
@@ -62,13 +62,13 @@ impl Diagram {
         self.signs.len()
     }
 
-    /// Sum of the signs of the crossings. Belongs to the diagram, not to the knot.
+    /// Sum of the signs of the crossings; a property of the diagram, not of the knot.
     #[must_use]
     pub fn writhe(&self) -> i32 {
         self.signs.iter().map(|&sign| i32::from(sign)).sum()
     }
 
-    /// The same knot with loops (Reidemeister I) and bigons (Reidemeister II) taken out, as long as there are any.
+    /// The same knot after removing loops (Reidemeister I) and bigons (Reidemeister II) until none are left.
     #[must_use]
     pub fn simplified(&self) -> Self {
         let mut diagram = self.clone();
@@ -76,7 +76,7 @@ impl Diagram {
         diagram
     }
 
-    /// A crossing passed twice in a row.
+    /// Removes a crossing that is passed twice in a row.
     fn remove_loop(&mut self) -> bool {
         let n = self.passes.len();
         let found = (0..n).find(|&i| self.passes[i].crossing == self.passes[(i + 1) % n].crossing);
@@ -87,8 +87,8 @@ impl Diagram {
         found.is_some()
     }
 
-    /// Two crossings passed one after the other both above and both below. Two arcs between the same two crossings with
-    /// nothing on them bound a bigon: the region beside them has these two sides only.
+    /// Removes two crossings passed consecutively both above and both below: two arcs between them without other
+    /// crossings that bound a bigon, a region with these two sides only.
     fn remove_bigon(&mut self) -> bool {
         let n = self.passes.len();
         let place = self.places();
@@ -108,7 +108,7 @@ impl Diagram {
     }
 
     /// Whether the arc from passage `i` to the next and the arc between the lower passages `pa` and `pb` are the two
-    /// sides of one region, by walking around it.
+    /// sides of one region, found by walking around it.
     fn bounds_a_region(&self, i: usize, pa: usize, pb: usize) -> bool {
         let n = self.passes.len();
         let lower = if (pa + 1) % n == pb { pa } else { pb };
@@ -119,7 +119,7 @@ impl Diagram {
         })
     }
 
-    /// Where each crossing is passed: below, above.
+    /// The two passages of each crossing: below, above.
     pub(super) fn places(&self) -> Vec<[usize; 2]> {
         let mut places = vec![[0; 2]; self.signs.len()];
         for (i, pass) in self.passes.iter().enumerate() {
@@ -128,8 +128,8 @@ impl Diagram {
         places
     }
 
-    /// The four arcs at a crossing counter-clockwise, beginning with the one that comes in below; each with whether it
-    /// leaves. Arc `i` runs from passage `i` to the next.
+    /// The four arcs at a crossing, counter-clockwise from the incoming lower one, each with whether it leaves. Arc `i`
+    /// runs from passage `i` to the next.
     pub(super) fn around(&self, crossing: usize, places: &[[usize; 2]]) -> [(usize, bool); 4] {
         let n = self.passes.len();
         let [below, above] = places[crossing];
@@ -144,7 +144,8 @@ impl Diagram {
         }
     }
 
-    /// The regions of the plane, each as its sides: arcs with whether they are walked forwards, the region to the left.
+    /// The regions of the plane, each as a list of its sides: arcs with whether they are traversed forwards, the region
+    /// on the left.
     pub(super) fn regions(&self) -> Vec<Vec<(usize, bool)>> {
         let n = self.passes.len();
         let places = self.places();
@@ -159,7 +160,7 @@ impl Diagram {
             while !seen[arc][usize::from(forwards)] {
                 seen[arc][usize::from(forwards)] = true;
                 region.push((arc, forwards));
-                // At the crossing where the arc ends, on along the next arc clockwise from it: the leftmost turn.
+                // At the crossing where the arc ends, continue along the next arc clockwise: the leftmost turn.
                 let pass = if forwards { (arc + 1) % n } else { arc };
                 let around = self.around(self.passes[pass].crossing, &places);
                 let came =
@@ -189,7 +190,7 @@ impl Diagram {
     }
 }
 
-/// The diagram along z, or none where a crossing lies on a corner or two edges meet in space.
+/// The diagram projected along z; `None` where a crossing lies on a corner or two edges intersect in space.
 fn project(points: &[Point3<f64>]) -> Option<Diagram> {
     let n = points.len();
     let mut diagram = Diagram::default();
@@ -212,7 +213,7 @@ fn project(points: &[Point3<f64>]) -> Option<Diagram> {
             let turn = d.x * e.y - d.y * e.x;
             let (s, t) = ((r.x * e.y - r.y * e.x) / turn, (r.x * d.y - r.y * d.x) / turn);
             if turn == 0.0 {
-                // Parallel edges cross only where they lie on each other.
+                // Parallel edges cross only where they overlap.
                 if (r.x * d.y - r.y * d.x) == 0.0 {
                     return None;
                 }
@@ -229,7 +230,7 @@ fn project(points: &[Point3<f64>]) -> Option<Diagram> {
             }
             let over = height > 0.0;
             let crossing = diagram.signs.len();
-            // Of upper and lower direction, seen from above.
+            // Sign from the upper and lower directions, seen from above.
             let sign = if over { turn } else { -turn };
             diagram.signs.push(if sign > 0.0 { 1 } else { -1 });
             diagram.passes.push(Pass { crossing, over, at: i as f64 + s });

@@ -1,4 +1,4 @@
-//! Signature and determinant of a knot from the chequered regions of its diagram (Goeritz 1933; Gordon, Litherland
+//! Signature and determinant of a knot from the checkerboard colouring of its diagram (Goeritz 1933; Gordon, Litherland
 //! 1978).
 
 use nalgebra::DMatrix;
@@ -13,7 +13,7 @@ pub fn signature_and_determinant(diagram: &Diagram) -> (i32, u64) {
         return (0, 1);
     }
     let (regions, places) = (diagram.regions(), diagram.places());
-    // Which region lies to the left of an arc walked forwards, and to its right.
+    // The regions to the left and to the right of an arc traversed forwards.
     let mut beside = vec![[0_usize; 2]; 2 * crossings];
     for (region, sides) in regions.iter().enumerate() {
         for &(arc, forwards) in sides {
@@ -25,11 +25,11 @@ pub fn signature_and_determinant(diagram: &Diagram) -> (i32, u64) {
     let mut correction = 0;
     for crossing in 0..crossings {
         let around = diagram.around(crossing, &places);
-        // The regions counter-clockwise after each of the four arcs: to the left of one that comes in lies the one
+        // The regions counter-clockwise after each of the four arcs: to the left of an incoming arc lies the one
         // clockwise from it.
         let after = around.map(|(arc, leaves)| beside[arc][usize::from(!leaves)]);
         let positive = diagram.signs[crossing] > 0;
-        // Those that the upper strand sweeps when it is turned counter-clockwise are after the second and the fourth.
+        // The regions swept by the upper strand turning counter-clockwise follow the second and the fourth arc.
         let swept_are_white = white[after[1]];
         let (first, second) = if swept_are_white { (after[1], after[3]) } else { (after[0], after[2]) };
         let kind = if swept_are_white { 1.0 } else { -1.0 };
@@ -55,7 +55,7 @@ pub fn signature_and_determinant(diagram: &Diagram) -> (i32, u64) {
     (-(signature + correction), determinant)
 }
 
-/// Two colours, so that neighbours across an arc differ.
+/// A two-colouring in which regions across an arc differ.
 fn colours(beside: &[[usize; 2]], regions: usize) -> Vec<bool> {
     let mut colour = vec![None; regions];
     colour[beside[0][0]] = Some(true);

@@ -1,37 +1,37 @@
-//! The Jones polynomial by Kauffman's bracket (Kauffman 1987), crossing by crossing over the pairings of what is open
-//! (as Bar-Natan's planar algebra does), so that its cost follows the width of the diagram and not `2ⁿ`.
+//! The Jones polynomial by Kauffman's bracket (Kauffman 1987), crossing by crossing over the pairings of open arcs
+//! (Bar-Natan's planar algebra), so that its cost grows with the width of the diagram and not with `2ⁿ`.
 
 use std::collections::BTreeMap;
 
 use super::KnotError;
 use super::diagram::Diagram;
 
-/// Crossings of a simplified diagram at most.
+/// Maximum number of crossings of a simplified diagram.
 pub const CROSSINGS_MAX: usize = 40;
-/// Pairings that are carried at once at most.
+/// Maximum number of pairings at once.
 const PAIRINGS_MAX: usize = 5_000;
-/// Arcs of a diagram at most.
+/// Maximum number of arcs of a diagram.
 const ARCS_MAX: usize = 2 * CROSSINGS_MAX;
 /// No arc.
 const NONE: u8 = u8::MAX;
 
-/// A polynomial with powers from `lowest` upwards.
+/// A Laurent polynomial, with powers from `lowest` upwards.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Laurent {
     /// Power of the first coefficient.
     pub lowest: i32,
-    /// Of one power after the other; neither first nor last is 0.
+    /// Coefficients of consecutive powers; neither first nor last is 0.
     pub coefficients: Vec<i64>,
 }
 
 impl Laurent {
-    /// One term.
+    /// A monomial.
     #[must_use]
     pub fn term(coefficient: i64, power: i32) -> Self {
         Self { lowest: power, coefficients: vec![coefficient] }.trimmed()
     }
 
-    /// Sum of two.
+    /// The sum of two polynomials.
     #[must_use]
     pub fn plus(&self, other: &Self) -> Self {
         if self.coefficients.is_empty() || other.coefficients.is_empty() {
@@ -48,7 +48,7 @@ impl Laurent {
         Self { lowest, coefficients }.trimmed()
     }
 
-    /// Product of two.
+    /// The product of two polynomials.
     #[must_use]
     pub fn times(&self, other: &Self) -> Self {
         if self.coefficients.is_empty() || other.coefficients.is_empty() {
@@ -63,7 +63,7 @@ impl Laurent {
         Self { lowest: self.lowest + other.lowest, coefficients }.trimmed()
     }
 
-    /// Adds another, times so much, times the variable so often. Zeros at the ends stay until it is [trimmed](Self::trimmed).
+    /// Adds `other · times · xᵖᵒʷᵉʳ`. Zeros at the ends stay until it is [trimmed](Self::trimmed).
     fn add(&mut self, other: &Self, times: i64, power: i32) {
         if other.coefficients.is_empty() {
             return;
@@ -86,7 +86,7 @@ impl Laurent {
         }
     }
 
-    /// The same of the mirror image.
+    /// The polynomial of the mirror image.
     #[must_use]
     pub fn mirrored(&self) -> Self {
         let highest = self.lowest + self.coefficients.len() as i32 - 1;
@@ -104,13 +104,13 @@ impl Laurent {
     }
 }
 
-/// Open ends joined two by two: each arc that is open has the one at its other end, all others [`NONE`].
+/// A pairing of open arcs: each open arc has the arc at its other end, all others [`NONE`].
 type Pairing = [u8; ARCS_MAX];
 
 /// The Jones polynomial of a diagram, in t.
 ///
 /// # Errors
-/// More crossings, or more pairings at once, than are handled.
+/// More crossings, or more pairings at once, than can be handled.
 pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
     let crossings = diagram.crossings();
     if crossings > CROSSINGS_MAX {
@@ -120,7 +120,7 @@ pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
         return Ok(Laurent::term(1, 0));
     }
     let places = diagram.places();
-    // Powers of −A² − A⁻²: what so many circles that have closed are worth.
+    // Powers of −A² − A⁻², the factors for 0, 1 and 2 closed circles.
     let circles: [&[(i32, i64)]; 3] = [&[(0, 1)], &[(-2, -1), (2, -1)], &[(-4, 1), (0, 2), (4, 1)]];
     let mut states: BTreeMap<Pairing, Laurent> = BTreeMap::from([([NONE; ARCS_MAX], Laurent::term(1, 0))]);
     for crossing in order(diagram, &places) {
@@ -145,7 +145,7 @@ pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
     let writhe = diagram.writhe();
     let sign = if writhe % 2 == 0 { 1 } else { -1 };
     let framed = bracket.times(&Laurent::term(sign, -3 * writhe));
-    // One circle too many was counted, and t is A⁻⁴.
+    // Divides out one circle; t is A⁻⁴.
     let framed = divided_by_circle(&framed);
     let mut jones = Laurent::default();
     for (k, &value) in framed.coefficients.iter().enumerate() {
@@ -154,7 +154,7 @@ pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
     Ok(jones)
 }
 
-/// Crossings so that each next one touches as much as possible of what is open.
+/// Order of the crossings in which each next one touches as many open arcs as possible.
 fn order(diagram: &Diagram, places: &[[usize; 2]]) -> Vec<usize> {
     let crossings = diagram.crossings();
     let mut touched = vec![false; 2 * crossings];
@@ -174,13 +174,13 @@ fn order(diagram: &Diagram, places: &[[usize; 2]]) -> Vec<usize> {
     order
 }
 
-/// Joins an end of one arc to an end of another; true where that closes a circle. An arc that is open already is met at
-/// its other end.
+/// Joins the ends of two arcs; true where that closes a circle. An arc that is already open is replaced by its other
+/// end.
 fn join(pairing: &mut Pairing, one: u8, other: u8) -> bool {
     let mut met = |arc: u8| std::mem::replace(&mut pairing[usize::from(arc)], NONE);
     let first = met(one);
     if one == other && first == NONE {
-        // Both ends of a loop that nothing else has met.
+        // Both ends of the same open strand.
         return true;
     }
     let second = met(other);
@@ -194,7 +194,7 @@ fn join(pairing: &mut Pairing, one: u8, other: u8) -> bool {
     false
 }
 
-/// By −A² − A⁻², which divides it.
+/// Divides by −A² − A⁻², without remainder.
 fn divided_by_circle(of: &Laurent) -> Laurent {
     let mut rest = of.coefficients.clone();
     let mut quotient = vec![0; rest.len().saturating_sub(4)];

@@ -1,20 +1,19 @@
-//! Which knot a thread has been tied into, told by invariants that can: square and granny knot have the Alexander
-//! polynomial and the determinant in common, but neither the signature nor the Jones polynomial.
+//! Classification of the knot of a thread by invariants that distinguish surgical knots: square and granny knot have
+//! the Alexander polynomial and the determinant in common, but neither the signature nor the Jones polynomial.
 //!
 //! | Part | File |
 //! |---|---|
 //! | Closing an open curve, taking corners out | `polygon.rs` |
-//! | Projection, crossings, Reidemeister moves | `diagram.rs` |
+//! | Closing an open curve, removing corners | `polygon.rs` |
 //! | Jones polynomial | `kauffman_bracket.rs` |
 //! | Signature, determinant | `goeritz.rs` |
-//! | Names | `classification.rs` |
-//! | Throws one by one | `throw_order.rs` |
+//! | Names of knots | `classification.rs` |
+//! | Order of the throws | `throw_order.rs` |
 //!
-//! An open thread has no knot but the one that is made of it by closing it. [`identify`] closes it towards 25 directions
-//! spread evenly over the sphere ([`close_towards`]) and takes the knot that most of them give (Millett, Dobay, Stasiak
-//! 2005): a loop or an ear that happens to hang in the way of one closure does not hang in that of most. A throw of `k`
-//! half hitches, tied with both ends around something, closes to the torus knot of `2k + 1` half turns, and throws one
-//! after the other to their connected sum.
+//! An open thread has a knot only once it is closed. [`identify`] closes it in 25 directions spread evenly over the
+//! sphere ([`close_towards`]) and takes the most frequent result (Millett, Dobay, Stasiak 2005): a loop or an ear in
+//! the way of one closure is not in the way of most. A throw of `k` half hitches, tied with both ends around something,
+//! closes to the torus knot of `2k + 1` half turns, and consecutive throws to their connected sum.
 
 pub(crate) mod classification;
 mod diagram;
@@ -32,19 +31,19 @@ pub use throw_order::{Reading, throws};
 
 use thiserror::Error;
 
-/// Why a curve's knot cannot be told.
+/// Why a curve's knot cannot be identified.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum KnotError {
     /// Too few points.
     #[error("a curve of {0} points; valid: 3 or more")]
     Points(usize),
-    /// A point with a number that is not finite.
+    /// A point with a non-finite coordinate.
     #[error("point {0} of the curve is not finite")]
     NotFinite(usize),
-    /// Crossings that cannot be told in any direction.
+    /// The curve intersects itself, or no projection separates its crossings.
     #[error("the curve meets itself")]
     MeetsItself,
-    /// More than can be evaluated.
+    /// More crossings than can be evaluated.
     #[error("a diagram of {0} crossings that cannot be simplified; valid: at most {CROSSINGS_MAX}")]
     TooManyCrossings(usize),
 }

@@ -1,19 +1,19 @@
-//! The curve before it is projected: closed where it was open, and with as few corners as its knot allows.
+//! The curve before projection: closing an open one, and removing corners without changing the knot.
 
 use nalgebra::{Point3, Vector3};
 
 use super::KnotError;
 
-/// How far out the ends of an open curve are joined, in radii of the curve.
+/// Distance at which the ends of an open curve are joined, in radii of the curve.
 const FAR: f64 = 4.0;
-/// Directions that an open curve is closed towards.
+/// Number of directions in which an open curve is closed.
 const CLOSURES: usize = 25;
 
-/// An open curve closed towards a direction: both ends are led there, side by side, to four times the radius of the
-/// curve, and joined. What the curve does between its ends and there counts as part of the knot.
+/// An open curve closed in a direction: both ends are extended that way, side by side, to four times the radius of the
+/// curve, and joined. The extensions belong to the knot.
 ///
 /// # Errors
-/// Fewer than two points, numbers that are not finite, or no direction.
+/// Fewer than two points, non-finite coordinates, or a zero direction.
 pub fn close_towards(
     points: &[Point3<f64>],
     direction: &Vector3<f64>,
@@ -35,11 +35,11 @@ pub fn close_towards(
     Ok(closed)
 }
 
-/// Whether an open curve closed towards `from` is the same knot as when it is closed towards `to`: neither of the lines that
-/// lead its ends away meets the curve while both turn from the one direction to the other.
+/// Whether an open curve closed in direction `from` is the same knot as closed in direction `to`: neither extension of
+/// its ends meets the curve while both turn from the one direction to the other.
 pub(super) fn turns_freely(points: &[Point3<f64>], from: &Vector3<f64>, to: &Vector3<f64>) -> bool {
     let across = from.cross(to);
-    // Edges of an end touch its line at that end only.
+    // The edges at an end touch its extension at that end only.
     let free = |end: &Point3<f64>, rest: &[Point3<f64>]| {
         let mut before = across.dot(&(rest[0] - end));
         rest.windows(2).all(|edge| {
@@ -48,7 +48,7 @@ pub(super) fn turns_freely(points: &[Point3<f64>], from: &Vector3<f64>, to: &Vec
             if first * now > 0.0 {
                 return true;
             }
-            // Where the edge meets the plane in which the line turns.
+            // Where the edge meets the plane in which the extension turns.
             let share = if first == now { 0.0 } else { first / (first - now) };
             let place = edge[0].lerp(&edge[1], share) - end;
             place.cross(to).dot(&across) < 0.0 || from.cross(&place).dot(&across) < 0.0
@@ -62,8 +62,8 @@ pub(super) fn turns_freely(points: &[Point3<f64>], from: &Vector3<f64>, to: &Vec
     }
 }
 
-/// Directions that an open curve is closed towards, evenly over the sphere (a spiral of equal areas), none of them along
-/// an axis.
+/// Directions in which an open curve is closed: even over the sphere (a spiral of equal areas), none of them along an
+/// axis.
 pub(super) fn directions() -> impl Iterator<Item = Vector3<f64>> {
     (0..CLOSURES).map(|k| {
         let height = 1.0 - (2.0 * k as f64 + 1.0) / CLOSURES as f64;
@@ -72,8 +72,8 @@ pub(super) fn directions() -> impl Iterator<Item = Vector3<f64>> {
     })
 }
 
-/// The closed polygon with corners taken out whose triangle with their neighbours nothing passes through, until none is
-/// left (Koniaris, Muthukumar 1991; Taylor 2000): the knot stays the same.
+/// The closed polygon without the corners whose triangle with their neighbours nothing passes through (Koniaris,
+/// Muthukumar 1991; Taylor 2000); the knot stays the same.
 #[must_use]
 pub fn simplified(points: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let mut points = points.to_vec();
@@ -100,13 +100,14 @@ fn removable(points: &[Point3<f64>], i: usize) -> bool {
         triangle[0].coords.inf(&triangle[1].coords).inf(&triangle[2].coords),
         triangle[0].coords.sup(&triangle[1].coords).sup(&triangle[2].coords),
     );
-    // On which sides of the triangle's box a point lies; an edge whose ends have a side in common is beside it.
+    // On which sides of the triangle's box a point lies; an edge whose ends share a side is outside the box.
     let sides = |point: &Point3<f64>| -> u8 {
         (0..3).fold(0, |sides, axis| {
             sides << 2 | u8::from(point[axis] < low[axis]) << 1 | u8::from(point[axis] > high[axis])
         })
     };
-    // Edges that do not end in a corner of the triangle; of those that do, only one in its plane could pass through it.
+    // Tests the edges without a vertex in common with the triangle; of the others, only one in its plane could pass
+    // through it.
     let clear = |from: usize, to: usize| {
         let mut before = sides(&points[from]);
         points[from..=to].windows(2).all(|edge| {
@@ -120,14 +121,14 @@ fn removable(points: &[Point3<f64>], i: usize) -> bool {
         return clear(2 - usize::from(i != 0), n - 2 - usize::from(i != 0));
     }
     let (last_before, first_after) = (i.checked_sub(2), i + 2);
-    // The edge that closes the polygon is none of the triangle's unless a corner of the triangle ends it.
+    // The closing edge shares no vertex with the triangle unless it ends at one of its corners.
     let closing = i >= 2 && i + 2 < n;
     last_before.is_none_or(|last| clear(0, last))
         && (first_after >= n || clear(first_after, n - 1))
         && (!closing || !pierces(&points[n - 1], &points[0], &triangle))
 }
 
-/// Whether the segment passes through the triangle; touching counts.
+/// Whether the segment intersects the triangle; touching counts.
 fn pierces(a: &Point3<f64>, b: &Point3<f64>, triangle: &[Point3<f64>; 3]) -> bool {
     let volume = |p: &Point3<f64>, q: &Point3<f64>, r: &Point3<f64>, s: &Point3<f64>| {
         (q - p).cross(&(r - p)).dot(&(s - p))

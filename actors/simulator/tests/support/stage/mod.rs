@@ -13,7 +13,7 @@ use trocar_scene::{
 /// The controller's number.
 const ME: u16 = 7;
 
-/// A scene that a scenario's text describes, and who acts on it.
+/// A scene from a scenario's text, and the controller on it.
 pub struct Stage<C> {
     pub store: Store,
     pub controller: C,
@@ -68,7 +68,7 @@ impl<C: Controller> Stage<C> {
         SimTime(self.ticks * self.period.0)
     }
 
-    /// Somebody else writes.
+    /// Writes a component in another actor's name.
     pub fn put<T: Component>(&mut self, name: &str, value: T) {
         let entity = self.entity(name);
         self.others.put(entity, value);
@@ -104,7 +104,7 @@ impl<C: Controller> Stage<C> {
         self.commands.clear();
     }
 
-    /// Another life of the controller, from nothing but the scene.
+    /// Restarts the controller, from the scene alone.
     pub fn rebuild(
         &mut self,
         build: impl FnOnce(&BuildContext<'_>) -> Result<C, trocar_scene::ControllerError>,
@@ -126,7 +126,7 @@ impl<C: Controller> Stage<C> {
         self.store.view().get::<T>(self.entity(name)).is_some()
     }
 
-    /// What the controller measured last.
+    /// The controller's last measure of this name.
     pub fn measured(&self, what: &str) -> f64 {
         let me = Entity::of_writer(0, ME);
         let all = self.store.view().get::<trocar_scene::Measured>(me).expect("it measures");
@@ -134,7 +134,7 @@ impl<C: Controller> Stage<C> {
     }
 }
 
-/// What a controller is built from, on a scene that no stage need have.
+/// The build context of a controller, for a scene without a stage.
 pub fn context(store: &Store, time: SimTime, epoch: u32) -> BuildContext<'_> {
     BuildContext {
         scene: store.view(),

@@ -1,4 +1,4 @@
-//! Further controllers on a stage, each at a rate of its own.
+//! Additional controllers on a stage, each at its own rate.
 
 use trocar_scene::{
     BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, Jobs, SimTime,
@@ -14,9 +14,9 @@ pub struct Other {
     rules: WriterRules,
     commands: Commands,
     ticks: u64,
-    /// When its last tick was.
+    /// Time of its last tick.
     last: SimTime,
-    /// How many ticks of the first one each of its own takes.
+    /// Ticks of the first controller per tick of this one.
     pub every: u32,
 }
 
@@ -43,7 +43,7 @@ impl Other {
         Self { controller: Box::new(controller), me, rules, commands, ticks: 0, last: stage.now(), every }
     }
 
-    /// Another life of it, from nothing but the scene; no time has gone by.
+    /// Restarts it, from the scene alone, without time passing.
     pub fn rebuild<C: Controller, D: Controller>(
         &mut self,
         stage: &Stage<C>,
