@@ -1,8 +1,9 @@
-//! What of a recording outlives a life of the recorder: plain data, from which the next life goes on.
+//! Journal of a recording: the plain data that survives a restart of the recorder and from which its next life
+//! continues.
 //!
-//! Messages wait in an open chunk, closed chunks wait in the spool, and what the disk has is only counted. A
-//! life that dies between two publications therefore takes nothing with it; one that dies inside of one costs
-//! that publication, which becomes a declared gap.
+//! Messages wait in an open chunk, closed chunks wait in the spool, and written chunks are only counted. A life that
+//! dies between two publications therefore loses nothing; one that dies during a publication loses that publication,
+//! which becomes a declared gap.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -25,7 +26,7 @@ use crate::state_hash::StateHash;
 
 /// An open chunk of this size is closed.
 const CHUNK_BYTES: usize = 1 << 20;
-/// Why there is a gap after a life that ended inside of a publication.
+/// Reason for the gap after a life that ended during a publication.
 const TORN: &str = "the recorder panicked while it took a publication";
 
 mod channel {
@@ -36,7 +37,7 @@ mod channel {
     pub(super) const EVENTS: u16 = 5;
 }
 
-/// What one life has for itself: buffers, and names looked up before. A corpse's are not used again.
+/// State of one life: buffers and cached names. The next life does not reuse them.
 #[derive(Default)]
 pub(super) struct Pen {
     scratch: Vec<u8>,
