@@ -242,7 +242,7 @@ impl Slot {
 
     /// The time of tick `number`.
     fn time_of(&self, number: u64) -> SimTime {
-        // From the number, not by adding up: no drift however odd the rate.
+        // Computed from the tick number rather than summed, so that no rate drifts.
         self.spec.phase + SimTime((number as f64 * 1e9 / self.spec.rate_hz).round() as u64)
     }
 
@@ -251,7 +251,7 @@ impl Slot {
         self.number.checked_sub(1).map_or(SimTime::ZERO, |number| self.time_of(number))
     }
 
-    /// Goes on at `now`, before whatever is due then: every tick that was due earlier is over.
+    /// Continues at `now`, before the ticks due then; earlier ticks count as done.
     pub(super) fn skip_to(&mut self, now: SimTime) {
         let guess = (now.since(self.spec.phase).0 as f64 * 1e-9 * self.spec.rate_hz) as u64;
         self.number = guess.saturating_sub(1);
@@ -274,7 +274,7 @@ impl Slot {
         self.stats.report(now)
     }
 
-    /// Moves on to the next due time and gives the number of the tick that is due now.
+    /// Advances to the next due time and returns the number of the tick due now.
     pub(super) fn advance(&mut self) -> u64 {
         let number = self.number;
         self.number += 1;
@@ -306,7 +306,7 @@ impl Slot {
         self.step((number, now), now, scene, registry)
     }
 
-    /// Does the step that was held up.
+    /// Runs the delayed step.
     pub(super) fn late_step(
         &mut self,
         pending: Pending,
@@ -355,7 +355,7 @@ impl Slot {
         }
     }
 
-    /// What leaves the controller's handle after a step.
+    /// Passes a step's batch through the controller's handle.
     fn hand_over(&mut self, mut batch: Box<Batch>, now: SimTime) -> Ticked {
         if self.ailments.nan {
             batch.commands.event("fault.nan", self.me, None, f64::NAN);
@@ -373,12 +373,12 @@ impl Slot {
         Ticked::Ready(batch)
     }
 
-    /// Puts a batch in line while the Model is down; full is full.
+    /// Queues a batch while the Model is down; drops it when the queue is full.
     pub(super) fn enqueue(&mut self, batch: Box<Batch>) {
         if self.queue.len() < self.spec.ring_capacity {
             self.queue.push_back(batch);
         } else {
-            // Live it would not have got into the ring.
+            // In a live session the ring would have refused it.
             self.sent -= 1;
             self.stats.dropped();
         }
@@ -389,10 +389,11 @@ impl Slot {
         self.spare = Some(batch);
     }
 
-    /// Hands over what is due, as live: at most as much as a controller can be handed, the rest before its next step.
+    /// Delivers the finished jobs that are due, as in a live session: at most as many as the inbox holds, the rest
+    /// before the next step.
     ///
     /// # Errors
-    /// What a job's panic said: its controller would wait for ever.
+    /// The panic message of a job: its controller would otherwise wait for ever.
     fn deliver_jobs(&mut self, now: SimTime) -> Result<(), String> {
         for due in self.deliveries.extract_if(.., |delivery| delivery.at <= now).take(JOBS_MAX) {
             let output = due.output.map_err(|panic| format!("job {}: {panic}", due.key))?;
@@ -401,7 +402,7 @@ impl Slot {
         Ok(())
     }
 
-    /// Jobs run here and now, however long they are, and are delivered when they said they would be.
+    /// Runs submitted jobs at once, to their end; each is delivered at its declared time.
     fn take_jobs(&mut self, now: SimTime) {
         let begun = Instant::now();
         while let Some(job) = self.jobs.next_submitted() {
