@@ -78,7 +78,7 @@ pub struct PortEnergy {
     pub energy: f64,
     /// Smallest value so far \[J\].
     pub energy_min: f64,
-    /// Energy that a force may give to the hand \[J\]: what the hand paid, and what was lent.
+    /// Energy that a force may give to the hand \[J\]: its own net energy plus loans.
     pub available: f64,
     /// Energy \[J\] withheld from the hand so far.
     pub dissipated: f64,

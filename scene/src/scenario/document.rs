@@ -1,4 +1,4 @@
-//! A TOML document with the place of everything in it: typed access that knows where it is.
+//! A TOML document with source positions: typed access whose errors give the position.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 use super::error::ScenarioError;
 use crate::entity::{Entity, with_entity_names};
 
-/// The text of a scenario and where it came from.
+/// The text of a scenario and its origin.
 #[derive(Debug)]
 pub(super) struct Source {
     pub file: PathBuf,
@@ -56,7 +56,7 @@ impl Source {
 #[derive(Clone, Copy)]
 pub(super) struct Table<'a> {
     pub source: &'a Source,
-    /// How the table is called in messages.
+    /// Name of the table in messages.
     pub key: &'a str,
     pub span: (usize, usize),
     pub table: &'a DeTable<'a>,
@@ -154,13 +154,13 @@ pub(super) fn join(outer: &str, inner: &str) -> String {
     }
 }
 
-/// Text from the file as it may stand in a message: short, and nothing that a terminal would act on.
+/// Quotes text from the file for a message: short, and without control characters.
 pub(super) fn shown(text: &str) -> String {
     let dots = if text.chars().count() > 60 { "…" } else { "" };
     text.chars().take(60).flat_map(char::escape_default).chain(dots.chars()).collect()
 }
 
-/// A table of free parameters for someone else to interpret, which still knows its place in the file.
+/// A table of uninterpreted parameters, with its position in the file.
 #[derive(Clone, Debug)]
 pub struct Params {
     source: Option<Arc<Source>>,
@@ -186,12 +186,12 @@ impl Params {
         Self { source: Some(source.clone()), path, owner, names: names.clone() }
     }
 
-    /// No parameters, for something that no file describes.
+    /// No parameters, for an owner without a file.
     pub fn none(owner: impl Into<String>) -> Self {
         Self { source: None, path: Vec::new(), owner: owner.into(), names: Arc::default() }
     }
 
-    /// Whose parameters they are, as in messages.
+    /// Owner of the parameters, for messages.
     pub fn owner(&self) -> &str {
         &self.owner
     }
