@@ -200,7 +200,7 @@ impl Params {
     /// is interpreted, so that defaults apply.
     ///
     /// # Errors
-    /// Names the place and the key of what does not fit.
+    /// Names the position and the invalid key.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ScenarioError> {
         let value = match &self.source {
             None => None,
@@ -210,7 +210,7 @@ impl Params {
         let span = value.span();
         with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
             .map_err(|error| match (&self.source, error.span()) {
-                // Of an empty table that nobody wrote, the owner's place is the best there is.
+                // An absent table has no position: the owner's is used.
                 (Some(source), Some(at)) if span != (0..0) => {
                     source.error(at, self.owner.clone(), error.message().trim())
                 }
@@ -218,7 +218,7 @@ impl Params {
             })
     }
 
-    /// The parameters' table; if nothing is written there, where the owner stands.
+    /// The parameters' table, or if absent, the owner's position.
     fn find<'i>(&self, document: Spanned<DeTable<'i>>) -> Result<Spanned<DeValue<'i>>, Range<usize>> {
         let mut value = Spanned::new(document.span(), DeValue::Table(document.into_inner()));
         for step in &self.path {
@@ -231,7 +231,7 @@ impl Params {
         Ok(value)
     }
 
-    /// An error about these parameters that [`Params::parse`] cannot know of, such as a range.
+    /// An error about these parameters that [`Params::parse`] does not check, such as a range.
     pub fn error(&self, reason: impl Into<String>) -> ScenarioError {
         match &self.source {
             Some(source) => source.error(self.span(), self.owner.clone(), reason),
