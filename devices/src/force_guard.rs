@@ -3,9 +3,8 @@
 //!
 //! The age limits are fixed, because safety relies on them: a force that is not renewed fades from 5 ms and is zero at
 //! 20 ms. The fade is linear, so that the support of a leaning hand decreases gradually. The viscous damping dissipates
-//! the energy that a sampled virtual wall generates: a wall of stiffness K held over a period T is passive when b >
-//! K·T/2
-//! + |B| (Colgate and Schenkel, "Passivity of a class of sampled-data systems", 1997). Its force is capped, so that it
+//! the energy that a sampled virtual wall generates: a wall of stiffness K held over a period T is passive when
+//! b > K·T/2 + |B| (Colgate and Schenkel, "Passivity of a class of sampled-data systems", 1997). Its force is capped, so that it
 //!   never dominates the rendered force.
 
 use nalgebra::Vector3;

@@ -1,7 +1,7 @@
 //! Exact discretisation of a damped oscillator under a force held over the step (zero-order hold).
 //!
-//! `m ẍ + b ẋ + k x = F`, in state space with the force as a third, constant state, has the transition matrix `exp(A
-//! h)` (Van Loan, "Computing integrals involving the matrix exponential", 1978). The matrix is summed by scaling and
+//! `m ẍ + b ẋ + k x = F`, in state space with the force as a third, constant state, has the transition matrix
+//! `exp(A h)` (Van Loan, "Computing integrals involving the matrix exponential", 1978). The matrix is summed by scaling and
 //! squaring, which covers the under-, critically and over-damped cases, `k = 0` and `b = 0` alike, and uses only
 //! additions and multiplications: bit-identical on every machine.
 

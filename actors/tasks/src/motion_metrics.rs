@@ -2,8 +2,8 @@
 //!
 //! Time, path length, depth and mean speed follow Cotin et al. 2002, "Metrics for laparoscopic skills trainers: the
 //! weakest link!" (depth = distance travelled along the instrument's own axis); smoothness is the log dimensionless
-//! jerk of Balasubramanian et al. 2012, "A robust and sensitive metric for quantifying movement smoothness": `LDLJ =
-//! −ln(T³ / v²_peak · ∫ |jerk|² dt)`. The mean jerk is omitted on purpose: it does not discriminate skills.
+//! jerk of Balasubramanian et al. 2012, "A robust and sensitive metric for quantifying movement smoothness":
+//! `LDLJ = −ln(T³ / v²_peak · ∫ |jerk|² dt)`. The mean jerk is omitted on purpose: it does not discriminate skills.
 
 use std::collections::BTreeMap;
 

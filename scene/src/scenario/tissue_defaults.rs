@@ -8,7 +8,7 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 use crate::tissue::{TissueEntry, TissueParameter};
 
-/// Table of components with the material of a volume; its parameters are not required by their schema. Sheets and lines
+/// Table of components with the material of a volume; its parameters are not listed in their schema. Sheets and lines
 /// have parameters of the same names per area and per length, which tissues do not define.
 const VOLUME: &str = "volume";
 

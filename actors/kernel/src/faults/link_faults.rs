@@ -109,7 +109,7 @@ impl<M: Message> LinkFaults<M> {
                 random: SplitMix64::new(order.seed),
             });
         } else if let Some(overtaken) = &mut self.overtaken {
-            // Nobody may come any more.
+            // No later message may come, so the held one is due at once.
             overtaken.due = SimTime::ZERO;
         }
     }

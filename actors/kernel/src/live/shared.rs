@@ -141,7 +141,7 @@ pub(crate) struct Writer {
     pub(crate) epoch: AtomicU32,
     /// Batches applied, to detect the end of a fault.
     pub(crate) applied: AtomicU64,
-    /// Batches that the Model has taken from the ring.
+    /// 1 while the Model is applying a batch of this writer, else 0.
     pub(crate) taken: AtomicU64,
     /// Batches that the Model has applied and not yet published.
     pub(crate) unpublished: AtomicU64,

@@ -92,7 +92,7 @@ impl Moment {
     pub fn scene(&self) -> &Snapshot {
         &self.scene
     }
-    /// Session time; orders due at that time are still pending.
+    /// Session time; everything due at that time is still pending.
     pub fn at(&self) -> SimTime {
         self.at
     }

@@ -206,8 +206,8 @@ impl TickStats {
     }
 }
 
-/// Outcome counts of one writer's batches. Every batch is accounted for: once none is in flight, `sent + duplicated =
-/// applied + rejected + conflicts + lost`.
+/// Outcome counts of one writer's batches. Every batch is accounted for: once none is in flight,
+/// `sent + duplicated = applied + rejected + conflicts + lost`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Account {
     /// Batches that left the handle.
