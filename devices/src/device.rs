@@ -1,18 +1,18 @@
-//! The contract of a device driver.
+//! The interface of a device driver.
 //!
 //! How to write one (the virtual hand is the shortest complete example):
 //!
-//! 1. Put what the maker promises into [`Capabilities`]: the driver core clamps to these figures, so state
-//!    forces that the motors bear and a hand does too.
+//! 1. Put the manufacturer's data into [`Capabilities`]: the driver core clamps to these limits, so state forces that
+//!    are safe for the motors and for a hand.
 //! 2. [`HapticDevice::open`] finds and initialises the device. It is called again after the device was
 //!    unplugged, at most every 100 ms, so it must be repeatable and bounded in time.
 //! 3. [`HapticDevice::read`] returns the newest state in SI units and in one frame that never changes. Return
-//!    [`DeviceError::Disconnected`] when the device is gone; any other error means "no reading this time".
+//!    [`DeviceError::Disconnected`] when the device is unplugged; any other error means "no reading this time".
 //! 4. [`HapticDevice::write`] hands a wrench to the motors. It has been clamped, limited and checked already.
 //! 5. [`HapticDevice::close`] leaves the motors without force; dropping the device must do so too.
 //!
-//! `read` and `write` run up to 10,000 times a second at the highest priority: no allocation, no lock, no log,
-//! no waiting. A device never reads a clock: time is given to it.
+//! `read` and `write` run up to 10,000 times a second at the highest priority: no allocation, no lock, no log, no
+//! blocking. A device never reads a clock: time is passed to it.
 
 use std::ops::Mul;
 
@@ -57,7 +57,7 @@ impl Default for Wrench {
     }
 }
 
-/// What a device measures at one instant.
+/// State of a device at one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceState {
     /// Pose of the handle in the device's frame \[m\].
@@ -75,7 +75,7 @@ pub struct DeviceState {
 }
 
 impl DeviceState {
-    /// At the device's origin, at rest, closed, unplugged: what is known before the first reading.
+    /// At the device's origin, at rest, closed, unplugged: the state before the first reading.
     pub fn unknown() -> Self {
         Self {
             pose_in_device: Isometry3::identity(),
@@ -106,7 +106,7 @@ impl DeviceState {
     }
 }
 
-/// Where the human who holds the handle wants it to be. Virtual hands aim at it; real devices ignore it.
+/// Target of the human who holds the handle. Virtual hands move towards it; real devices ignore it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HandIntent {
     /// Desired pose of the handle in the device's frame \[m\].
@@ -170,10 +170,10 @@ impl Workspace {
     }
 }
 
-/// What a device can do, as its maker promises. The driver core keeps every force within these figures.
+/// Capabilities of a device, from its manufacturer's data. The driver core keeps every force within these limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Capabilities {
-    /// Make and model, for people.
+    /// Make and model, for display.
     pub name: String,
     /// Where the handle can move.
     pub workspace: Workspace,
@@ -183,18 +183,18 @@ pub struct Capabilities {
     pub max_torque: f64,
     /// Greatest stiffness [N/m] that can be rendered, along the weakest axis.
     pub max_stiffness: f64,
-    /// What is measured.
+    /// Measured degrees of freedom.
     pub input_dofs: Dofs,
-    /// What is driven; torques are dropped when only translations are.
+    /// Driven degrees of freedom; torques are dropped when only translations are driven.
     pub output_dofs: Dofs,
     /// Mass that the hand feels when no force is rendered \[kg\].
     pub apparent_mass: f64,
 }
 
-/// Why a device gave no answer. Carries no heap data, since it occurs at the device's rate.
+/// Why a device call failed. Carries no heap data, since it occurs at the device's rate.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum DeviceError {
-    /// The device is not there (any more); the driver renders nothing and tries to open it again.
+    /// The device is absent or unplugged; the driver renders zero and tries to open it again.
     #[error("the device is disconnected")]
     Disconnected,
     /// The device answered with a fault of its own, such as warm motors.
@@ -208,12 +208,12 @@ pub enum DeviceError {
     NotOpen,
 }
 
-/// A device that a person holds: six inputs or fewer, and motors that push back.
+/// A haptic device: up to six measured degrees of freedom, and motors that render force.
 ///
 /// Stepped by a driver ([`crate::DriverThread`] live, the lock-step scheduler in virtual time), never by a
 /// controller. `now_ns` is the time since the start of the session \[ns\] and does not decrease.
 pub trait HapticDevice: Send {
-    /// What the device can do; constant, and known before `open`.
+    /// Its capabilities; constant, and known before `open`.
     fn capabilities(&self) -> &Capabilities;
 
     /// Finds and initialises the device; also after it was unplugged. Motors stay without force.
@@ -234,20 +234,19 @@ pub trait HapticDevice: Send {
     /// [`DeviceError::Disconnected`] when the device is gone.
     fn write(&mut self, now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError>;
 
-    /// Tells where the human wants the handle to be. Only virtual hands care.
+    /// Sets the human's target for the handle. Only virtual hands use it.
     fn set_intent(&mut self, _now_ns: u64, _intent: &HandIntent) {}
 
-    /// Leaves the motors without force and releases the device.
+    /// Sets the motors' force to zero and releases the device.
     fn close(&mut self);
 
-    /// A device of its own in the same state, for a branch of a session in virtual time. There is none of what
-    /// exists only once: `None`, as for everything that somebody holds.
+    /// A copy in the same state, for a branch of a session in virtual time. `None` for physical devices.
     fn fork(&self) -> Option<Box<dyn HapticDevice>> {
         None
     }
 
-    /// Goes on from what was measured at `now_ns`, with the human aiming at `intent`. Only devices that
-    /// [`HapticDevice::fork`] care, and of those only the ones that have a state.
+    /// Continues from the state measured at `now_ns`, with the human's target `intent`. Only needed for devices with
+    /// state that support [`HapticDevice::fork`].
     fn resume(&mut self, _now_ns: u64, _state: &DeviceState, _intent: &HandIntent) {}
 }
 

@@ -1,21 +1,20 @@
-//! The safety that lies below every actor, as a sans-IO state machine.
+//! Driver core: the safety layer below every actor, as a sans-IO state machine.
 //!
-//! One [`DriverCore::step`] reads the device, takes the newest command, decides which wrench may be rendered,
-//! renders it and publishes a [`DeviceSample`]. It reads no clock, allocates nothing and waits for nobody, so
-//! that the same code runs live ([`crate::DriverThread`]) and in lock-step.
+//! One [`DriverCore::step`] reads the device, takes the newest command, decides which wrench may be rendered, renders
+//! it and publishes a [`DeviceSample`]. It reads no clock, allocates nothing and never blocks, so that the same code
+//! runs live ([`crate::DriverThread`]) and in lock-step.
 //!
-//! The promises, whatever the controllers do:
+//! Guarantees, independent of the controllers:
 //!
-//! - nothing above the device's own limits is rendered, and no NaN;
+//! - no wrench above the device's own limits is rendered, and no NaN;
 //! - a controller below the [`Fence`], or of an earlier generation than the newest, is refused;
-//! - a force that is not renewed fades from 5 ms and is zero at 20 ms, at the motors: a step that would hold it
-//!   beyond that holds none; so does every force while the device
-//!   gives no valid reading;
+//! - a force that is not renewed fades from 5 ms and is zero at 20 ms, at the motors: a step that would hold it longer
+//!   holds zero; the same applies to every force while the device gives no valid reading;
 //! - force ramps in after a start, a restart, an interruption and a re-plug;
-//! - no force gives the hand energy that the hand has not paid, but for what [`PassivityConfig`] lends (unless the
-//!   controller waives that: what goes through the port is observed either way);
-//! - an unplugged device is rendered nothing, and is opened again when it comes back;
-//! - after [`Fence::zero_all_forces`] the next step renders nothing, and so does every later one.
+//! - no force gives the hand more energy than the hand has put in, except for the loans of [`PassivityConfig`] (unless
+//!   the controller waives this; the port's energy is observed in any case);
+//! - an unplugged device gets no force, and is opened again when it returns;
+//! - after [`Fence::zero_all_forces`] the next step and all later ones render zero.
 
 use crate::device::{DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
 use crate::faults::DeviceFaults;
@@ -29,14 +28,14 @@ const LOST_AFTER_NS: u64 = 200_000_000;
 /// Readings kept for the delay fault.
 const DELAY_LINE: usize = 1024;
 
-/// How a [`DriverCore`] behaves.
+/// Parameters of a [`DriverCore`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverConfig {
-    /// Limits of what is felt.
+    /// Limits of the force guard.
     pub guard: GuardConfig,
-    /// How forces are kept passive.
+    /// Parameters of the passivity controller.
     pub passivity: PassivityConfig,
-    /// Time between two attempts to open a device that is not there \[ns\].
+    /// Time between two attempts to open an absent device \[ns\].
     pub reopen_period_ns: u64,
 }
 
@@ -50,10 +49,10 @@ impl Default for DriverConfig {
     }
 }
 
-/// Whether the device is there.
+/// Connection state of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Connection {
-    /// Not there; the next attempt to open it is due at this time \[ns\].
+    /// Absent; the next attempt to open it is due at this time \[ns\].
     Absent { retry_at_ns: u64 },
     /// Open.
     Present,
@@ -70,13 +69,13 @@ struct Accepted {
     passivity: bool,
 }
 
-/// What a step renders, and what passivity keeps of it.
+/// The wrench that a step renders, and the part withheld for passivity.
 struct Decision {
     wrench: Wrench,
     withheld: Wrench,
 }
 
-/// Readings of the recent past, so that they can be delivered late.
+/// Recent readings, for the delay fault.
 #[derive(Debug)]
 struct DelayLine {
     readings: Vec<(u64, DeviceState)>,
@@ -94,7 +93,7 @@ impl DelayLine {
         self.next = (self.next + 1) % DELAY_LINE;
     }
 
-    /// The newest reading of `at_ns` or before, else the oldest there is.
+    /// The newest reading of `at_ns` or before, else the oldest.
     fn at(&self, at_ns: u64) -> Option<(u64, DeviceState)> {
         let count = self.readings.len();
         let newest_first =
@@ -110,7 +109,7 @@ impl DelayLine {
     }
 }
 
-/// The driver of one device; see the module for what it promises.
+/// The driver of one device; see the module for its guarantees.
 #[derive(Debug)]
 pub struct DriverCore {
     config: DriverConfig,
@@ -131,26 +130,26 @@ pub struct DriverCore {
     statistics: DriverStatistics,
 }
 
-/// What the scene tells of a driver at one moment: enough for another one to go on from there.
+/// State of a driver as recorded in the scene, from which another driver can continue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverResume {
-    /// What the device had measured.
+    /// Last measured state.
     pub state: DeviceState,
     /// When \[ns\].
     pub sampled_at_ns: u64,
-    /// What the motors held.
+    /// Wrench held by the motors.
     pub applied: Wrench,
-    /// What the controller had commanded last.
+    /// Last commanded wrench.
     pub commanded: Wrench,
     /// When \[ns\].
     pub commanded_at_ns: u64,
-    /// Where the hand was wanted.
+    /// Target of the hand.
     pub intent: HandIntent,
-    /// What had gone through the port, as far as somebody kept account.
+    /// Energy through the port, as far as recorded.
     pub energy: PortEnergy,
 }
 
-/// Epoch of the first controller of a session, which takes over from the one that a branch left behind.
+/// Epoch of a session's first controller, which in a branch takes over from the original session's.
 const FIRST_EPOCH: u32 = 1;
 
 impl DriverCore {
@@ -182,9 +181,8 @@ impl DriverCore {
     }
 
     /// A driver of its own in the same state, for a branch of a session in virtual time; its device is a
-    /// [fork](HapticDevice::fork) of this one's. It obeys a controller of the first epoch as if it were the one that
-    /// this driver obeys, so that the force goes on without a ramp. Readings for a delay that is still to be injected
-    /// begin anew.
+    /// [fork](HapticDevice::fork) of this one's. It accepts a controller of the first epoch in place of this driver's
+    /// controller, so that the force continues without a ramp. The history of readings for delay faults starts empty.
     pub fn fork(&self, end: DriverEnd, faults: DeviceFaults) -> Self {
         let mut fork = Self {
             config: self.config,
@@ -201,7 +199,7 @@ impl DriverCore {
         fork
     }
 
-    /// Opens `device` and goes on from what a scene tells of another driver.
+    /// Opens `device` and continues from another driver's state in the scene.
     pub fn resume(&mut self, resume: &DriverResume, device: &mut dyn HapticDevice) {
         let DriverResume { state, sampled_at_ns, applied, commanded, commanded_at_ns, intent, energy } =
             resume;
@@ -227,7 +225,7 @@ impl DriverCore {
                     fresh_at_ns: *commanded_at_ns,
                     taken_at_ns: *commanded_at_ns,
                     wrench: *commanded,
-                    // Until the controller says that it waives that.
+                    // Until the controller waives passivity.
                     passivity: true,
                 });
             }
@@ -254,9 +252,9 @@ impl DriverCore {
         self.publish(now_ns);
     }
 
-    /// One step while the session's time stands still at `now_ns`: the device is read, and rendered nothing, whatever is
-    /// commanded. A controller that hung since before the pause may wake up in it, and at a time that does not pass its
-    /// command would be fresh for ever. Afterwards force grows from nothing.
+    /// One step while session time is paused at `now_ns`: the device is read, and gets zero force regardless of
+    /// commands. A controller that hung before the pause may wake up during it, and in paused time its command would
+    /// never become stale. Afterwards force ramps up from zero.
     pub fn rest(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         self.statistics.steps += 1;
         let held = self.held_until(now_ns);
@@ -273,7 +271,7 @@ impl DriverCore {
         self.publish(now_ns);
     }
 
-    /// Leaves the device without force and closed, and publishes that it is gone.
+    /// Sets the force to zero, closes the device, and publishes that it is disconnected.
     pub fn shut_down(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         self.accepted = None;
         let held = self.held_until(now_ns);
@@ -296,7 +294,7 @@ impl DriverCore {
         Some(age_ns)
     }
 
-    /// A force that was `held` is no more, and it is not that a new command says so.
+    /// Counts the release of a `held` force that ended without a new command.
     fn note_release(&mut self, held: Option<u64>) {
         let Some(age_ns) = held else { return };
         let renewed = self.accepted.is_some_and(|accepted| self.last_step_ns == Some(accepted.taken_at_ns));
@@ -306,7 +304,7 @@ impl DriverCore {
         }
     }
 
-    /// Publishes that the device is gone without touching it: for a driver whose device panicked.
+    /// Publishes that the device is disconnected, without accessing it: for a device that panicked.
     pub fn abandon(&mut self, now_ns: u64) {
         self.accepted = None;
         self.guard.release(now_ns);
@@ -315,13 +313,13 @@ impl DriverCore {
         self.publish(now_ns);
     }
 
-    /// What a live driver knows of its own timing: ticks that never ran, and how late \[ns\] this one is.
+    /// Records a live driver's timing: ticks that never ran, and the lateness of this one \[ns\].
     pub fn note_timing(&mut self, missed: u64, lateness_ns: u64) {
         self.statistics.missed += missed;
         self.statistics.lateness_max_ns = self.statistics.lateness_max_ns.max(lateness_ns);
     }
 
-    /// Counts since the core was made.
+    /// Counters since the core was created.
     pub fn statistics(&self) -> &DriverStatistics {
         &self.statistics
     }
@@ -339,7 +337,7 @@ impl DriverCore {
     fn sense(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         if let Connection::Absent { retry_at_ns } = self.connection {
             if self.faults.unplugged(now_ns) {
-                // The fault lies between device and driver: a virtual hand goes on moving meanwhile.
+                // The fault acts between device and driver: a virtual hand keeps moving meanwhile.
                 if self.opened_before
                     && let Err(error) = device.read(now_ns)
                 {
@@ -411,7 +409,7 @@ impl DriverCore {
     fn disconnected(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         if self.connection == Connection::Present {
             self.statistics.unplugs += 1;
-            // It may still hear us, for instance when only its readings fail.
+            // The device may still take commands, for instance when only its readings fail.
             if device.write(now_ns, &Wrench::ZERO).is_err() {
                 self.statistics.device_errors += 1;
             }
@@ -464,7 +462,7 @@ impl DriverCore {
         Some(command)
     }
 
-    /// The last force of a controller that was fenced since starts to fade now; in an emergency it is gone.
+    /// Starts to fade the last force of a controller fenced since; in an emergency it is zero at once.
     fn release_fenced(&mut self, now_ns: u64) {
         let fence = self.end.fence();
         if fence.lowest() == u32::MAX {
@@ -485,7 +483,7 @@ impl DriverCore {
                         wrench: accepted.wrench,
                         command_age_ns: now_ns.saturating_sub(accepted.fresh_at_ns),
                         reading_age_ns: now_ns.saturating_sub(self.last_reading_ns),
-                        // As long as the step before was, but for one that came late.
+                        // As long as the previous step, unless that was late.
                         hold_ns: self
                             .last_step_ns
                             .map_or(0, |last| now_ns.saturating_sub(last))

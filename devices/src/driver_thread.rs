@@ -1,9 +1,8 @@
-//! Steps a driver core live, on an OS thread that owns the device.
+//! Driver thread: steps a driver core in real time, on an OS thread that owns the device.
 //!
-//! The thread sleeps until shortly before each tick and spins for the rest (bounded), at FIFO priority where the
-//! system permits it. Ticks that it could not run are skipped and counted, never made up for in a burst. When it
-//! is stopped or dropped it leaves the device without force; a device that panics ends the thread and nothing
-//! else, after one more attempt to render zero.
+//! The thread sleeps until shortly before each tick and spins for the rest (bounded), at FIFO priority where the system
+//! permits it. Missed ticks are skipped and counted, never run in a burst. When it is stopped or dropped it sets the
+//! device's force to zero; a panic of the device ends only this thread, after one more attempt to render zero.
 
 use std::fmt;
 use std::io;
@@ -24,25 +23,25 @@ use crate::sched;
 const RATE_MIN_HZ: f64 = 100.0;
 /// Highest rate \[Hz\].
 const RATE_MAX_HZ: f64 = 10_000.0;
-/// How long a stop waits for a device that hangs before the thread is abandoned.
+/// How long a stop waits for a hanging device before the thread is abandoned.
 const STOP_LIMIT: Duration = Duration::from_millis(200);
 
-/// Between two steps while the session's time stands still \[ns\]: enough to notice that the device is gone.
+/// Period of steps while session time is paused \[ns\]: short enough to detect an unplugged device.
 const STILL_PERIOD_NS: u64 = 50_000_000;
 
-/// The session's own time, from what has passed since its start \[ns\], and whether it stands still. Called at every
-/// step: it must neither wait nor allocate.
+/// Session time, as a function of the time since its start \[ns\], and whether it is paused. Called at every step: it
+/// must neither block nor allocate.
 #[derive(Clone)]
 pub struct SessionTime(Arc<dyn Fn(u64) -> (u64, bool) + Send + Sync>);
 
 impl SessionTime {
-    /// Time as `of_elapsed` tells it; it must never decrease.
+    /// Time given by `of_elapsed`; it must never decrease.
     pub fn new(of_elapsed: impl Fn(u64) -> (u64, bool) + Send + Sync + 'static) -> Self {
         Self(Arc::new(of_elapsed))
     }
 }
 
-/// Time that never stands still.
+/// Time without pauses.
 impl Default for SessionTime {
     fn default() -> Self {
         Self::new(|elapsed_ns| (elapsed_ns, false))
@@ -55,7 +54,7 @@ impl fmt::Debug for SessionTime {
     }
 }
 
-/// How a [`DriverThread`] runs.
+/// Parameters of a [`DriverThread`].
 #[derive(Clone, Debug)]
 pub struct DriverThreadConfig {
     /// Name of the thread, for debuggers and system monitors; the system shows its first 15 bytes.
@@ -66,9 +65,9 @@ pub struct DriverThreadConfig {
     pub priority: Option<u8>,
     /// How long before a tick the thread wakes to spin \[ns\]; at most 30 % of a period is used.
     pub spin_ns: u64,
-    /// Start of the session: instant at which session time is zero. The same for all who talk to the driver.
+    /// Start of the session: instant at which session time is zero. Shared by all users of the driver.
     pub session_start: Instant,
-    /// What becomes of the time since then. While it stands still the driver steps 20 times per second.
+    /// Session time since then. While it is paused the driver steps 20 times per second.
     pub session_time: SessionTime,
 }
 
@@ -93,14 +92,14 @@ pub enum DriverThreadError {
     /// The rate is out of range.
     #[error("driver rate {rate_hz} Hz is out of range ({RATE_MIN_HZ} to {RATE_MAX_HZ} Hz)")]
     Rate {
-        /// The rate that was asked for \[Hz\].
+        /// The requested rate \[Hz\].
         rate_hz: f64,
     },
     /// The system started no thread.
     #[error("the driver thread could not be started: {0}")]
     Spawn(#[source] io::Error),
-    /// The device did not answer in time when the driver was stopped; the thread was abandoned, and the
-    /// device may still be rendering what it rendered last.
+    /// The device did not answer in time when the driver was stopped; the thread was abandoned, and the device may
+    /// still be rendering its last force.
     #[error("the driver thread of the device hung for more than {} ms and was abandoned", STOP_LIMIT.as_millis())]
     Hung,
     /// The device panicked; the thread rendered zero, as far as it could, and ended.
@@ -108,23 +107,23 @@ pub enum DriverThreadError {
     Panicked(String),
 }
 
-/// Under which scheduler a driver runs.
+/// Scheduling of a driver thread.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Scheduling {
     /// FIFO with this priority.
     Fifo(u8),
-    /// FIFO was asked for and refused; the ordinary scheduler is used.
+    /// FIFO was requested and refused; the ordinary scheduler is used.
     Refused {
-        /// The priority that was asked for.
+        /// The requested priority.
         priority: u8,
-        /// What the system said.
+        /// The system's error.
         reason: String,
     },
-    /// The ordinary scheduler, as asked.
+    /// The ordinary scheduler, as requested.
     Ordinary,
 }
 
-/// A running driver; dropping it stops the thread and leaves the device without force.
+/// A running driver; dropping it stops the thread and sets the device's force to zero.
 #[derive(Debug)]
 pub struct DriverThread {
     stop: Arc<AtomicBool>,
@@ -150,13 +149,13 @@ impl DriverThread {
         let stop = Arc::new(AtomicBool::new(false));
         let scheduling = Arc::new(OnceLock::new());
         let fence = core.fence().clone();
-        // The system takes no NUL, and a panic is no answer to a name.
+        // Thread names must not contain NUL, and a bad name must not cause a panic.
         let name = config.name.replace('\0', "");
         let (thread_stop, thread_scheduling) = (Arc::clone(&stop), Arc::clone(&scheduling));
         let thread = std::thread::Builder::new()
             .name(name)
             .spawn(move || {
-                // It was just made, so nobody else can have set it.
+                // It was just created, so it cannot have been set before.
                 let _ = thread_scheduling.set(apply_scheduling(config.priority));
                 run(core, device, &config, &thread_stop)
             })
@@ -164,12 +163,12 @@ impl DriverThread {
         Ok(Self { stop, fence, scheduling, thread: Some(thread) })
     }
 
-    /// Emergency, from any thread: no force from the driver's next step on, and never again.
+    /// Emergency stop, from any thread: zero force from the driver's next step on, permanently.
     pub fn zero_all_forces(&self) {
         self.fence.zero_all_forces();
     }
 
-    /// Under which scheduler the thread runs; `None` until it has found out (the first microseconds).
+    /// Scheduling of the thread; `None` until it is known (the first microseconds).
     pub fn scheduling(&self) -> Option<&Scheduling> {
         self.scheduling.get()
     }
@@ -179,10 +178,10 @@ impl DriverThread {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
 
-    /// Stops the thread and leaves the device without force; what the driver counted.
+    /// Stops the thread and sets the device's force to zero; returns the driver's counters.
     ///
     /// # Errors
-    /// [`DriverThreadError::Hung`] when the device does not let go, [`DriverThreadError::Panicked`] when it
+    /// [`DriverThreadError::Hung`] when the device does not return in time, [`DriverThreadError::Panicked`] when it
     /// panicked at any time.
     pub fn stop(mut self) -> Result<DriverStatistics, DriverThreadError> {
         self.finish()
@@ -210,7 +209,7 @@ impl DriverThread {
 impl Drop for DriverThread {
     fn drop(&mut self) {
         if self.thread.is_some() {
-            // Nobody is left to hear about a device that hung or panicked; `stop` tells.
+            // Errors of a hung or panicked device cannot be returned from `drop`; `stop` returns them.
             let _ = self.finish();
         }
     }
@@ -218,7 +217,7 @@ impl Drop for DriverThread {
 
 fn apply_scheduling(priority: Option<u8>) -> Scheduling {
     let Some(priority) = priority else {
-        // Without it every sleep is up to 50 µs late; a refusal only costs accuracy.
+        // Without this every sleep is up to 50 µs late; a refusal only costs accuracy.
         let _ = sched::sharpen_timers();
         return Scheduling::Ordinary;
     };
@@ -290,7 +289,7 @@ fn wait_for(deadline_ns: u64, spin_ns: u64) -> u64 {
     now_ns
 }
 
-/// What the monotonic clock showed at this instant \[ns\].
+/// Time of the monotonic clock at this instant \[ns\].
 fn origin_of(session_start: Instant) -> u64 {
     let now = Instant::now();
     let now_ns = sched::monotonic_ns();

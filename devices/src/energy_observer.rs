@@ -1,19 +1,19 @@
-//! Energy observer of a device's port.
+//! Energy observer of a device's port (time-domain passivity).
 //!
-//! Sums the energy that the hand put into the port, `W(n) = W(n−1) − f(n−1)·Δx(n)`, with the force that the motors
-//! held over the interval and the displacement that it saw (Hannaford and Ryu, "Time-domain passivity control of
-//! haptic interfaces", 2002). For a force that is held, that is exact (Ryu, Preusche, Hannaford and Hirzinger,
-//! "Time domain passivity control with reference energy following", 2005), but only where the force is finally
-//! decided: above the driver, limits and delays stand between what was asked for and what is felt.
+//! Sums the energy that the hand put into the port, `W(n) = W(n−1) − f(n−1)·Δx(n)`, with the force held by the motors
+//! over the interval and the displacement in it (Hannaford and Ryu, "Time-domain passivity control of haptic
+//! interfaces", 2002). For a held force (zero-order hold) the sum is exact (Ryu, Preusche, Hannaford and Hirzinger,
+//! "Time domain passivity control with reference energy following", 2005), but only at the driver: above it, limits and
+//! delays separate the commanded force from the rendered one.
 
 use nalgebra::{Isometry3, Vector3};
 
 use crate::device::Wrench;
 
-/// Longest step \[s\] that is foreseen.
+/// Longest step \[s\] used for prediction.
 const STEP_MAX: f64 = 5e-3;
 
-/// How the handle moved in one interval between two readings.
+/// Motion of the handle between two readings.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
     pub secs: f64,
@@ -23,7 +23,7 @@ pub(crate) struct Motion {
     pub force: Vector3<f64>,
 }
 
-/// A wrench that is held, and its integral since the last reading.
+/// A held wrench, and its integral since the last reading.
 #[derive(Clone, Copy, Debug, Default)]
 struct Held {
     wrench: Wrench,
@@ -37,14 +37,14 @@ impl Held {
         self.impulse.torque += self.wrench.torque * secs;
     }
 
-    /// The mean since the last reading, `secs` ago, which ends now.
+    /// Takes the mean since the last reading, `secs` ago.
     fn take_mean(&mut self, secs: f64) -> Wrench {
         let impulse = std::mem::take(&mut self.impulse);
         Wrench { force: impulse.force / secs, torque: impulse.torque / secs }
     }
 }
 
-/// The observer; stepped with time, reads no clock. Everything in the device's frame.
+/// The energy observer; time is passed in, it reads no clock. All vectors are in the device's frame.
 #[derive(Clone, Debug)]
 pub(crate) struct EnergyObserver {
     storage: f64,
@@ -54,7 +54,7 @@ pub(crate) struct EnergyObserver {
     withheld_energy: f64,
     applied: Held,
     withheld: Held,
-    /// Since the last reading.
+    /// Time since the last reading.
     unread_secs: f64,
     counted_to_ns: u64,
     held_at_ns: u64,
@@ -64,7 +64,7 @@ pub(crate) struct EnergyObserver {
 }
 
 impl EnergyObserver {
-    /// Remembers `storage` \[J\] for good, and what is above it with the time constant `storage_secs` \[s\].
+    /// Stores up to `storage` \[J\] without loss; energy above it decays with the time constant `storage_secs` \[s\].
     pub fn new(storage: f64, storage_secs: f64) -> Self {
         Self {
             storage,
@@ -83,7 +83,7 @@ impl EnergyObserver {
         }
     }
 
-    /// Goes on at `now_ns` with an account that another one kept, and with what the motors hold.
+    /// Continues at `now_ns` with another observer's energy, and with the wrench held by the motors.
     pub fn resume(&mut self, now_ns: u64, energy: f64, energy_min: f64, withheld: f64, applied: &Wrench) {
         self.energy = finite(energy);
         self.energy_min = finite(energy_min);
@@ -93,12 +93,12 @@ impl EnergyObserver {
         self.held_at_ns = now_ns;
     }
 
-    /// What the hand put in and did not get back \[J\], as far as it is remembered, and the least that it ever was.
+    /// Net energy put in by the hand \[J\], after decay, and its minimum so far.
     pub fn energy(&self) -> (f64, f64) {
         (self.energy, self.energy_min)
     }
 
-    /// What the withheld wrenches would have given to the hand \[J\].
+    /// Energy that the withheld wrenches would have given to the hand \[J\].
     pub fn withheld_energy(&self) -> f64 {
         self.withheld_energy
     }
@@ -108,12 +108,12 @@ impl EnergyObserver {
         &self.motion
     }
 
-    /// Length of the last step \[s\], as which the next one is taken.
+    /// Length of the last step \[s\], used as the prediction of the next one.
     pub fn step_secs(&self) -> f64 {
         self.step_secs
     }
 
-    /// Time since the last reading \[s\], whose work is not booked yet.
+    /// Time since the last reading \[s\], whose work is not yet summed.
     pub fn unread_secs(&self, now_ns: u64) -> f64 {
         (self.unread_secs + self.uncounted_secs(now_ns)).min(STEP_MAX)
     }
@@ -130,7 +130,7 @@ impl EnergyObserver {
         self.counted_to_ns = now_ns;
     }
 
-    /// Takes a reading: books what the wrenches since the last one gave to the hand or took from it.
+    /// Takes a reading: adds the work that the wrenches since the last one exchanged with the hand.
     pub fn observe(&mut self, now_ns: u64, pose_in_device: &Isometry3<f64>) {
         self.count_to(now_ns);
         let secs = self.unread_secs;
@@ -158,7 +158,7 @@ impl EnergyObserver {
         self.motion = [motion, self.motion[0]];
     }
 
-    /// What the motors hold from now on, and what was kept back of it.
+    /// Sets the wrench that the motors hold from now on, and the withheld part.
     pub fn hold(&mut self, now_ns: u64, applied: &Wrench, withheld: &Wrench) {
         self.step_secs = (now_ns.saturating_sub(self.held_at_ns) as f64 * 1e-9).min(STEP_MAX);
         self.held_at_ns = now_ns;
@@ -167,7 +167,7 @@ impl EnergyObserver {
         self.withheld.wrench = *withheld;
     }
 
-    /// Forgets how the handle moved: the next reading continues nothing.
+    /// Discards the motion: the next reading starts a new interval.
     pub fn interrupt(&mut self) {
         self.last_pose = None;
         self.motion = [Motion::default(); 2];
@@ -210,7 +210,7 @@ mod tests {
         let at = |x: f64| Isometry3::from_parts(Vector3::new(x, 0.0, 0.0).into(), turned);
         observer.observe(MS, &at(-0.001));
         assert!((observer.energy().0 - 2.2e-3).abs() < 1e-9, "{observer:?}");
-        // Several wrenches between two readings count by their times.
+        // Several wrenches between two readings are weighted by their durations.
         observer.hold(MS, &push(1.0), &push(0.5));
         observer.hold(2 * MS, &push(-1.0), &push(0.5));
         assert!((observer.unread_secs(4 * MS) - 3e-3).abs() < 1e-12);

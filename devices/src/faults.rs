@@ -1,7 +1,7 @@
-//! Faults that can be injected at the seam between a driver and its device, live and in lock-step alike.
+//! Fault injection between a driver and its device, live and in lock-step alike.
 //!
-//! A fault is data: a kind and the session time until which it lasts. The driver core asks at each step; no
-//! device knows. Everything is a plain atomic, so that injecting costs the driver nothing and waits for nobody.
+//! A fault is data: a kind and the session time until which it lasts. The driver core checks at each step; devices are
+//! unaware of it. All state is in plain atomics, so that injection never blocks the driver.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -30,30 +30,29 @@ impl DeviceFaults {
         Self::default()
     }
 
-    /// The device seems to be unplugged until `until_ns` (session time, ns).
+    /// Makes the device appear unplugged until `until_ns` (session time, ns).
     pub fn unplug_until(&self, until_ns: u64) {
         self.shared.unplugged_until_ns.store(until_ns, Relaxed);
     }
 
-    /// The device's readings are NaN until `until_ns` (session time, ns).
+    /// Makes the device's readings NaN until `until_ns` (session time, ns).
     pub fn nan_until(&self, until_ns: u64) {
         self.shared.nan_until_ns.store(until_ns, Relaxed);
     }
 
-    /// The device gives no new reading until `until_ns` (session time, ns): the last one is held.
+    /// Holds the last reading until `until_ns` (session time, ns).
     pub fn hold_until(&self, until_ns: u64) {
         self.shared.held_until_ns.store(until_ns, Relaxed);
     }
 
-    /// Readings come `delay_ns` late until `until_ns` (session time, ns). The driver keeps the last 1,024
-    /// readings: a longer delay than they cover (about 1 s at 1 kHz) gives the oldest of them.
+    /// Delays readings by `delay_ns` until `until_ns` (session time, ns). The driver keeps the last 1,024 readings: a
+    /// longer delay than they cover (about 1 s at 1 kHz) gives the oldest of them.
     pub fn delay_until(&self, delay_ns: u64, until_ns: u64) {
         self.shared.delay_ns.store(delay_ns, Relaxed);
         self.shared.delayed_until_ns.store(until_ns, Relaxed);
     }
 
-    /// The same faults, for a branch of the session: what befalls one of the two from here on does not befall the
-    /// other.
+    /// An independent copy of the faults, for a branch of the session.
     #[must_use]
     pub fn fork(&self) -> Self {
         let copy = |value: &AtomicU64| AtomicU64::new(value.load(Relaxed));
@@ -98,7 +97,7 @@ impl DeviceFaults {
         now_ns < self.shared.held_until_ns.load(Relaxed)
     }
 
-    /// By how much readings are late at `now_ns` \[ns\].
+    /// Delay of readings at `now_ns` \[ns\].
     pub fn delay_ns(&self, now_ns: u64) -> u64 {
         if now_ns < self.shared.delayed_until_ns.load(Relaxed) {
             self.shared.delay_ns.load(Relaxed)

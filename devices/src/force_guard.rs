@@ -1,10 +1,11 @@
-//! What every wrench passes before passivity and motors: fade, ramp, damping, clamp, slew limit.
+//! Force guard: limits every wrench before the passivity controller and the motors, by fade, ramp, damping, clamp and
+//! slew limit.
 //!
-//! The figures for age are fixed, since people rely on them: a force that is not renewed fades from 5 ms and is
-//! zero at 20 ms. The fade is linear, so that a hand that leans on the force is let down rather than dropped.
-//! The viscous damping pays for the energy that a sampled virtual wall creates: a wall of stiffness K held over
-//! a period T is passive when b > K·T/2 + |B| (Colgate and Schenkel, "Passivity of a class of sampled-data
-//! systems", 1997). Its force is capped, so that it never dominates what is felt.
+//! The age limits are fixed, because safety relies on them: a force that is not renewed fades from 5 ms and is zero at
+//! 20 ms. The fade is linear, so that the support of a leaning hand decreases gradually. The viscous damping dissipates
+//! the energy that a sampled virtual wall generates: a wall of stiffness K held over a period T is passive when
+//! b > K·T/2 + |B| (Colgate and Schenkel, "Passivity of a class of sampled-data systems", 1997). Its force is capped, so that it
+//!   never dominates the rendered force.
 
 use nalgebra::Vector3;
 
@@ -15,18 +16,18 @@ pub const DECAY_START_NS: u64 = 5_000_000;
 /// Age of a force \[ns\] at which it is zero.
 pub const DECAY_END_NS: u64 = 20_000_000;
 
-/// Longest step \[ns\] for which the slew limit is granted; a driver that was late gets no bigger jump.
+/// Longest step \[ns\] counted for the slew limit, so that a late driver gets no larger jump.
 pub(crate) const SLEW_STEP_MAX_NS: u64 = 2_000_000;
 
-/// How a [`ForceGuard`] limits what is felt.
+/// Parameters of a [`ForceGuard`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// Fastest growth and turning of the force [N/s]; it may shrink at once. The default, 2,000 N/s, is a wall of
+    /// Fastest growth and rotation of the force [N/s]; it may decrease at once. The default, 2,000 N/s, is a wall of
     /// 2,000 N/m met at 1 m/s.
     pub slew_force: f64,
     /// Fastest growth and turning of the torque [N·m/s].
     pub slew_torque: f64,
-    /// Time over which force grows from nothing after a start, a restart or an interruption \[ns\].
+    /// Time over which force ramps up from zero after a start, a restart or an interruption \[ns\].
     pub ramp_ns: u64,
     /// Viscous damping against the measured velocity [N·s/m].
     pub damping: f64,
@@ -46,22 +47,22 @@ impl Default for GuardConfig {
     }
 }
 
-/// What is asked of the guard in one step.
+/// Input of the guard in one step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Request {
-    /// The wrench that the controller wants.
+    /// The wrench commanded by the controller.
     pub wrench: Wrench,
     /// Time since the controller computed it \[ns\].
     pub command_age_ns: u64,
     /// Time since the device last gave a valid reading \[ns\].
     pub reading_age_ns: u64,
-    /// How long this step's wrench will be held, as far as can be told \[ns\].
+    /// Predicted time for which this step's wrench will be held \[ns\].
     pub hold_ns: u64,
     /// Measured velocity of the handle [m/s].
     pub linear_velocity: Vector3<f64>,
 }
 
-/// Limits the wrenches of one device; stepped with time, reads no clock.
+/// Limits the wrenches of one device; time is passed in, it reads no clock.
 #[derive(Clone, Debug)]
 pub struct ForceGuard {
     config: GuardConfig,
@@ -76,7 +77,7 @@ pub struct ForceGuard {
 }
 
 impl ForceGuard {
-    /// For a device with these limits. A limit or a rate that is negative or no number counts as zero.
+    /// Guard for a device with these limits. A negative or NaN limit or rate counts as zero.
     pub fn new(config: GuardConfig, capabilities: &Capabilities) -> Self {
         let torque_driven = capabilities.output_dofs == Dofs::Six;
         Self {
@@ -103,22 +104,22 @@ impl ForceGuard {
         &self.applied
     }
 
-    /// In how many steps the wanted wrench was above the device's limits.
+    /// Number of steps in which the commanded wrench exceeded the device's limits.
     pub fn clamped(&self) -> u64 {
         self.clamped
     }
 
-    /// In how many steps the wrench grew or turned more slowly than wanted.
+    /// Number of steps in which the slew limit acted.
     pub fn slew_limited(&self) -> u64 {
         self.slew_limited
     }
 
-    /// How often force was ramped in.
+    /// Number of ramps.
     pub fn ramps(&self) -> u64 {
         self.ramps
     }
 
-    /// Goes on from `applied` at `now_ns`, ramped in already.
+    /// Continues from `applied` at `now_ns`, with the ramp completed.
     pub(crate) fn resume(&mut self, now_ns: u64, applied: &Wrench) {
         self.applied = Wrench {
             force: clamp_norm(applied.force, self.max_force),
@@ -128,12 +129,12 @@ impl ForceGuard {
         self.ramp_since_ns = Some(now_ns.saturating_sub(self.config.ramp_ns));
     }
 
-    /// Force grows from nothing again from the next step on.
+    /// Restarts the ramp from zero at the next step.
     pub(crate) fn restart_ramp(&mut self) {
         self.ramp_since_ns = None;
     }
 
-    /// Leaves `share`, at most 1, of the last step's wrench.
+    /// Scales the last step's wrench by `share`, at most 1.
     pub(crate) fn shorten(&mut self, share: f64) -> Wrench {
         if share < 1.0 {
             self.applied = self.applied * share.max(0.0);
@@ -141,7 +142,7 @@ impl ForceGuard {
         self.applied
     }
 
-    /// One step without any force: at once, whatever the slew limit, and with a ramp afterwards.
+    /// One step with zero force, at once regardless of the slew limit, and with a ramp afterwards.
     pub(crate) fn release(&mut self, now_ns: u64) -> Wrench {
         self.last_step_ns = Some(now_ns);
         self.ramp_since_ns = None;
@@ -152,7 +153,7 @@ impl ForceGuard {
     /// One step: the wrench that may be rendered.
     pub(crate) fn step(&mut self, now_ns: u64, request: &Request) -> Wrench {
         let fade = fade(request.command_age_ns) * fade(request.reading_age_ns);
-        // It stays on the motors until the next step, and by then it would be too old.
+        // The motors hold it until the next step, by which time it would be too old.
         let held_until = request.command_age_ns.max(request.reading_age_ns).saturating_add(request.hold_ns);
         if fade <= 0.0 || held_until > DECAY_END_NS || !request.wrench.is_finite() {
             return self.release(now_ns);
@@ -186,7 +187,7 @@ impl ForceGuard {
         if force != wanted_force || torque != wanted_torque {
             self.slew_limited += 1;
         }
-        // Rounding in `approach` could exceed the limit by a bit; the promise is exact.
+        // Rounding in `approach` could exceed the limit by one bit; the guarantee is exact.
         self.applied =
             Wrench { force: clamp_norm(force, self.max_force), torque: clamp_norm(torque, self.max_torque) };
         self.applied
@@ -199,7 +200,7 @@ fn fade(age_ns: u64) -> f64 {
     left.min(1.0)
 }
 
-/// Shortens a vector to a norm of at most `limit`, exactly; its direction stays.
+/// Shortens a vector to a norm of at most `limit`, exactly; keeps its direction.
 fn clamp_norm(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
     let norm = vector.norm();
     if norm <= limit {
@@ -213,7 +214,7 @@ fn clamp_norm(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
     unit * (limit * (1.0 - 4.0 * f64::EPSILON))
 }
 
-/// Shortens `from` as is best and then moves it towards `to` by at most `step`: what shrinks needs no limit.
+/// Shortens `from` optimally, then moves it towards `to` by at most `step`: a decrease needs no limit.
 fn approach(from: Vector3<f64>, to: Vector3<f64>, step: f64) -> Vector3<f64> {
     let length_squared = from.norm_squared();
     let kept = if length_squared > 0.0 { (from.dot(&to) / length_squared).clamp(0.0, 1.0) } else { 0.0 };

@@ -1,6 +1,6 @@
-//! Fingers that close a gripper: a first-order lag with a limit of speed.
+//! Model of the fingers at a gripper: a first-order lag with a speed limit.
 
-/// Follows a wanted opening angle as fingers do.
+/// Follows a target opening angle.
 ///
 /// The lag is integrated by the backward Euler rule, which is stable for every step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,7 +14,7 @@ pub struct FingerFollower {
 }
 
 impl FingerFollower {
-    /// The angle \[rad\] after `step_secs`, coming from `angle` and aiming at `target`.
+    /// The angle \[rad\] after `step_secs`, starting at `angle` and moving towards `target`.
     pub fn step(&self, angle: f64, target: f64, step_secs: f64) -> f64 {
         let target = target.max(0.0).min(self.angle_max);
         let change = (target - angle) * step_secs / (self.time_constant + step_secs);

@@ -1,12 +1,12 @@
-//! Figures of a virtual hand.
+//! Parameters of a virtual hand: device, arm and fingers.
 //!
-//! Default figures of the device are those of the Phantom Omni's data sheet: 6 inputs, 3 outputs, 3.3 N,
-//! 160 × 120 × 70 mm, 0.055 mm, 45 g apparent mass at the tip, 0.26 N of friction, stiffness 1.26, 2.31 and
-//! 1.02 N/mm along x, y and z; its viscous damping is not published and is assumed. The arm is within the range
-//! of measured grips: 0.1–0.2 kg, 3–10 N·s/m, 100–500 N/m in order of magnitude (Hajian and Howe,
-//! "Identification of the mechanical impedance at the human finger tip", 1997; Kuchenbecker, Park and Niemeyer,
-//! "Characterizing the human wrist for improved haptic interaction", 2003; Fu and Çavuşoğlu, "Human-arm-and-hand-
-//! dynamic model with variability analyses for a stylus-based haptic interface", 2012).
+//! The device's defaults are from the Phantom Omni's data sheet: 6 inputs, 3 outputs, 3.3 N, 160 × 120 × 70 mm, 0.055
+//! mm, 45 g apparent mass at the tip, 0.26 N of friction, stiffness 1.26, 2.31 and 1.02 N/mm along x, y and z; its
+//! viscous damping is not published and is assumed. The arm is within the range of measured grips: 0.1–0.2 kg, 3–10
+//! N·s/m, 100–500 N/m in order of magnitude (Hajian and Howe, "Identification of the mechanical impedance at the human
+//! finger tip", 1997; Kuchenbecker, Park and Niemeyer, "Characterizing the human wrist for improved haptic
+//! interaction", 2003; Fu and Çavuşoğlu, "Human-arm-and-hand- dynamic model with variability analyses for a
+//! stylus-based haptic interface", 2012).
 
 use nalgebra::{Isometry3, Vector3};
 use thiserror::Error;
@@ -22,11 +22,11 @@ pub struct ArmImpedance {
     pub mass: f64,
     /// Viscous damping [N·s/m].
     pub damping: f64,
-    /// Stiffness towards the point aimed at [N/m].
+    /// Stiffness towards the target point [N/m].
     pub stiffness: f64,
 }
 
-/// Figures of a [`crate::VirtualHand`]; the default is a Phantom Omni in a firm grip.
+/// Parameters of a [`crate::VirtualHand`]; the default is a Phantom Omni in a firm grip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VirtualHandConfig {
     /// Apparent mass of the device at the handle \[kg\].
@@ -37,10 +37,10 @@ pub struct VirtualHandConfig {
     pub friction: f64,
     /// The arm that holds the handle.
     pub arm: ArmImpedance,
-    /// Whether the arm holds the handle. If not, translation has the device's mass, damping and friction only;
-    /// the orientation and the gripper still follow the aim.
+    /// Whether the arm holds the handle. If not, translation has the device's mass, damping and friction only; the
+    /// orientation and the gripper still follow the target.
     pub impedance: bool,
-    /// Constant force of the human, whatever the position, in the device's frame \[N\].
+    /// Constant force of the human, in the device's frame \[N\].
     pub push: Vector3<f64>,
     /// Where the handle is at the start, in the device's frame.
     pub start_in_device: Isometry3<f64>,
@@ -52,7 +52,7 @@ pub struct VirtualHandConfig {
     pub stop_stiffness: f64,
     /// Damping of the stops [N·s/m].
     pub stop_damping: f64,
-    /// Natural frequency with which the orientation follows the aim \[Hz\].
+    /// Natural frequency with which the orientation follows the target \[Hz\].
     pub orientation_hz: f64,
     /// The fingers at the gripper.
     pub fingers: FingerFollower,
@@ -64,7 +64,7 @@ pub struct VirtualHandConfig {
     pub max_force: f64,
     /// Greatest torque of the motors [N·m]; matters with six outputs.
     pub max_torque: f64,
-    /// What the motors drive.
+    /// Degrees of freedom driven by the motors.
     pub output_dofs: Dofs,
 }
 
@@ -93,11 +93,11 @@ impl Default for VirtualHandConfig {
     }
 }
 
-/// A figure of a virtual hand that is out of range.
+/// A parameter of a virtual hand that is out of range.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{field} = {value} is out of range ({min} to {max} {unit})")]
 pub struct HandConfigError {
-    /// The figure.
+    /// The parameter.
     pub field: &'static str,
     /// What it was set to.
     pub value: f64,
@@ -105,7 +105,7 @@ pub struct HandConfigError {
     pub min: f64,
     /// Greatest valid value.
     pub max: f64,
-    /// Unit of the figure.
+    /// Unit of the parameter.
     pub unit: &'static str,
 }
 
@@ -113,10 +113,10 @@ impl VirtualHandConfig {
     /// The resolution of the Phantom Omni \[m\].
     pub const OMNI_RESOLUTION: f64 = 55e-6;
 
-    /// Whether every figure is in the range for which the integration is known to be stable.
+    /// Checks that every parameter is in the range for which the integration is known to be stable.
     ///
     /// # Errors
-    /// Names the first figure that is not, and its range.
+    /// Names the first parameter out of range, and its range.
     pub fn check(&self) -> Result<(), HandConfigError> {
         let size = self.workspace.size();
         let start = self.start_in_device.translation.vector;
@@ -148,7 +148,7 @@ impl VirtualHandConfig {
             ("max_torque", self.max_torque, 0.0, 10.0, "N·m"),
         ];
         for (field, value, min, max, unit) in figures {
-            // A NaN is in no range.
+            // NaN fails every range check.
             if !(min..=max).contains(&value) {
                 return Err(HandConfigError { field, value, min, max, unit });
             }
@@ -156,7 +156,7 @@ impl VirtualHandConfig {
         Ok(())
     }
 
-    /// What a device with these figures promises.
+    /// Capabilities of a device with these parameters.
     pub fn capabilities(&self) -> Capabilities {
         Capabilities {
             name: "virtual hand (Phantom Omni)".to_owned(),

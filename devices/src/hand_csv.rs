@@ -14,7 +14,7 @@ use crate::reader::{
 use crate::trajectory::{Trajectory, TrajectoryPoint};
 
 const COLUMNS: [&str; 9] = ["t", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper"];
-/// Latest time \[s\]: 100 years, so that clocks of the day fit and nanoseconds do too.
+/// Latest time \[s\]: 100 years, so that Unix times fit and nanoseconds do not overflow.
 const TIME_MAX: f64 = 3.2e9;
 /// How far a quaternion may be from unit length.
 const NORM_TOLERANCE: f64 = 1e-3;
@@ -29,7 +29,7 @@ pub fn read_hand_csv(path: &Path, start: StartTime) -> Result<Trajectory, ReadEr
     read_hand_csv_from(file, &name, start)
 }
 
-/// As [`read_hand_csv`], from anything that can be read; `name` stands in messages.
+/// As [`read_hand_csv`], from any reader; `name` is used in messages.
 ///
 /// # Errors
 /// [`ReadError`] names file, line and column.
@@ -86,7 +86,7 @@ pub fn read_hand_csv_from(input: impl Read, name: &str, start: StartTime) -> Res
         .map_err(|source| ReadError::Trajectory { file: name.to_owned(), source })
 }
 
-/// For each of [`COLUMNS`], where it stands in the file.
+/// For each of [`COLUMNS`], its position in the file.
 fn column_order(header: &ByteRecord, name: &str) -> Result<[usize; 9], ReadError> {
     let error = |problem: String| ReadError::Header {
         file: name.to_owned(),
@@ -132,7 +132,7 @@ fn state(values: &[f64; 9], name: &str, line: u64) -> Result<DeviceState, ReadEr
     check_position(&position).map_err(|(axis, problem)| value_error(name, line, 1 + axis, problem))?;
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     let norm = quaternion.norm();
-    // An overflow to infinity is no unit length either.
+    // Also rejects an overflow to infinity.
     if (norm - 1.0).abs() > NORM_TOLERANCE || !norm.is_finite() {
         let problem = RowProblem::NotNormalised { norm };
         return Err(ReadError::Value { file: name.to_owned(), line, column: "qw..qz".to_owned(), problem });

@@ -1,9 +1,9 @@
 //! Reader of JIGSAWS kinematics (Gao et al., "JHU-ISI gesture and skill assessment working set", 2014).
 //!
-//! One row per frame at 30 Hz, 76 numbers, separated by white space or by commas (then with a header): master
-//! left 1–19, master right 20–38, slave left 39–57, slave right 58–76; each position (3, m), rotation matrix
-//! row-major (9), linear velocity (3), angular velocity (3), gripper angle (rad). The velocities of the file
-//! are not used: they are filtered otherwise than the poses, and what a hand plays must be consistent.
+//! One row per frame at 30 Hz, 76 numbers, separated by white space or by commas (then with a header): master left
+//! 1–19, master right 20–38, slave left 39–57, slave right 58–76; each position (3, m), rotation matrix row-major (9),
+//! linear velocity (3), angular velocity (3), gripper angle (rad). The velocities of the file are not used: they are
+//! filtered differently from the poses, and a replayed motion must be consistent.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -40,10 +40,10 @@ pub enum JigsawsSide {
 /// Which manipulator of a hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum JigsawsSource {
-    /// What the surgeon moves.
+    /// The manipulator moved by the surgeon.
     #[default]
     Master,
-    /// What moves in the patient.
+    /// The manipulator in the patient.
     Slave,
 }
 
@@ -90,7 +90,7 @@ pub fn read_jigsaws(path: &Path, selection: JigsawsSelection) -> Result<Trajecto
     read_jigsaws_from(file, &name, selection)
 }
 
-/// As [`read_jigsaws`], from anything that can be read; `name` stands in messages.
+/// As [`read_jigsaws`], from any reader; `name` is used in messages.
 ///
 /// # Errors
 /// [`ReadError`] names file, line and column.
@@ -157,7 +157,7 @@ pub fn read_jigsaws_from(
         .map_err(|source| ReadError::Trajectory { file: name.to_owned(), source })
 }
 
-/// Splits a line at commas, or else at white space; how many fields there are, all told.
+/// Splits a line at commas, or else at white space; returns the total number of fields.
 fn split<'a>(text: &'a [u8], fields: &mut [&'a [u8]; COLUMNS]) -> usize {
     let mut found = 0;
     let mut take = |field: &'a [u8]| {
@@ -196,7 +196,7 @@ fn state(fields: &[&[u8]; COLUMNS], selection: JigsawsSelection) -> Result<Devic
 /// The rotation closest to a matrix that was printed with few digits (Gram–Schmidt).
 fn rotation(matrix: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, RowProblem> {
     let departure = (matrix.transpose() * matrix - Matrix3::identity()).amax();
-    // An overflow to NaN is no rotation either.
+    // Also rejects an overflow to NaN.
     if departure > ROTATION_TOLERANCE || !departure.is_finite() || matrix.determinant() <= 0.0 {
         return Err(RowProblem::NotARotation { departure });
     }

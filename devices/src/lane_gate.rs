@@ -1,34 +1,34 @@
-//! Who is obeyed: the lowest epoch that still counts, and the lane of the newest generation. `tests/loom` tries every
+//! Admission of commands: the lowest accepted epoch, and the lane of the newest generation. `tests/loom` tries every
 //! interleaving.
 
 use crate::sync::{AtomicU32, AtomicU64, Ordering};
 
-/// The lowest epoch that a driver obeys; it only rises.
+/// The lowest epoch that a driver accepts; it only rises.
 #[derive(Debug, Default)]
 pub(crate) struct LowestEpoch(AtomicU32);
 
 impl LowestEpoch {
-    /// Nobody below `epoch` counts any more.
+    /// Refuses all epochs below `epoch`.
     pub(crate) fn raise(&self, epoch: u32) {
         self.0.fetch_max(epoch, Ordering::AcqRel);
     }
-    /// The lowest that counts; `u32::MAX` means that none does.
+    /// The lowest accepted epoch; `u32::MAX` means none.
     pub(crate) fn get(&self) -> u32 {
         self.0.load(Ordering::Acquire)
     }
-    /// Whether this one counts.
+    /// Whether this epoch is accepted.
     pub(crate) fn admits(&self, epoch: u32) -> bool {
         let lowest = self.get();
         epoch >= lowest && lowest != u32::MAX
     }
 }
 
-/// Which lane the driver obeys: `(epoch << 32) | (lane + 1)`, 0 before the first.
+/// The lane whose commands the driver takes: `(epoch << 32) | (lane + 1)`, 0 before the first.
 #[derive(Debug, Default)]
 pub(crate) struct ActiveLane(AtomicU64);
 
 impl ActiveLane {
-    /// Releases the fence that the new generation has seen: a driver that obeys it refuses its predecessors.
+    /// Release ordering: a driver that sees the new lane also sees the fence, and refuses older generations.
     pub(crate) fn set(&self, epoch: u32, lane: usize) {
         self.0.store((u64::from(epoch) << 32) | (lane as u64 + 1), Ordering::Release);
     }

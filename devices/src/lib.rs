@@ -1,16 +1,16 @@
-//! What people hold: haptic and input drivers, virtual and replayed ones.
+//! Device drivers: haptic and input devices, real, virtual and replayed.
 //!
-//! This crate knows neither scene nor physics nor kernel. It offers
+//! This crate does not depend on scene, physics or kernel. It offers
 //!
-//! - [`HapticDevice`], the contract of a device driver (with an annotated template for a new one);
-//! - [`DriverCore`], the safety that lies below every actor: clamp, slew limit, damping, watchdog, epoch
-//!   fence, ramp-in, passivity, unplugging; a sans-IO state machine that is stepped with nanoseconds;
-//! - [`DriverThread`], which steps a core live on an OS thread of its own;
+//! - [`HapticDevice`], the interface of a device driver (with an annotated template for a new one);
+//! - [`DriverCore`], the safety layer below every actor: clamp, slew limit, damping, watchdog, epoch fence, ramp-in,
+//!   passivity, unplugging; a sans-IO state machine with the time passed in as nanoseconds;
+//! - [`DriverThread`], which steps a core in real time on its own OS thread;
 //! - the link between a driver and its controller: [`DeviceSlot`], [`DeviceLink`], [`Fence`],
 //!   [`DeviceMonitor`], [`DeviceFaults`];
 //! - [`VirtualHand`] and [`ReplayHand`], devices without hardware, and the readers of recorded hands;
-//! - [`gamepad`]: what a gamepad says, and the reader of those of this machine;
-//! - [`DeviceSpec`], the text by which a command line or a scenario names a device.
+//! - [`gamepad`]: the state of gamepads, and the reader of this machine's pads;
+//! - [`DeviceSpec`], the text that names a device on a command line or in a scenario.
 //!
 //! Conventions: SI units; time in nanoseconds since the start of the session (`*_ns: u64`), given by the
 //! caller; forces in newtons along the axes of the device's frame, acting on the hand at the handle's origin.

@@ -1,11 +1,11 @@
-//! What joins a driver to the controllers that use it, generation after generation.
+//! Link between a driver and successive generations of its controller.
 //!
-//! A controller that stalled cannot be killed: it is abandoned, and may wake up years later still holding its
-//! end of the link. So there is not one link but a bounded set of [`LANES`] lanes, each a pair of triple
-//! buffers (wait-free in both directions). A [`DeviceSlot`] hands the link end of a free lane to each new
-//! generation; the driver publishes samples to all lanes, and obeys the lane of the newest generation only.
-//! What arrives in any other lane is counted and refused, and so is every epoch below the [`Fence`]. A lane
-//! comes back when its link is dropped; if zombies hold them all, taking a link fails and the caller escalates.
+//! A stalled controller cannot be killed: it is abandoned, and may wake up much later still holding its end of the
+//! link. Therefore there is a bounded set of [`LANES`] lanes, each a pair of triple buffers (wait-free in both
+//! directions). A [`DeviceSlot`] hands the link end of a free lane to each new generation; the driver publishes samples
+//! to all lanes, and accepts commands from the lane of the newest generation only. Commands in any other lane are
+//! counted and refused, and so is every epoch below the [`Fence`]. A lane is free again when its link is dropped; if
+//! zombies hold them all, taking a link fails and the caller escalates.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,7 +21,7 @@ use crate::passivity::PortEnergy;
 /// How many generations of controllers can hold a link to one device at the same time.
 pub const LANES: usize = 8;
 
-/// What a controller asks of a device.
+/// Command of a controller to a device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeviceCommand {
     /// Generation of the controller.
@@ -30,14 +30,13 @@ pub struct DeviceCommand {
     pub time_ns: u64,
     /// Wrench to render, in the device's frame.
     pub wrench: Wrench,
-    /// Whether the driver shortens the wrench so that it gives the hand no energy that the hand has not paid.
-    /// Without, the energy is only observed.
+    /// Whether the driver's passivity controller limits the wrench. Otherwise the energy is only observed.
     pub passivity: bool,
-    /// Where the human wants the handle to be, if the controller knows; for virtual hands.
+    /// The human's target for the handle, if known; for virtual hands.
     pub intent: Option<HandIntent>,
 }
 
-/// What a driver counts.
+/// Counters of a driver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DriverStatistics {
     /// Steps of the driver.
@@ -48,21 +47,21 @@ pub struct DriverStatistics {
     pub refused_epoch: u64,
     /// Commands refused because of a NaN, an infinity or an unnormalised rotation.
     pub refused_invalid: u64,
-    /// Commands refused because they are no newer than the last, older than 20 ms, or of the future.
+    /// Commands refused because they are no newer than the last, older than 20 ms, or dated in the future.
     pub refused_stale: u64,
     /// Readings refused because of a NaN, an infinity or an unnormalised rotation.
     pub readings_refused: u64,
     /// Errors of the device other than being unplugged.
     pub device_errors: u64,
-    /// How often the device was lost.
+    /// Number of times the device was unplugged.
     pub unplugs: u64,
-    /// How often the device was opened again.
+    /// Number of times the device was reopened.
     pub reopens: u64,
-    /// Steps in which the wanted wrench was above the device's limits.
+    /// Steps in which the commanded wrench exceeded the device's limits.
     pub clamped: u64,
-    /// Steps in which the slew limit held the wrench back.
+    /// Steps in which the slew limit acted.
     pub slew_limited: u64,
-    /// How often force was ramped in.
+    /// Number of ramps.
     pub ramps: u64,
     /// Greatest force that was rendered, after the clamp \[N\].
     pub force_newtons_max: f64,
@@ -70,12 +69,12 @@ pub struct DriverStatistics {
     pub torque_max: f64,
     /// Time since the last accepted command was computed \[ns\]; `u64::MAX` before the first.
     pub since_command_ns: u64,
-    /// Greatest age of the last command that was accepted, while a force was still held \[ns\]: measured in every
-    /// step, over the time for which the step before had held its force.
+    /// Greatest age of the last command that was accepted, while a force was still held \[ns\]: measured in every step,
+    /// at the end of the time for which the previous step held its force.
     pub force_age_max_ns: u64,
-    /// How often a force fell to zero because nobody renewed it, or whoever did was fenced.
+    /// Number of times a force fell to zero because it was not renewed, or its controller was fenced.
     pub releases: u64,
-    /// Age of the last accepted command when that happened last \[ns\].
+    /// Age of the last accepted command at the latest release \[ns\].
     pub release_age_ns: u64,
     /// Ticks of a live driver that never ran.
     pub missed: u64,
@@ -83,27 +82,27 @@ pub struct DriverStatistics {
     pub lateness_max_ns: u64,
 }
 
-/// What a driver publishes in each step.
+/// Sample published by a driver in each step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceSample {
-    /// What the device measured.
+    /// Measured state.
     pub state: DeviceState,
     /// Wrench that is rendered, after every limit.
     pub applied: Wrench,
-    /// What went through the port up to `state`.
+    /// Energy through the port up to `state`.
     pub energy: PortEnergy,
     /// When `state` was measured (session time, ns); older than `published_at_ns` when readings fail.
     pub sampled_at_ns: u64,
     /// When the sample was published (session time, ns).
     pub published_at_ns: u64,
-    /// Generation of the controller that the driver obeys; 0 before the first.
+    /// Generation of the current controller; 0 before the first.
     pub epoch: u32,
-    /// Counts since the driver was made.
+    /// Counters since the driver was created.
     pub statistics: DriverStatistics,
 }
 
 impl DeviceSample {
-    /// What is known before the driver's first step.
+    /// The sample before the driver's first step.
     pub fn unknown() -> Self {
         Self {
             state: DeviceState::unknown(),
@@ -117,7 +116,8 @@ impl DeviceSample {
     }
 }
 
-/// Lowest epoch that a driver obeys. It only rises; anybody may raise it, at any time, without waiting.
+/// Epoch fence: the lowest epoch that a driver accepts. It only rises; any thread may raise it at any time, without
+/// blocking.
 #[derive(Clone, Debug, Default)]
 pub struct Fence {
     lowest: Arc<LowestEpoch>,
@@ -130,17 +130,17 @@ impl Fence {
         self.lowest.raise(epoch);
     }
 
-    /// Emergency: no force at the driver's next step, and never again.
+    /// Emergency stop: zero force from the driver's next step on, permanently.
     pub fn zero_all_forces(&self) {
         self.raise(u32::MAX);
     }
 
-    /// The lowest epoch that is obeyed; `u32::MAX` means that none is.
+    /// The lowest accepted epoch; `u32::MAX` means none.
     pub fn lowest(&self) -> u32 {
         self.lowest.get()
     }
 
-    /// Whether commands of this epoch are obeyed as far as the fence goes.
+    /// Whether the fence admits commands of this epoch.
     pub fn admits(&self, epoch: u32) -> bool {
         self.lowest.admits(epoch)
     }
@@ -152,15 +152,15 @@ pub enum LinkError {
     /// The epoch is below the fence.
     #[error("epoch {epoch} is fenced: the device obeys epochs from {lowest} on")]
     Fenced {
-        /// Epoch that asked.
+        /// The requested epoch.
         epoch: u32,
-        /// Lowest epoch that is obeyed.
+        /// Lowest accepted epoch.
         lowest: u32,
     },
-    /// A later generation has taken a link already.
+    /// A later generation has already taken a link.
     #[error("epoch {epoch} is superseded: epoch {newest} has taken the link already")]
     Superseded {
-        /// Epoch that asked.
+        /// The requested epoch.
         epoch: u32,
         /// Epoch of the newest link.
         newest: u32,
@@ -182,13 +182,13 @@ struct DriverLane {
 }
 
 struct SlotShared {
-    // Taken when a link is made or dropped, never in a tick and never by the driver.
+    // Locked when a link is made or dropped, never in a tick and never by the driver.
     free: Mutex<Vec<ControllerLane>>,
     active: Arc<ActiveLane>,
     fence: Fence,
 }
 
-/// Where each new generation of a controller takes its link; clones are the same slot.
+/// Slot from which each new generation of a controller takes its link; clones share the slot.
 #[derive(Clone)]
 pub struct DeviceSlot {
     shared: Arc<SlotShared>,
@@ -204,8 +204,8 @@ impl fmt::Debug for DeviceSlot {
 }
 
 impl DeviceSlot {
-    /// A link of its own for the controller of generation `epoch`; the driver obeys it, and no earlier one,
-    /// from its next step on. Not for real-time paths: takes a lock for a moment.
+    /// A new link for the controller of generation `epoch`; the driver accepts it, and no earlier one, from its next
+    /// step on. Not for real-time paths: it takes a lock briefly.
     ///
     /// # Errors
     /// [`LinkError`] when the generation is fenced or superseded (a zombie that wakes up while it is being
@@ -226,7 +226,7 @@ impl DeviceSlot {
         Ok(DeviceLink { epoch, lane: Some(lane), slot: self.clone() })
     }
 
-    /// How many more links can be taken before one is dropped.
+    /// Number of free lanes.
     pub fn free_lanes(&self) -> usize {
         unpoisoned(&self.shared.free).len()
     }
@@ -237,7 +237,7 @@ impl DeviceSlot {
     }
 }
 
-/// A controller's end of the link to a driver. Neither method allocates, locks or waits.
+/// A controller's end of the link to a driver. Neither method allocates, locks or blocks.
 pub struct DeviceLink {
     epoch: u32,
     lane: Option<ControllerLane>,
@@ -256,14 +256,14 @@ impl DeviceLink {
         self.epoch
     }
 
-    /// The newest sample of the driver. Its `published_at_ns` tells whether the driver is alive.
+    /// The newest sample of the driver. Its `published_at_ns` shows whether the driver is alive.
     pub fn sample(&mut self) -> &DeviceSample {
         // The lane is only taken out in `drop`.
         self.lane.as_mut().map(|lane| lane.samples.read()).expect("a link has a lane until it is dropped")
     }
 
-    /// Sends a command; the driver takes the newest at its next step. It is obeyed only if this link is of
-    /// the newest generation and its epoch is not fenced.
+    /// Sends a command; the driver takes the newest at its next step. The driver accepts it only if this link is of the
+    /// newest generation and its epoch is not fenced.
     pub fn command(&mut self, command: DeviceCommand) {
         if let Some(lane) = &mut self.lane {
             lane.commands.write(Some(command));
@@ -299,7 +299,7 @@ impl DriverEnd {
         &self.fence
     }
 
-    /// Takes what arrived: the newest command of the newest generation, and how many others sent something.
+    /// Takes the newest command of the newest generation, and the number of other lanes with a command.
     pub(crate) fn intake(&mut self) -> (Option<DeviceCommand>, u64) {
         let active = self.active.get();
         let mut newest = None;
@@ -310,7 +310,7 @@ impl DriverEnd {
             }
             let command = *lane.commands.output_buffer();
             match active {
-                // A lane is reused: what its last holder left behind is of an older epoch than the taker's.
+                // In a reused lane, commands left by its last holder have an older epoch than the new holder's.
                 Some((epoch, lane)) if lane == index && command.is_some_and(|c| c.epoch >= epoch) => {
                     newest = command;
                 }
@@ -321,8 +321,7 @@ impl DriverEnd {
     }
 
     pub(crate) fn publish(&mut self, sample: &DeviceSample) {
-        // To all lanes, so that a link that is taken later finds a fresh sample, not one of its lane's last
-        // holder.
+        // Published to all lanes, so that a link taken later finds a fresh sample.
         for lane in &mut self.lanes {
             lane.samples.write(*sample);
         }
@@ -330,10 +329,10 @@ impl DriverEnd {
     }
 }
 
-/// For everybody else who wants to know: reports, consoles, recorders. Clones share one view.
+/// Monitor of a device for reports, consoles and recorders. Clones share one view.
 #[derive(Clone)]
 pub struct DeviceMonitor {
-    // Shared among readers only; the driver writes through the triple buffer and never waits for them.
+    // Shared among readers only; the driver writes through the triple buffer and never blocks on them.
     output: Arc<Mutex<Output<DeviceSample>>>,
 }
 
@@ -382,7 +381,7 @@ pub fn pair() -> (DriverEnd, DeviceLink) {
     (driver, link)
 }
 
-/// The data under these locks is never left half changed, so a panic elsewhere does not make it unusable.
+/// Ignores poisoning: a panic leaves the data under these locks consistent.
 fn unpoisoned<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -423,7 +422,7 @@ mod tests {
         let mut successor = slot.take(2).unwrap();
         zombie.command(command(1, 100.0));
         assert_eq!(driver.intake(), (None, 1));
-        // Not even with a forged epoch.
+        // Refused even with a forged epoch.
         zombie.command(command(9, 100.0));
         successor.command(command(2, 0.5));
         assert_eq!(driver.intake(), (Some(command(2, 0.5)), 1));
@@ -451,7 +450,7 @@ mod tests {
         last_words.command(command(3, 100.0));
         drop(last_words);
         let mut reused = slot.take(100).unwrap();
-        // What the last holder of the lane left there is not obeyed.
+        // Commands left in the lane by its last holder are refused.
         assert_eq!(driver.intake(), (None, 1));
         reused.command(command(100, 2.0));
         assert_eq!(driver.intake().0, Some(command(100, 2.0)));

@@ -1,9 +1,9 @@
 //! Exact discretisation of a damped oscillator under a force held over the step (zero-order hold).
 //!
 //! `m ẍ + b ẋ + k x = F`, in state space with the force as a third, constant state, has the transition matrix
-//! `exp(A h)` (Van Loan, "Computing integrals involving the matrix exponential", 1978). The matrix is summed by
-//! scaling and squaring, which covers the under-, critically and over-damped cases, `k = 0` and `b = 0`
-//! alike, and uses nothing but additions and multiplications: the same bits on every machine.
+//! `exp(A h)` (Van Loan, "Computing integrals involving the matrix exponential", 1978). The matrix is summed by scaling and
+//! squaring, which covers the under-, critically and over-damped cases, `k = 0` and `b = 0` alike, and uses only
+//! additions and multiplications: bit-identical on every machine.
 
 use nalgebra::Matrix3;
 
@@ -18,7 +18,7 @@ pub struct Oscillator {
     pub stiffness: f64,
 }
 
-/// What one step of fixed length does; linear in position, velocity and acceleration by the force.
+/// Transition of one step of fixed length; linear in position, velocity and acceleration by the force.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Transition {
     /// Position from position, velocity and acceleration.
@@ -29,7 +29,7 @@ pub(crate) struct Transition {
 
 /// Terms of the series: with a norm below 1/2 the remainder is below 1e-19.
 const TERMS: u32 = 14;
-/// Bound on the squarings; a norm of 2^40 is beyond every finite figure that a hand is given.
+/// Bound on the squarings; a norm of 2^40 is beyond every valid parameter of a hand.
 const SQUARINGS_MAX: u32 = 64;
 
 impl Oscillator {

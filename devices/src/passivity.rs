@@ -1,27 +1,29 @@
-//! Passivity controller of a device's port: the last word on every force.
+//! Passivity controller of a device's port: the last limit on every force.
 //!
-//! It renders no force that would give the hand more than it has paid (the energy tank of Franken, Stramigioli,
-//! Misra, Secchi and Macchelli, "Bilateral telemanipulation with time delays: a two-layer approach combining
-//! passivity and transparency", 2011), by the account of the energy observer. Whatever the force `F`
-//! of the next step is, its displacement is known but for what the hand does meanwhile: with mass `m`,
+//! It limits the energy given to the hand to the energy that the hand has put in (energy tank of Franken, Stramigioli,
+//! Misra, Secchi and Macchelli, "Bilateral telemanipulation with time delays: a two-layer approach combining passivity
+//! and transparency", 2011), as measured by the energy observer. The displacement under the next step's force `F` is
+//! predictable, except for changes of the hand's force: with mass `m`,
 //!
 //! ```text
 //! Δx(n+1) = 2 Δx(n) − Δx(n−1) + T²/2m · (F(n) − F(n−2)),
 //! ```
 //!
-//! exactly, if the hand's own force stays. A heavier hand only makes the last term smaller. So the force is shortened
-//! until `F·Δx(n+1)`, with a reserve for a hand that does not stay, is covered. It is never turned and never grows.
+//! exactly, if the hand's own force stays constant. A heavier hand only reduces the last term. The force is therefore
+//! scaled down until the available energy covers `F·Δx(n+1)` plus a reserve for a change of the hand's force. Its
+//! direction stays, and it is never increased.
 //!
-//! A force that was shortened once stays *short*, until the hand has paid for all of it or it has ended: it is no
-//! greater than that of a spring, of the device's greatest stiffness, that stores what is available, and of a damper
-//! against the hand's motion. A hand that leans on a wall for which it has not paid thus sinks to where it has, and
-//! rests there on a wall as stiff as ever. Without that, the force would hang on a reserve of microjoules, and chatter.
+//! A force scaled down once stays *limited* until the hand's energy covers all of it, or it ends: it is no greater than
+//! that of a spring, of the device's greatest stiffness, that stores what is available, and of a damper against the
+//! hand's motion. A hand that leans on a wall without having put in its energy thus sinks in until it has, and rests
+//! there on a wall of full stiffness. Without this limit the force would depend on a reserve of microjoules, and
+//! chatter.
 //!
-//! Two things are lent. A hand at rest takes no energy from any force, but to know that takes a step: a small
-//! *capital* covers the reserve, and shrinks to nothing while the hand moves along with the force. And a scene may be
-//! active by intention (tissue that moves, a ring taken over from the other hand and lowered): a force that stays
-//! uncovered for a while is lent a limited power, up to a limited force. A bounce or an oscillation is over before. The
-//! observer forgives nothing of that: what it reports is what happened.
+//! Energy is lent in two cases. A hand at rest takes no energy from any force, but this is known only a step later: a
+//! small *capital* covers the reserve, and shrinks to zero while the hand moves along with the force. And a scene may
+//! be active by design (moving tissue, a ring taken over from the other hand and lowered): a force that stays uncovered
+//! for a while is lent a limited power, up to a limited force. Bounces and oscillations are too short for that. The
+//! observer does not count loans: it reports the true energy.
 
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -29,28 +31,28 @@ use serde::{Deserialize, Serialize};
 use crate::device::{Capabilities, Wrench};
 use crate::energy_observer::{EnergyObserver, work};
 
-/// How a [`PassivityController`] decides.
+/// Parameters of a [`PassivityController`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassivityConfig {
-    /// By how much the force of the hand and the friction of the device may change within a step \[N\]: the
-    /// reserve. The default covers friction of a quarter of a newton that turns round.
+    /// Assumed change of the hand's force and the device's friction within a step \[N\]: the reserve. The default
+    /// covers a reversal of a friction of a quarter of a newton.
     pub jolt: f64,
-    /// Energy \[J\] that covers the reserve of a hand at rest which has not paid yet.
+    /// Energy \[J\] that covers the reserve for a hand at rest that has put in no energy yet.
     pub capital: f64,
-    /// Speed along the force [m/s] from which no capital is left.
+    /// Speed along the force [m/s] at which the capital is zero.
     pub capital_speed: f64,
-    /// Energy that is remembered for good \[J\]. Energy long lost to friction must not license an oscillation
-    /// later; a wall's spring holds 11 mJ at 3.3 N and 500 N/m.
+    /// Energy stored without decay \[J\]. Energy long lost to friction must not license an oscillation later; a wall's
+    /// spring holds 11 mJ at 3.3 N and 500 N/m.
     pub storage: f64,
-    /// Time constant with which energy above `storage` is forgotten \[s\]. A wall that was met with more than the
-    /// device's greatest force takes up to 0.2 J, and gives it back within a few tenths of a second.
+    /// Time constant with which energy above `storage` decays \[s\]. A wall hit with more than the device's greatest
+    /// force takes up to 0.2 J, and returns it within a few tenths of a second.
     pub storage_secs: f64,
-    /// For how long a force must be uncovered until energy is lent \[s\], without a break and without turning
-    /// round: longer than a bounce, and than half a period of anything that a hand would call an oscillation.
+    /// How long a force must be uncovered before energy is lent \[s\], without a break or a reversal: longer than a
+    /// bounce, and than half a period of a perceptible oscillation.
     pub lend_after_secs: f64,
-    /// Most power that is lent \[W\], reached after twice that time.
+    /// Largest lent power \[W\], reached after twice that time.
     pub lend_power: f64,
-    /// Greatest force that lent energy carries \[N\]: what pushes harder is a wall, and has to be paid.
+    /// Greatest force that lent energy supports \[N\]: a stronger force is a wall, and is not lent.
     pub lend_force: f64,
 }
 
@@ -69,33 +71,32 @@ impl Default for PassivityConfig {
     }
 }
 
-/// What went through a device's port, and what passivity cost.
+/// Energy through a device's port, and the cost of passivity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PortEnergy {
-    /// Energy \[J\] that the hand put in and did not get back, as far as it is remembered; a passive scene never makes
-    /// it negative.
+    /// Net energy \[J\] put in by the hand, after decay; a passive scene never makes it negative.
     pub energy: f64,
     /// Smallest value so far \[J\].
     pub energy_min: f64,
-    /// Energy that a force may give to the hand \[J\]: what the hand paid, and what was lent.
+    /// Energy that a force may give to the hand \[J\]: its own net energy plus loans.
     pub available: f64,
-    /// Energy \[J\] that passivity kept from the hand so far.
+    /// Energy \[J\] withheld from the hand so far.
     pub dissipated: f64,
-    /// Damping [N·s/m] to which the force amounts that is kept back now.
+    /// Damping [N·s/m] equivalent to the force withheld now.
     pub damping: f64,
-    /// Power \[W\] that is kept back now.
+    /// Power \[W\] withheld now.
     pub power: f64,
 }
 
-/// Damping that a device bears, as a share of its mass per step: the delay of the loop and that of the measured
-/// velocity, together about three steps, take damping times delay off the apparent mass, and half of it has to stay.
+/// Largest stable damping of a device, as a share of its mass per step: the delays of the loop and of the measured
+/// velocity, together about three steps, reduce the apparent mass by damping times delay, and half of it must remain.
 const DAMPING_SHARE: f64 = 0.15;
-/// Shortest step \[s\] for which that is so; a faster driver measures velocities no faster.
+/// Shortest step \[s\] for this limit; a faster driver does not measure velocities faster.
 const DAMPING_STEP_MIN: f64 = 1e-3;
-/// Speed below which a damping would be meaningless [m/s].
+/// Speed below which a damping is not computed [m/s].
 const SPEED_MIN: f64 = 1e-3;
 
-/// Energy observer and passivity controller of one port; stepped with time, reads no clock. Everything in the
+/// Energy observer and passivity controller of one port; time is passed in, it reads no clock. All vectors are in the
 /// device's frame.
 #[derive(Clone, Debug)]
 pub struct PassivityController {
@@ -106,18 +107,18 @@ pub struct PassivityController {
     port: PortEnergy,
     lent: f64,
     short: bool,
-    /// For how long, and what was wanted when that began.
+    /// How long the force has been uncovered, and the commanded wrench when that began.
     uncovered_secs: f64,
     uncovered: Wrench,
 }
 
 impl PassivityController {
-    /// Without stored energy, for a device with these capabilities.
+    /// A controller without stored energy, for a device with these capabilities.
     pub fn new(config: PassivityConfig, capabilities: &Capabilities) -> Self {
         let Capabilities { apparent_mass, max_stiffness, .. } = *capabilities;
         Self {
             config,
-            // Too light and too soft are on the safe side; a NaN is taken as both.
+            // Underestimates of mass and stiffness are safe; NaN counts as the minimum.
             mass: if apparent_mass > 1e-3 { apparent_mass } else { 1e-3 },
             stiffness: if max_stiffness > 1.0 { max_stiffness.min(1e6) } else { 1.0 },
             observer: EnergyObserver::new(config.storage, config.storage_secs),
@@ -129,12 +130,12 @@ impl PassivityController {
         }
     }
 
-    /// What went through the port so far.
+    /// Energy through the port so far.
     pub fn port(&self) -> &PortEnergy {
         &self.port
     }
 
-    /// Goes on at `now_ns` with an account that another one kept, and with what the motors hold.
+    /// Continues at `now_ns` with another controller's energy, and with the wrench held by the motors.
     pub(crate) fn resume(&mut self, now_ns: u64, account: &PortEnergy, applied: &Wrench) {
         self.observer.resume(now_ns, account.energy, account.energy_min, account.dissipated, applied);
         self.port = *account;
@@ -142,7 +143,7 @@ impl PassivityController {
         self.lend(0.0);
     }
 
-    /// Takes a reading: books what the wrenches since the last one gave to the hand or took from it.
+    /// Takes a reading: adds the work that the wrenches since the last one exchanged with the hand.
     pub fn observe(&mut self, now_ns: u64, pose_in_device: &Isometry3<f64>) {
         self.observer.observe(now_ns, pose_in_device);
         (self.port.energy, self.port.energy_min) = self.observer.energy();
@@ -150,13 +151,13 @@ impl PassivityController {
         self.lend(0.0);
     }
 
-    /// Forgets how the handle moved: there was no reading for so long that the next one continues nothing.
+    /// Discards the motion after a long time without readings: the next reading starts a new interval.
     pub fn interrupt(&mut self) {
         self.observer.interrupt();
         self.covered();
     }
 
-    /// What the motors hold from now on, and what was kept back of it.
+    /// Sets the wrench that the motors hold from now on, and the withheld part.
     pub fn hold(&mut self, now_ns: u64, applied: &Wrench, withheld: &Wrench) {
         self.observer.hold(now_ns, applied, withheld);
         let velocity = self.observer.motion()[0].linear_velocity;
@@ -186,7 +187,7 @@ impl PassivityController {
         cost.share(self.budget(&cost)).min(by_spring)
     }
 
-    /// What a force may give to the hand \[J\].
+    /// Energy that a force may give to the hand \[J\].
     fn budget(&self, cost: &Cost) -> f64 {
         let still = (1.0 - cost.speed_along / self.config.capital_speed.max(1e-9)).clamp(0.0, 1.0);
         self.port.available + if self.short { 0.0 } else { self.config.capital * still }
@@ -196,7 +197,7 @@ impl PassivityController {
         let [last, before] = self.observer.motion();
         let secs = self.observer.step_secs();
         let unread_secs = self.observer.unread_secs(now_ns);
-        // From the middle of an interval to that of the next; 1 when all are equally long.
+        // Time from the middle of an interval to that of the next, in steps; 1 when all are equally long.
         let (known, coming) = (last.secs + before.secs, secs + last.secs + unread_secs);
         let step = if known > 0.0 { (coming / known).min(2.0) } else { 0.0 };
         let ahead = |last: &Vector3<f64>, before: &Vector3<f64>| last + (last - before) * step;
@@ -213,15 +214,15 @@ impl PassivityController {
         }
     }
 
-    /// Raises what is available by `joules`. What the hand pays beyond `storage` pays the loan back.
+    /// Raises the available energy by `joules`. Energy of the hand beyond `storage` repays the loan.
     fn lend(&mut self, joules: f64) {
         self.lent = (self.lent + joules).min(self.config.storage - self.port.energy).max(0.0);
         self.port.available = self.port.energy + self.lent;
     }
 
-    /// Lends of what is `missing` \[J\], if it has been missing for long enough.
+    /// Lends part of the `missing` energy \[J\], if it has been missing for long enough.
     fn consider_lending(&mut self, wanted: &Wrench, missing: f64) {
-        // What turns round swings, and swinging is lent nothing.
+        // A reversing force is an oscillation, which gets no loan.
         if missing <= 0.0 || work(&self.uncovered, &wanted.force, &wanted.torque) < 0.0 {
             return self.covered();
         }
@@ -244,11 +245,11 @@ impl PassivityController {
 /// `s·motion + max(0, s²·push − s·pushed)`, convex in `s` and zero for none. \[J\]
 #[derive(Clone, Copy, Debug)]
 struct Cost {
-    /// By the motion that the hand has anyway, with the reserve.
+    /// Energy by the motion that the hand already has, with the reserve.
     motion: f64,
-    /// By the motion that the force itself makes.
+    /// Energy by the motion that the force itself causes.
     push: f64,
-    /// How much of that an equal force made already, and `motion` holds.
+    /// Part of that already caused by an equal force, and contained in `motion`.
     pushed: f64,
     /// Speed of the hand along the force [m/s].
     speed_along: f64,
@@ -259,7 +260,8 @@ impl Cost {
         share * self.motion + (share * (share * self.push - self.pushed)).max(0.0)
     }
 
-    /// The largest share that costs no more than `budget`; with a debt, the one that takes most from the hand.
+    /// The largest share that costs no more than `budget`; with a negative budget, the one that takes most energy from
+    /// the hand.
     fn share(&self, budget: f64) -> f64 {
         let Self { motion, push, pushed, .. } = *self;
         let share = if budget < 0.0 {
@@ -311,7 +313,7 @@ mod tests {
         Wrench::from_force(Vector3::new(newtons, 0.0, 0.0))
     }
 
-    /// A port at a hand that is led along `x(ms)` whatever it feels.
+    /// A port at a hand that follows `x(ms)` regardless of force.
     struct Led {
         port: PassivityController,
         now_ns: u64,
@@ -361,11 +363,11 @@ mod tests {
         assert!(felt[10..90].iter().all(|force| *force < 1e-9), "{:?}", &felt[..20]);
         assert!(felt[300..].iter().all(|force| (force - 0.3).abs() < 1e-9), "{:?}", &felt[90..]);
         let port = *led.port.port();
-        // The observer forgives nothing of what was lent.
+        // The observer does not count what was lent.
         assert!(port.energy < -3e-3 && port.energy > -0.3 * 0.04 && port.dissipated > 2e-3, "{port:?}");
         // At most half a newton and 50 mW are lent.
         let mut strong = Led::new();
-        // Two steps pass until a motion is known.
+        // A motion is known only after two steps.
         let most = (0..2000).map(|ms| strong.step(f64::from(ms) * 1e-4, 3.0)).skip(2).fold(0.0, f64::max);
         assert!(most <= 0.5 + 1e-9, "{most}");
     }

@@ -1,4 +1,4 @@
-//! What the readers of recorded hands share: limits, errors, numbers.
+//! Shared parts of the readers of recorded hand motion: limits, errors, number parsing.
 
 use std::fs::File;
 use std::io;
@@ -14,12 +14,12 @@ pub const MAX_FILE_BYTES: u64 = 512 << 20;
 /// Most rows that are read: 67 minutes at 1 kHz.
 pub const MAX_ROWS: usize = 4_000_000;
 
-/// Farthest from the origin that a hand can be \[m\]; beyond it a file is probably in millimetres.
+/// Largest distance of a hand from the origin \[m\]; beyond it a file is probably in millimetres.
 const POSITION_MAX: f64 = 10.0;
-/// Longest piece of a file that is quoted in a message \[characters\].
+/// Longest quotation of a file in a message \[characters\].
 const QUOTE_MAX: usize = 40;
 
-/// What the first time in a file means.
+/// Meaning of the first time in a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StartTime {
     /// Times are session times: a first row at 2 s is reached 2 s after the start.
@@ -37,22 +37,22 @@ pub enum ReadError {
     Io {
         /// The file.
         file: String,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// A folder, a device or a pipe.
+    /// Not a regular file: a folder, a device or a pipe.
     #[error("{file}: not a regular file")]
     NotAFile {
         /// The file.
         file: String,
     },
-    /// More bytes than are read.
+    /// The file is too large.
     #[error("{file}: larger than the limit of {MAX_FILE_BYTES} bytes")]
     TooBig {
         /// The file.
         file: String,
     },
-    /// More rows than are read.
+    /// The file has too many rows.
     #[error("{file}: line {line}: more than {MAX_ROWS} rows")]
     TooManyRows {
         /// The file.
@@ -100,7 +100,7 @@ pub enum ReadError {
         /// What is wrong.
         problem: RowProblem,
     },
-    /// The rows are no trajectory.
+    /// The rows do not form a valid trajectory.
     #[error("{file}: {source}")]
     Trajectory {
         /// The file.
@@ -116,7 +116,7 @@ pub enum RowProblem {
     /// Not a number.
     #[error("{text} is not a number")]
     NotANumber {
-        /// What stands there, quoted and shortened.
+        /// The text found, quoted and shortened.
         text: String,
     },
     /// NaN or an infinity.
@@ -130,7 +130,7 @@ pub enum RowProblem {
         /// How many there must be.
         expected: usize,
     },
-    /// A line that is longer than any valid one.
+    /// A line longer than any valid one.
     #[error("the line is longer than {limit} bytes")]
     LineTooLong {
         /// Longest line that is read \[bytes\].
@@ -144,7 +144,7 @@ pub enum RowProblem {
         /// Time of the row before \[s\].
         previous_secs: f64,
     },
-    /// A number beyond what makes sense.
+    /// A number out of range.
     #[error("{value} is out of range ({min} to {max} {unit})")]
     OutOfRange {
         /// The number.
@@ -173,7 +173,7 @@ pub enum RowProblem {
 /// Opens a regular file that is small enough.
 pub(crate) fn open(path: &Path) -> Result<(File, String), ReadError> {
     let name = path.display().to_string();
-    // Before opening: opening a pipe would wait for its writer.
+    // Checked before opening, because opening a pipe would block until it has a writer.
     let metadata = std::fs::metadata(path).map_err(|source| ReadError::Io { file: name.clone(), source })?;
     if !metadata.is_file() {
         return Err(ReadError::NotAFile { file: name });
@@ -193,7 +193,7 @@ pub(crate) fn parse_number(field: &[u8]) -> Result<f64, RowProblem> {
     if value.is_finite() { Ok(value) } else { Err(RowProblem::NotFinite) }
 }
 
-/// A piece of a file for a message: escaped, since it may hold anything, and short.
+/// Quotes a field for a message: escaped, as it may contain any bytes, and shortened.
 pub(crate) fn quote(field: &[u8]) -> String {
     let text = String::from_utf8_lossy(&field[..field.len().min(4 * QUOTE_MAX)]);
     let short: String = text.chars().take(QUOTE_MAX).collect();

@@ -1,8 +1,8 @@
-//! A device that plays what a hand once did.
+//! Replay hand: a device that plays back a recorded hand motion.
 //!
-//! Without force it is the recording: at the time of a recorded point it returns exactly that point, so that a
-//! recorded session can be simulated again through the same driver. With force the recording becomes the aim of
-//! a [`VirtualHand`], which the force moves away from it.
+//! Without force it is the recording: at the time of a recorded point it returns exactly that point, so that a recorded
+//! session can be simulated again through the same driver. With force the recording becomes the target of a
+//! [`VirtualHand`], which the force deflects from it.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::hand_config::{HandConfigError, VirtualHandConfig};
 use crate::trajectory::{Trajectory, TrajectoryError, TrajectoryPoint};
 use crate::virtual_hand::VirtualHand;
 
-/// Plays a [`Trajectory`] through the contract of a device.
+/// Plays a [`Trajectory`] through the device interface.
 #[derive(Clone, Debug)]
 pub struct ReplayHand {
     trajectory: Arc<Trajectory>,
@@ -22,16 +22,16 @@ pub struct ReplayHand {
 }
 
 impl ReplayHand {
-    /// Plays the trajectory as it is; force does nothing. The capabilities are those of the default virtual
-    /// hand, so that the driver limits forces as it does for that one.
+    /// Plays the trajectory unchanged; force has no effect. The capabilities are those of the default virtual hand, so
+    /// that the driver limits forces as it does for that one.
     pub fn new(trajectory: Trajectory) -> Self {
         let mut capabilities = VirtualHandConfig::default().capabilities();
         capabilities.name = "replay hand".to_owned();
         Self { trajectory: Arc::new(trajectory), capabilities, follower: None, started: false, open: false }
     }
 
-    /// Plays points of a recording of our own, which another crate has read; see
-    /// [`TrajectoryPoint`]'s `From<&DeviceSample>`.
+    /// Plays points of one of our own recordings, read by another crate; see [`TrajectoryPoint`]'s
+    /// `From<&DeviceSample>`.
     ///
     /// # Errors
     /// [`TrajectoryError`] names the point.
@@ -39,11 +39,11 @@ impl ReplayHand {
         Ok(Self::new(Trajectory::new(points)?))
     }
 
-    /// Lets force act: the trajectory becomes the aim of a virtual hand of these figures. Its stops are
+    /// Lets force act: the trajectory becomes the target of a virtual hand with these parameters. Its stops are
     /// switched off, since the recording may come from a larger device.
     ///
     /// # Errors
-    /// Names a figure that is out of range.
+    /// Names a parameter that is out of range.
     pub fn with_force(mut self, config: VirtualHandConfig) -> Result<Self, HandConfigError> {
         let hand = VirtualHand::new(VirtualHandConfig { stops: false, ..config })?;
         self.capabilities = hand.capabilities().clone();
@@ -52,14 +52,14 @@ impl ReplayHand {
         Ok(self)
     }
 
-    /// Promises what the device of the recording promised, so that forces are limited as they were then.
+    /// Sets the capabilities of the recorded device, so that forces are limited as they were then.
     #[must_use]
     pub fn with_capabilities(mut self, capabilities: Capabilities) -> Self {
         self.capabilities = capabilities;
         self
     }
 
-    /// What is played.
+    /// The trajectory being played.
     pub fn trajectory(&self) -> &Trajectory {
         &self.trajectory
     }

@@ -19,7 +19,7 @@ pub(crate) fn sleep_until(deadline_ns: u64) {
         tv_nsec: (deadline_ns % 1_000_000_000) as _,
     };
     if rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &deadline).is_err() {
-        // Interrupted: the caller's loop looks at the clock anyway.
+        // Interrupted by a signal: the caller's loop checks the clock anyway.
         std::hint::spin_loop();
     }
 }

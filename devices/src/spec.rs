@@ -1,4 +1,4 @@
-//! The text by which a command line or a scenario names a device.
+//! Device specifications: the text that names a device on a command line or in a scenario.
 //!
 //! ```text
 //! virtual                                     a virtual hand of default figures
@@ -67,9 +67,9 @@ pub enum DeviceSpec {
     Replay {
         /// CSV file.
         file: PathBuf,
-        /// What its first time means.
+        /// Meaning of its first time.
         start: StartTime,
-        /// The virtual hand on which force acts, if it does.
+        /// The virtual hand on which force acts; none: force has no effect.
         force: Option<VirtualHandConfig>,
     },
     /// A recording of the JIGSAWS data set.
@@ -78,22 +78,22 @@ pub enum DeviceSpec {
         file: PathBuf,
         /// Which manipulator.
         selection: JigsawsSelection,
-        /// Whether the centre of the motion comes to lie on the pose's origin.
+        /// Whether the centre of the motion is moved to the pose's origin.
         centre: bool,
         /// Scale and pose in the device's frame.
         registration: Registration,
-        /// The virtual hand on which force acts, if it does.
+        /// The virtual hand on which force acts; none: force has no effect.
         force: Option<VirtualHandConfig>,
     },
 }
 
-/// Why a text names no device.
+/// Why a device specification is invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SpecError {
     /// No such kind of device.
     #[error("unknown device {kind:?}; valid are {KINDS}")]
     UnknownKind {
-        /// What stands before the colon.
+        /// The text before the colon.
         kind: String,
     },
     /// A recording without a file.
@@ -117,10 +117,10 @@ pub enum SpecError {
     NotAPair {
         /// Kind of device.
         kind: &'static str,
-        /// What stands there.
+        /// The text found.
         text: String,
     },
-    /// A key that stands twice.
+    /// A key given twice.
     #[error("key {key:?} of device {kind:?} is given twice")]
     Twice {
         /// Kind of device.
@@ -140,7 +140,7 @@ pub enum SpecError {
         /// What is valid.
         valid: &'static str,
     },
-    /// A key of the virtual hand at a recording on which no force acts.
+    /// A key of the virtual hand, for a recording without force.
     #[error("key {key:?} of device {kind:?} needs force=on")]
     NeedsForce {
         /// Kind of device.
@@ -148,17 +148,17 @@ pub enum SpecError {
         /// The key.
         key: String,
     },
-    /// A figure of the virtual hand out of range.
+    /// A parameter of the virtual hand is out of range.
     #[error("device {kind:?}: {source}")]
     Figure {
         /// Kind of device.
         kind: &'static str,
-        /// Which, and its range.
+        /// The parameter and its range.
         source: HandConfigError,
     },
 }
 
-/// Why a device that was named could not be made.
+/// Why a specified device could not be built.
 #[derive(Debug, Error)]
 pub enum BuildError {
     /// The recording could not be read.
@@ -172,7 +172,7 @@ pub enum BuildError {
         /// What is wrong.
         source: TrajectoryError,
     },
-    /// A figure of the virtual hand is out of range.
+    /// A parameter of the virtual hand is out of range.
     #[error(transparent)]
     Figure(#[from] HandConfigError),
 }
@@ -186,7 +186,7 @@ impl DeviceSpec {
         }
     }
 
-    /// Makes the device; reads its file.
+    /// Builds the device; reads its file.
     ///
     /// # Errors
     /// [`BuildError`] names the file and the place in it.
@@ -301,7 +301,7 @@ fn file_and_rest<'a>(kind: &'static str, rest: &'a str) -> Result<(PathBuf, &'a 
     if file.is_empty() { Err(SpecError::MissingFile { kind }) } else { Ok((PathBuf::from(file), rest)) }
 }
 
-/// Sets one figure of a virtual hand.
+/// Sets one parameter of a virtual hand.
 fn set_figure(config: &mut VirtualHandConfig, pair: &Pair<'_>) -> Result<(), SpecError> {
     let start = &mut config.start_in_device.translation.vector;
     match pair.key {
@@ -352,7 +352,7 @@ fn parse_virtual(rest: &str) -> Result<DeviceSpec, SpecError> {
     Ok(DeviceSpec::Virtual(checked(kind, config)?))
 }
 
-/// The virtual hand on which force acts: from `force=` and the keys of the virtual hand beside it.
+/// The virtual hand on which force acts: from `force=` and the virtual hand's keys.
 fn force_of(kind: &'static str, pairs: &[Pair<'_>]) -> Result<Option<VirtualHandConfig>, SpecError> {
     let force = match pairs.iter().find(|pair| pair.key == "force") {
         Some(pair) => pair.switch()?,

@@ -1,4 +1,4 @@
-//! Hand motion over time: what replay hands play.
+//! Trajectories: hand motion over time, played by replay hands.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use thiserror::Error;
 use crate::device::DeviceState;
 use crate::link::DeviceSample;
 
-/// What a hand was doing at one instant.
+/// State of a hand at one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrajectoryPoint {
     /// Session time \[ns\].
@@ -17,14 +17,13 @@ pub struct TrajectoryPoint {
 }
 
 impl From<&DeviceSample> for TrajectoryPoint {
-    /// The state under the time at which the driver published it, so that a replay gives each of the driver's
-    /// steps what it got.
+    /// The state at the time at which the driver published it, so that a replay gives each driver step the same state.
     fn from(sample: &DeviceSample) -> Self {
         Self { time_ns: sample.published_at_ns, state: sample.state }
     }
 }
 
-/// Why points are no trajectory.
+/// Why points do not form a trajectory.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TrajectoryError {
     /// There is no point.
@@ -33,7 +32,7 @@ pub enum TrajectoryError {
     /// Time does not increase.
     #[error("point {index} of the trajectory: time {time_ns} ns is not after {previous_ns} ns")]
     TimeNotIncreasing {
-        /// Which point, from 0.
+        /// Index of the point, from 0.
         index: usize,
         /// Its time \[ns\].
         time_ns: u64,
@@ -43,15 +42,15 @@ pub enum TrajectoryError {
     /// A number that is NaN or infinite, or a rotation that is not of unit length.
     #[error("point {index} of the trajectory holds a NaN, an infinity or an unnormalised rotation")]
     Invalid {
-        /// Which point, from 0.
+        /// Index of the point, from 0.
         index: usize,
     },
 }
 
-/// Where a foreign recording lies in a device's frame: shifted by its centre, scaled, then posed.
+/// Registration of a foreign recording to a device's frame: shifted by its centre, scaled, then posed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Registration {
-    /// Point of the source \[m\] that comes to lie on the origin of `device_from_source`.
+    /// Point of the source \[m\] that maps to the origin of `device_from_source`.
     pub centre_in_source: Vector3<f64>,
     /// Scale of lengths; rotations are not scaled.
     pub scale: f64,
@@ -66,7 +65,7 @@ impl Default for Registration {
 }
 
 impl Registration {
-    /// The state of the source as seen in the device's frame.
+    /// Transforms a state of the source to the device's frame.
     pub fn apply(&self, state: &DeviceState) -> DeviceState {
         let pose = &state.pose_in_device;
         let rotation = self.device_from_source.rotation;
@@ -90,7 +89,7 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Points with the velocities that they state, such as our own recordings.
+    /// A trajectory with the given velocities, such as of our own recordings.
     ///
     /// # Errors
     /// [`TrajectoryError`] names the point.
@@ -117,7 +116,7 @@ impl Trajectory {
         Ok(Self { points })
     }
 
-    /// Points whose velocities follow from their poses: central differences, one-sided at the ends.
+    /// A trajectory with velocities computed from the poses by central differences, one-sided at the ends.
     ///
     /// # Errors
     /// As [`Trajectory::new`]; the velocities of the points given do not matter.
@@ -166,7 +165,7 @@ impl Trajectory {
         self.points.iter().map(|point| point.state.pose_in_device.translation.vector / count).sum()
     }
 
-    /// The same motion as registered in a device's frame.
+    /// The same motion, registered to a device's frame.
     ///
     /// # Errors
     /// [`TrajectoryError::Invalid`] when the registration leads to numbers that are not finite.
@@ -203,7 +202,7 @@ fn at_rest(state: &DeviceState) -> DeviceState {
 
 fn interpolate(from: &DeviceState, to: &DeviceState, share: f64) -> DeviceState {
     let (start, end) = (&from.pose_in_device, &to.pose_in_device);
-    // Exactly half a turn apart there is no shortest way; either end will do.
+    // Rotations exactly half a turn apart have no shortest path; either end is valid.
     let rotation: UnitQuaternion<f64> = start
         .rotation
         .try_slerp(&end.rotation, share, 1e-9)
@@ -261,7 +260,7 @@ mod tests {
     fn exact_times_give_the_recorded_bits() {
         let mut points = vec![point(10, 0.1, 0.3), point(20, 0.2, 0.4), point(30, 0.7, 0.1)];
         points[1].state.linear_velocity = Vector3::new(0.1 + 0.2, -0.0, 1e-300);
-        // Within tolerance, but not what a renormalisation would give.
+        // Within tolerance, but not exactly normalised.
         points[1].state.pose_in_device.rotation =
             UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(1.0 + 1e-9, 0.0, 0.0, 0.0));
         let trajectory = Trajectory::new(points.clone()).unwrap();

@@ -1,19 +1,19 @@
-//! A device without hardware: the dynamics of a handle and of the human who holds it.
+//! Virtual hand: a device without hardware, simulating the handle and the human arm that holds it.
 //!
-//! The handle of apparent mass `m_d` is gripped rigidly by an arm of impedance (`m_a`, `b_a`, `k_a`) that pulls
-//! it towards the point at which the human aims (the equilibrium-point picture of posture: Flash, "The control
-//! of hand equilibrium trajectories in multi-joint arm movements", 1987):
+//! The handle of apparent mass `m_d` is gripped rigidly by an arm of impedance (`m_a`, `b_a`, `k_a`) that pulls it
+//! towards the human's target point (equilibrium-point model of posture: Flash, "The control of hand equilibrium
+//! trajectories in multi-joint arm movements", 1987):
 //!
 //! ```text
 //! (m_d + m_a) ẍ + (b_d + b_a) ẋ + k_a (x − x_aim) = F_motors + F_push + F_friction + F_stops
 //! ```
 //!
-//! The linear part is integrated exactly per sub-step of at most 0.25 ms under a force that is held
-//! ([`Oscillator`]), so that it is stable for every stiffness; Coulomb friction is semi-implicit (the force,
-//! bounded by the friction cone, that brings the velocity at the end of the sub-step closest to zero), so that a
-//! hand at rest sticks without creeping; the soft stops at the workspace's walls are explicit. The orientation
-//! follows the aim as a critically damped second-order system (semi-implicit Euler), the gripper as a
-//! first-order one. Additions, multiplications and square roots only: the same bits on every machine.
+//! The linear part is integrated exactly per sub-step of at most 0.25 ms under a held force ([`Oscillator`]), so that
+//! it is stable for every stiffness; Coulomb friction is semi-implicit (the force, bounded by the friction cone, that
+//! brings the velocity at the end of the sub-step closest to zero), so that a hand at rest sticks without creeping; the
+//! soft stops at the workspace's walls are explicit. The orientation follows the target as a critically damped
+//! second-order system (semi-implicit Euler), the gripper as a first-order one. Uses only additions, multiplications
+//! and square roots: bit-identical on every machine.
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 
@@ -23,12 +23,12 @@ use crate::oscillator::{Oscillator, Transition};
 
 /// Longest sub-step \[ns\].
 const SUBSTEP_MAX_NS: u64 = 250_000;
-/// Longest time that is caught up with when the hand was not stepped \[ns\]; what is older is skipped.
+/// Longest time simulated after a pause in stepping \[ns\]; earlier time is skipped.
 const CATCH_UP_MAX_NS: u64 = 100_000_000;
 /// Rotational inertia of the handle [kg·m²]: a stylus of 45 g and 15 cm about its middle.
 const HANDLE_INERTIA: f64 = 8.4e-5;
 
-/// A handle and the human who holds it, moved by aim and by force.
+/// A handle held by a human arm, moved by the target and by force.
 #[derive(Clone, Debug)]
 pub struct VirtualHand {
     config: VirtualHandConfig,
@@ -50,10 +50,10 @@ pub struct VirtualHand {
 }
 
 impl VirtualHand {
-    /// A hand at rest at its start, aiming at where it is.
+    /// A hand at rest at its start pose, which is also its target.
     ///
     /// # Errors
-    /// Names a figure that is out of range.
+    /// Names a parameter that is out of range.
     pub fn new(config: VirtualHandConfig) -> Result<Self, HandConfigError> {
         config.check()?;
         let oscillator = config.oscillator();
@@ -80,25 +80,24 @@ impl VirtualHand {
         Ok(hand)
     }
 
-    /// The figures of this hand.
+    /// The parameters of this hand.
     pub fn config(&self) -> &VirtualHandConfig {
         &self.config
     }
 
-    /// Lets the arm take or leave the handle.
+    /// Sets whether the arm holds the handle.
     pub fn set_impedance(&mut self, impedance: bool) {
         self.config.impedance = impedance;
         self.oscillator = self.config.oscillator();
         self.transition = self.oscillator.transition(self.transition_secs);
     }
 
-    /// Lets the human push with another constant force \[N\], in the device's frame. One that is not finite counts as
-    /// none.
+    /// Sets the human's constant force \[N\], in the device's frame. A non-finite one counts as zero.
     pub fn set_push(&mut self, push: Vector3<f64>) {
         self.config.push = if crate::device::is_finite(&push) { push } else { Vector3::zeros() };
     }
 
-    /// Puts the hand somewhere, at rest and aiming there; for the start of a replay.
+    /// Places the hand at rest at a target; for the start of a replay.
     pub(crate) fn place(&mut self, at: &HandIntent) {
         self.aim = *at;
         self.position = at.pose_in_device.translation.vector;
@@ -142,7 +141,7 @@ impl VirtualHand {
         for axis in 0..3 {
             unhindered[axis] = self.transition.apply(offset[axis], self.velocity[axis], force[axis] / mass).1;
         }
-        // The friction that would stop the hand within this sub-step, as far as the friction cone reaches.
+        // The friction that would stop the hand within this sub-step, limited to the friction cone.
         let stopping = -unhindered * (mass / gain);
         let needed = stopping.norm();
         let friction =

@@ -1,4 +1,5 @@
-//! Who may write what: declared by a controller, checked at the start and at every batch.
+//! Access control: the rows that each controller may write, declared by it and checked at the start and for every
+//! batch.
 
 use std::borrow::Cow;
 
@@ -8,7 +9,7 @@ use crate::component::Component;
 use crate::entity::Entity;
 use crate::registry::{ComponentId, Registry, RegistryError};
 
-/// Which entities' rows a declaration is about.
+/// Entities covered by a declaration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum EntitySet {
     /// Every entity.
@@ -19,14 +20,14 @@ pub enum EntitySet {
     Of(Vec<Entity>),
 }
 
-/// What a controller reads and writes; checked by the Model, drawn by `trocar graph`.
+/// Declared access of a controller; checked by the Model, drawn by `trocar graph`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Access {
     /// Components it reads, by NAME.
     pub reads: Vec<&'static str>,
     /// Components it writes, by NAME, and on which entities.
     pub writes: Vec<(&'static str, EntitySet)>,
-    /// Components of which it contributes one on its own entity.
+    /// Components that it contributes on its own entity.
     pub contributes: Vec<&'static str>,
     /// Whether it creates entities; it may put any declared component on them, and despawn them.
     pub spawns: bool,
@@ -83,7 +84,7 @@ pub struct AccessOverlap {
     pub entities: String,
 }
 
-/// An [`Access`] made quick to check.
+/// An [`Access`] compiled for fast checks.
 #[derive(Clone, Debug)]
 pub struct WriterRules {
     me: Entity,
@@ -123,8 +124,8 @@ impl WriterRules {
         Ok(Self { contributes, writes, spawns: access.spawns, ..Self::none(me) })
     }
 
-    /// May write every component of every entity, create entities, and remove those that it has created: for
-    /// somebody outside who steers a session. It claims no rows, so it overlaps with nobody.
+    /// May write every component of every entity, create entities, and remove those that it has created: for an
+    /// operator outside the session. It claims no rows, so it conflicts with no writer.
     pub fn unrestricted(me: Entity) -> Self {
         Self { spawns: true, unrestricted: true, ..Self::none(me) }
     }
@@ -158,7 +159,7 @@ impl WriterRules {
     pub fn owns(&self, entity: Entity) -> bool {
         entity.station() == self.me.station() && entity.spawner() == self.me.spawner() && entity != self.me
     }
-    /// Lets somebody who may write everything also write on another writer's own entity.
+    /// Lets an unrestricted writer also write on another writer's own entity.
     pub fn acquaint(&mut self, writer: Entity) {
         if let Err(at) = self.known.binary_search(&writer)
             && self.unrestricted
@@ -166,7 +167,7 @@ impl WriterRules {
             self.known.insert(at, writer);
         }
     }
-    /// Whether this is its own entity, or one of the writers' with which it was acquainted.
+    /// Whether this is its own entity, or a writer's entity added by [`Self::acquaint`].
     pub fn knows(&self, entity: Entity) -> bool {
         entity == self.me || self.known.binary_search(&entity).is_ok()
     }
@@ -194,19 +195,19 @@ impl WriterRules {
             EntitySet::Of(list) => list.binary_search(&entity).is_ok(),
         })
     }
-    /// Lets it write a row that another writer handed over.
+    /// Lets it write a row that another writer transferred.
     pub fn grant(&mut self, component: ComponentId, entity: Entity) {
         self.revoked.retain(|row| *row != (component, entity));
         if !self.granted.contains(&(component, entity)) {
             self.granted.push((component, entity));
         }
     }
-    /// Forgets what was handed over of an entity that is gone.
+    /// Drops transfers of rows of a removed entity.
     pub fn forget(&mut self, entity: Entity) {
         self.granted.retain(|(_, of)| *of != entity);
         self.revoked.retain(|(_, of)| *of != entity);
     }
-    /// Takes the right to a row away.
+    /// Revokes the right to a row.
     pub fn revoke(&mut self, component: ComponentId, entity: Entity) {
         self.granted.retain(|row| *row != (component, entity));
         if !self.revoked.contains(&(component, entity)) {

@@ -1,13 +1,13 @@
-//! Columns: the rows of one component, in chunks that snapshots share until one of them changes.
+//! Columns: the rows of one component, in chunks shared between snapshots by copy-on-write.
 //!
-//! Two-level copy-on-write: pages of 64 chunks, chunks of 64 rows. A publication copies what changed, not what
-//! exists. Each row carries the revision in which it changed, each chunk and page the largest below it, so
-//! that [`Column::iter_changed`] skips what is old.
+//! Two-level copy-on-write: pages of 64 chunks, chunks of 64 rows. A publication copies only changed chunks. Each row
+//! stores the revision of its last change, each chunk and page the maximum below it, so that [`Column::iter_changed`]
+//! skips unchanged parts.
 //!
-//! Entities of one spawner are numbered densely, so a row is found by shifts; but numbers may come from a file,
-//! so nothing is reserved for those that are not there: pages are sorted by number, and below them a node keeps
-//! a bitmap of its 64 places and only the filled ones (Bagwell, "Ideal Hash Trees", 2001). Memory is
-//! proportional to the number of rows, whatever their entities are called.
+//! Entities of one spawner are numbered densely, so a row is found by shifts; but numbers may come from a file, so no
+//! memory is reserved for absent ones: pages are sorted by number, and below them a node keeps a bitmap of its 64
+//! places and only the filled ones (Bagwell, "Ideal Hash Trees", 2001). Memory is proportional to the number of rows,
+//! for any numbering of entities.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -19,18 +19,18 @@ use crate::time::Revision;
 const BITS: u32 = 6;
 const MASK: u64 = (1 << BITS) - 1;
 
-/// Most pages (4,096 neighbouring numbers of one spawner each) of a column: a bound on what sharing a column
-/// costs. Densely numbered, they hold 67 million entities.
+/// Most pages (4,096 neighbouring numbers of one spawner each) of a column: a bound on the cost of sharing a column.
+/// Densely numbered, they hold 67 million entities.
 pub(crate) const PAGES_MAX: usize = 1 << 14;
 
 /// [`Sparse::start`] of a node with holes between its filled places.
 const HOLES: u32 = u32::MAX;
 
-/// Up to 64 places of which only the filled ones take room.
+/// Up to 64 places of which only the filled ones use memory.
 #[derive(Clone)]
 struct Sparse<S> {
     filled: u64,
-    /// The first filled place when no hole follows it, which is the rule; otherwise [`HOLES`]. Subtracting it is
+    /// The first filled place if no hole follows it, which is the usual case; otherwise [`HOLES`]. Subtracting it is
     /// faster than counting bits.
     start: u32,
     slots: Vec<S>,
@@ -145,8 +145,8 @@ fn places(entity: Entity) -> (u32, u32) {
 impl<T: Clone> Column<T> {
     #[inline]
     fn find(&self, page: u64) -> Result<usize, usize> {
-        // A scene has a page or two per writer. For so few, comparing with all of them is faster than a search,
-        // whose branches nobody can predict.
+        // A scene has a page or two per writer. For so few, comparing with all of them is faster than a binary search
+        // with its unpredictable branches.
         const FEW: usize = 8;
         let at = if self.pages.len() <= FEW {
             self.pages.iter().map(|(number, _)| usize::from(*number < page)).sum()
@@ -192,8 +192,8 @@ impl<T: Clone> Column<T> {
         self.latest
     }
 
-    /// Whether rows of these entities fit beside those that are there. Entities in a row of one page count once;
-    /// in another order the answer may be no although there is room.
+    /// Whether rows of these entities fit in addition to the existing ones. Consecutive entities of one page count
+    /// once; in another order the result may be false although there is room.
     pub(crate) fn has_room(&self, entities: impl Iterator<Item = Entity>) -> bool {
         let (mut pages, mut last) = (self.pages.len(), None);
         for page in entities.map(page_of) {
@@ -264,7 +264,7 @@ impl<T: Clone> Column<T> {
         }
     }
 
-    /// Takes the entity's value away; says whether there was one.
+    /// Removes the entity's value; returns whether there was one.
     pub fn remove(&mut self, entity: Entity, revision: Revision) -> bool {
         if self.row(entity).is_none() {
             return false;
@@ -275,7 +275,7 @@ impl<T: Clone> Column<T> {
         let Some(chunk) = page.chunks.get_mut(c) else { return false };
         let chunk = Arc::make_mut(chunk);
         chunk.rows.remove(r);
-        // Empty chunks and pages go, so that a long session does not keep what it despawned.
+        // Empty chunks and pages are freed, so that a long session does not keep memory of despawned entities.
         if chunk.rows.is_empty() {
             page.chunks.remove(c);
         }
@@ -288,7 +288,7 @@ impl<T: Clone> Column<T> {
     }
 }
 
-/// A column whose row type is not known here.
+/// A type-erased column.
 pub trait ErasedColumn: Send + Sync {
     /// For downcasting to [`Column`].
     fn as_any(&self) -> &dyn Any;
@@ -306,9 +306,9 @@ pub trait ErasedColumn: Send + Sync {
     fn latest(&self) -> Revision;
     /// The revision of one row.
     fn revision(&self, entity: Entity) -> Option<Revision>;
-    /// Whether rows of these entities, in order, fit beside those that are there.
+    /// Whether rows of these entities, in order, fit in addition to the existing ones.
     fn has_room(&self, entities: &mut dyn Iterator<Item = Entity>) -> bool;
-    /// Takes a row away.
+    /// Removes a row.
     fn remove(&mut self, entity: Entity, revision: Revision) -> bool;
     /// Visits the entities that have a row, in order.
     fn for_each_entity(&self, visit: &mut dyn FnMut(Entity));
@@ -367,7 +367,7 @@ pub(crate) fn encode<T: serde::Serialize>(value: &T, out: &mut Vec<u8>) -> Resul
         .map_err(|error| ComponentError::Malformed(error.to_string()))
 }
 
-/// Decodes a postcard value from the front of some bytes and gives the rest.
+/// Decodes a postcard value from the front of some bytes and returns the rest.
 pub(crate) fn take<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
     postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
 }

@@ -19,12 +19,12 @@ use crate::time::{Revision, SimTime};
 #[serde(transparent)]
 pub struct WriterId(pub u16);
 
-/// Where a batch comes from.
+/// Provenance of a batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
-    /// Who wrote it.
+    /// Its writer.
     pub writer: WriterId,
-    /// Which life of the writer; older ones are fenced off.
+    /// Epoch of the writer's life; older ones are fenced.
     pub epoch: u32,
     /// Number of the writer's tick.
     pub tick: u64,
@@ -34,29 +34,29 @@ pub struct Provenance {
     pub based_on: Revision,
 }
 
-/// "This row has not changed since": part of a batch that must hold or the batch is a conflict.
+/// Precondition "this row has not changed since": if it does not hold, the batch is a conflict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Condition {
     /// Component of the row.
     pub component: ComponentId,
     /// Entity of the row.
     pub entity: Entity,
-    /// Latest revision that is still fine.
+    /// Latest acceptable revision.
     pub unchanged_since: Revision,
 }
 
-/// Handing over who may write a row.
+/// Transfer of the write access to a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transfer {
     /// Component of the row.
     pub component: ComponentId,
     /// Entity of the row.
     pub entity: Entity,
-    /// Who may write it from the next batch on.
+    /// The writer that owns it from the next batch on.
     pub to: WriterId,
 }
 
-/// A command that is wrong in itself; the batch it stands in is refused as a whole.
+/// An invalid command; the whole batch is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CommandError {
     /// A type that no registry entry knows.
@@ -75,7 +75,7 @@ pub enum CommandError {
     /// An event with a number that is not finite.
     #[error("event '{0}': value is not finite")]
     Event(Cow<'static, str>),
-    /// 2³² entities of one writer.
+    /// The writer has used all 2³² entities.
     #[error("the writer has used up its entities")]
     NoMoreEntities,
     /// Too many entities at once, or scattered too widely.
@@ -121,7 +121,7 @@ impl Commands {
         }
     }
 
-    /// Empty buffers of the same writer: entities that are spawned through either are counted in one.
+    /// Empty buffers of the same writer: both share one entity allocator.
     #[must_use]
     pub fn another(&self) -> Self {
         Self::new(self.registry.clone(), self.allocator.clone())
@@ -137,7 +137,7 @@ impl Commands {
         self.now = now;
     }
 
-    /// Sets a component of an entity. Of two puts of one row in a batch the later one counts.
+    /// Sets a component of an entity. Of two puts of one row in a batch the later one wins.
     pub fn put<T: Component>(&mut self, entity: Entity, value: T) {
         let Some(id) = self.registry.id::<T>() else {
             self.error.get_or_insert(CommandError::Unregistered(T::NAME));
@@ -156,8 +156,7 @@ impl Commands {
         }
     }
 
-    /// Sets this writer's contribution to a list that several writers fill; the Model removes it when the
-    /// writer dies.
+    /// Sets this writer's contribution to a shared list; the Model removes it when the writer dies.
     pub fn contribute<T: Component>(&mut self, value: T) {
         if let Some(count) = value.listed() {
             self.listed = Some(self.listed.unwrap_or(0) + count);
@@ -165,12 +164,12 @@ impl Commands {
         self.put(self.allocator.me(), value);
     }
 
-    /// How many things the contributions of this tick list; `None` where it contributes no list anew.
+    /// Number of entries in this tick's contributions; `None` if it sets no contribution.
     pub fn listed(&self) -> Option<u64> {
         self.listed
     }
 
-    /// Takes a component away from an entity.
+    /// Removes a component from an entity.
     pub fn remove<T: Component>(&mut self, entity: Entity) {
         match self.registry.id::<T>() {
             Some(id) => self.removes.push((id, entity)),
@@ -180,7 +179,7 @@ impl Commands {
         }
     }
 
-    /// Creates an entity. Its name is known at once; the Model is not asked.
+    /// Creates an entity. Its id is known at once, without asking the Model.
     pub fn spawn(&mut self) -> Entity {
         match self.allocator.allocate() {
             Some(entity) => {
@@ -199,7 +198,7 @@ impl Commands {
         self.despawns.push(entity);
     }
 
-    /// Reports that something happened.
+    /// Emits an event.
     pub fn event(
         &mut self,
         name: impl Into<Cow<'static, str>>,
@@ -227,7 +226,7 @@ impl Commands {
         }
     }
 
-    /// Hands the right to write a row over to another writer.
+    /// Transfers the write access to a row to another writer.
     pub fn transfer<T: Component>(&mut self, entity: Entity, to: WriterId) {
         match self.registry.id::<T>() {
             Some(component) => self.transfers.push(Transfer { component, entity, to }),
@@ -237,7 +236,7 @@ impl Commands {
         }
     }
 
-    /// Whether nothing was commanded.
+    /// Whether there are no commands.
     pub fn is_empty(&self) -> bool {
         self.touched.is_empty()
             && self.removes.is_empty()
@@ -258,7 +257,7 @@ impl Commands {
             + self.transfers.len()
     }
 
-    /// Empties the buffers and keeps their room.
+    /// Empties the buffers and keeps their capacity.
     pub fn clear(&mut self) {
         for id in self.touched.drain(..) {
             if let Some(puts) = &mut self.puts[usize::from(id.0)] {
@@ -290,7 +289,7 @@ impl Commands {
         self.despawns.dedup();
     }
 
-    /// The first wrong command, if there is one.
+    /// The first invalid command, if there is one.
     pub fn error(&self) -> Option<&CommandError> {
         self.error.as_ref()
     }
@@ -305,7 +304,7 @@ impl Commands {
             }
         }
     }
-    /// Rows to take away.
+    /// Rows to remove.
     pub fn removes(&self) -> &[(ComponentId, Entity)] {
         &self.removes
     }
@@ -317,15 +316,15 @@ impl Commands {
     pub fn despawns(&self) -> &[Entity] {
         &self.despawns
     }
-    /// What happened.
+    /// Events of the tick.
     pub fn events(&self) -> &[Event] {
         &self.events
     }
-    /// What must hold.
+    /// Preconditions of the batch.
     pub fn conditions(&self) -> &[Condition] {
         &self.conditions
     }
-    /// Rights handed over.
+    /// Transfers of write access.
     pub fn transfers(&self) -> &[Transfer] {
         &self.transfers
     }
@@ -363,7 +362,7 @@ impl Commands {
     }
 
     /// Adds what [`Commands::encode`] wrote, and returns the bytes after it. What is added is proportional to the
-    /// number of bytes read; whether a scene has room for the rows, [`crate::Store::check_room`] says.
+    /// number of bytes read; [`crate::Store::check_room`] checks whether a scene has room for the rows.
     ///
     /// # Errors
     /// When the bytes are malformed, name an unknown component, or hold a refused value.
@@ -405,7 +404,7 @@ impl Commands {
     }
 }
 
-/// The commands of one tick with their provenance; applied as a whole or not at all.
+/// The commands of one tick with their provenance; applied atomically.
 pub struct Batch {
     /// Where it comes from.
     pub provenance: Provenance,
@@ -431,7 +430,7 @@ impl<T> Puts<T> {
     }
 }
 
-/// Puts whose type is not known here.
+/// Type-erased puts.
 pub trait ErasedPuts: Send {
     /// For downcasting to [`Puts`].
     fn as_any(&self) -> &dyn Any;
@@ -443,9 +442,9 @@ pub trait ErasedPuts: Send {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
-    /// Forgets the rows.
+    /// Clears the rows.
     fn clear(&mut self);
-    /// Entity order, one row each, the later one winning.
+    /// Sorts by entity and keeps the last put of each row.
     fn seal(&mut self);
     /// The entity of row `index`.
     fn entity(&self, index: usize) -> Entity;
@@ -481,7 +480,7 @@ impl<T: Component> ErasedPuts for Puts<T> {
             return;
         }
         self.rows.sort_by_key(|(entity, _)| *entity);
-        // Stable order: of equal entities the later put is the last one; keep that.
+        // The sort is stable: of equal entities keep the last, which is the later put.
         self.rows.reverse();
         self.rows.dedup_by_key(|(entity, _)| *entity);
         self.rows.reverse();

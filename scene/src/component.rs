@@ -1,4 +1,4 @@
-//! What can be stored in a column: any plain serialisable type with a stable name.
+//! Components: plain serialisable types with a stable name, stored in columns.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -12,39 +12,40 @@ use crate::soft_body::SoftAbilities;
 pub enum RecordPolicy {
     /// Every change is recorded.
     Full,
-    /// Derived from recorded state: left out, and left out of the state hash.
+    /// Derived from recorded state: neither recorded nor part of the state hash.
     Derived,
 }
 
-/// A kind of data that entities can have.
+/// A type of data attached to entities.
 ///
-/// Implement it for your own types (the paper's "specialise a class of the Model"); no other crate has to
-/// know. Big payloads belong in an `Arc`, so that copying a chunk of rows stays cheap.
+/// Implement it for your own types (the paper's "specialise a class of the Model"); no other crate needs a change. Big
+/// payloads belong in an `Arc`, so that copying a chunk of rows stays cheap.
 pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'static {
     /// Stable name in files, hashes and messages: lower case with underscores.
     const NAME: &'static str;
     /// Whether changes are recorded.
     const RECORD: RecordPolicy = RecordPolicy::Full;
-    /// What a soft body can do that carries it, if it is the component by which a method moves bodies.
+    /// Abilities of a soft body that carries it, if it is the component of a soft-body method.
     const SOFT_BODY: Option<SoftAbilities> = None;
-    /// The names of bodies of other controllers to which a body that carries it gives impulses, if it is what says so.
+    /// For components that declare couplings: names of the bodies of other controllers to which its body gives
+    /// impulses.
     const PARTNERS: Option<fn(&Self) -> Vec<&str>> = None;
 
-    /// Refuses values that must never reach a snapshot. The default walks the value and refuses numbers
-    /// that are not finite; an override should call [`finite::check`] as well.
+    /// Refuses values that must never reach a snapshot. The default refuses non-finite numbers; an override should call
+    /// [`finite::check`] as well.
     ///
     /// # Errors
-    /// Says which field is wrong.
+    /// Names the invalid field.
     fn check(&self) -> Result<(), ComponentError> {
         finite::check(self)
     }
 
-    /// How many things it lists, where it is a list that several writers fill: each writer's report tells it.
+    /// Number of entries, for a shared list; shown in each writer's report.
     fn listed(&self) -> Option<u64> {
         None
     }
 
-    /// JSON schema of the value as it stands in a scenario file, if it may stand there.
+    /// JSON schema of the value in a scenario file, if it is allowed there.
     fn schema() -> Option<serde_json::Value> {
         None
     }
@@ -65,7 +66,7 @@ pub enum ComponentError {
         /// Length of the quaternion.
         norm: f64,
     },
-    /// Outside of what the field allows.
+    /// Outside the field's range.
     #[error("{field}: {value} is out of range ({valid})")]
     OutOfRange {
         /// The field.

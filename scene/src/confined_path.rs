@@ -1,9 +1,9 @@
-//! Paths in files stay below the folder of the file they stand in.
+//! Confined paths: paths in a file must stay below that file's folder.
 
 use std::path::{Component, Path, PathBuf};
 
-/// `folder/relative`, if that stays below `folder` as written and, where the file exists, also after links have
-/// been followed.
+/// `folder/relative`, if that stays below `folder` as written and, where the file exists, also after symbolic links are
+/// resolved.
 ///
 /// # Errors
 /// The reason, without the path.
@@ -22,7 +22,7 @@ pub fn below(folder: &Path, relative: &str) -> Result<PathBuf, &'static str> {
         }
     }
     let joined = folder.join(relative);
-    // A file that does not exist is reported by whoever opens it.
+    // A missing file is reported when it is opened.
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     if let (Ok(folder), Ok(file)) = (folder.canonicalize(), joined.canonicalize())
         && !file.starts_with(&folder)

@@ -1,4 +1,4 @@
-//! The hot spot: what a behaviour must implement to act on the scene.
+//! Controllers: the trait of all behaviours that act on the scene.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -13,15 +13,15 @@ use crate::event::Events;
 use crate::snapshot::Snapshot;
 use crate::time::SimTime;
 
-/// A behaviour: reads a snapshot, writes commands, at a rate of its own.
+/// A behaviour that reads a snapshot and writes commands, at its own rate.
 ///
-/// Everything needed to resume must be in the scene: after a failure a new one is built from the latest
-/// snapshot and continues where the old one stood.
+/// All state needed to resume must be in the scene: after a failure a new controller is built from the latest snapshot
+/// and continues there.
 pub trait Controller: Send + 'static {
-    /// What it reads and writes; asked once after construction.
+    /// Its read and write access; called once after construction.
     fn access(&self) -> Access;
 
-    /// One step. Must not block; whatever it commands is applied as a whole or not at all.
+    /// One step. Must not block; its commands are applied atomically.
     ///
     /// # Errors
     /// An error ends this life of the controller; the supervisor decides about the next one.
@@ -34,15 +34,15 @@ pub struct Tick<'a> {
     pub time: SimTime,
     /// Time between two steps.
     pub period: SimTime,
-    /// Number of the step; skipped ones count.
+    /// Number of the step; skipped steps count.
     pub number: u64,
     /// The controller's own entity.
     pub me: Entity,
-    /// Which life of the controller this is.
+    /// The controller's epoch (number of its life).
     pub epoch: u32,
-    /// What happened since its last step.
+    /// Events since its last step.
     pub events: Events<'a>,
-    /// Long work that runs elsewhere.
+    /// Background jobs.
     pub jobs: &'a Jobs,
 }
 
@@ -52,7 +52,7 @@ pub enum ControllerError {
     /// Something in the scene is missing or wrong.
     #[error("{0}")]
     Scene(String),
-    /// Its device is gone.
+    /// Its device is unavailable.
     #[error("device: {0}")]
     Device(String),
     /// Its computation failed.
@@ -60,33 +60,33 @@ pub enum ControllerError {
     Failed(String),
 }
 
-/// What a controller is built from, at the start and after every failure.
+/// Context for building a controller, at the start and after every failure.
 pub struct BuildContext<'a> {
     /// The latest snapshot.
     pub scene: &'a Snapshot,
-    /// Time of construction; in a session that goes on from a snapshot, that of the controller's last tick before
-    /// it, which is what its rows tell.
+    /// Time of construction; in a session resumed from a snapshot, the time of the controller's last tick before it, to
+    /// which its rows belong.
     pub time: SimTime,
     /// The controller's name.
     pub name: &'a str,
     /// Its own entity.
     pub me: Entity,
-    /// Which life this will be; the first is 1.
+    /// Epoch of the new life; the first is 1.
     pub epoch: u32,
     /// The session's seed.
     pub seed: u64,
 }
 
-/// Result of a job, to be downcast by whoever submitted it.
+/// Result of a job, to be downcast by its submitter.
 pub type JobOutput = Box<dyn Any + Send>;
 /// Work that is too long for a step.
 pub type JobWork = Box<dyn FnOnce() -> JobOutput + Send>;
 
 /// A submitted job.
 pub struct Job {
-    /// The submitter's name for it.
+    /// Key chosen by the submitter.
     pub key: u64,
-    /// In lock-step the output is delivered this long after submission, however long the work takes.
+    /// In lock-step the output is delivered this long after submission, regardless of the actual run time.
     pub takes: SimTime,
     /// The work.
     pub work: JobWork,
@@ -95,7 +95,7 @@ pub struct Job {
 /// At most this many jobs wait at once.
 pub const JOBS_MAX: usize = 16;
 
-/// A controller's long work: submitted in one step, delivered to a later one.
+/// A controller's background jobs: submitted in one step, delivered to a later one.
 #[derive(Default)]
 pub struct Jobs {
     inner: RefCell<JobState>,
@@ -108,7 +108,7 @@ struct JobState {
 }
 
 impl Jobs {
-    /// Asks for work; false when too many jobs wait already.
+    /// Submits a job; false when too many jobs are waiting.
     pub fn submit(&self, job: Job) -> bool {
         let mut inner = self.inner.borrow_mut();
         let room = inner.submitted.len() < JOBS_MAX;
@@ -127,9 +127,9 @@ impl Jobs {
     pub fn next_submitted(&self) -> Option<Job> {
         self.inner.borrow_mut().submitted.pop_front()
     }
-    /// The host delivers an output, at most [`JOBS_MAX`] between two steps. Beyond that bound the oldest one is forgotten, which
-    /// then nobody has asked for in the last step: who asks in each gets all. Of a job that panics nothing is delivered: that
-    /// ends the life of its controller, and the next one submits it anew.
+    /// The host delivers an output, at most [`JOBS_MAX`] between two steps. Beyond that bound the oldest output is
+    /// dropped, which the controller did not take in its last step: a controller that takes its outputs in each step
+    /// gets all. A job that panics delivers nothing: its controller's life ends, and the next one submits it again.
     pub fn deliver(&self, key: u64, output: JobOutput) {
         let mut inner = self.inner.borrow_mut();
         if inner.delivered.len() >= JOBS_MAX {

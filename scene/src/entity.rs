@@ -1,4 +1,4 @@
-//! Identity: a 64-bit name that its writer hands out without asking anybody.
+//! Entity ids: 64-bit numbers that each writer allocates without coordination.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -9,10 +9,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
-/// A thing in the scene: `{station: u16, spawner: u16, counter: u32}` packed into 64 bits.
+/// An entity of the scene: `{station: u16, spawner: u16, counter: u32}` packed into 64 bits.
 ///
-/// Never reused, stable across restarts of its spawner. Counter 0 names the spawner itself, so that a
-/// writer has an entity to hang its own contributions and its resume state on.
+/// Never reused, stable across restarts of its spawner. Counter 0 names the spawner itself, so that a writer has an
+/// entity for its own contributions and restart state.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Entity(u64);
 
@@ -32,7 +32,7 @@ impl Entity {
     pub const fn to_bits(self) -> u64 {
         self.0
     }
-    /// From 64 bits that [`Entity::to_bits`] gave.
+    /// From the 64 bits of [`Entity::to_bits`].
     pub const fn from_bits(bits: u64) -> Self {
         Self(bits)
     }
@@ -81,9 +81,9 @@ thread_local! {
     static NAMES: RefCell<Option<BTreeMap<String, Entity>>> = const { RefCell::new(None) };
 }
 
-/// Runs `work` while entities in human-readable input may be written by these names.
+/// Runs `work` with these names accepted for entities in human-readable input.
 ///
-/// This is how a scenario file says `instrument = "grasper.left"`.
+/// This lets a scenario file write `instrument = "grasper.left"`.
 pub fn with_entity_names<R>(names: BTreeMap<String, Entity>, work: impl FnOnce() -> R) -> R {
     struct Restore(Option<BTreeMap<String, Entity>>);
     impl Drop for Restore {
@@ -124,7 +124,7 @@ impl<'de> Deserialize<'de> for Entity {
     }
 }
 
-/// Hands out a writer's entities. The counter outlives restarts of the writer, so no name returns.
+/// Allocator of a writer's entities. The counter survives restarts of the writer, so no id is reused.
 #[derive(Clone, Debug)]
 pub struct EntityAllocator {
     station: u16,
@@ -148,7 +148,7 @@ impl EntityAllocator {
             .ok()
             .map(|counter| Entity::new(self.station, self.spawner, counter))
     }
-    /// One that goes on from the same counter and shares nothing: for a branch of a session.
+    /// An independent allocator that continues from the same counter, for a branch of a session.
     #[must_use]
     pub fn fork(&self) -> Self {
         let next = AtomicU32::new(self.next.load(Ordering::Relaxed));

@@ -1,4 +1,4 @@
-//! Events: what happened, in a bounded log with a cursor per reader.
+//! Events, in a bounded log with a cursor per reader.
 
 use std::borrow::Cow;
 use std::collections::VecDeque;
@@ -9,16 +9,16 @@ use serde::{Deserialize, Serialize};
 use crate::entity::Entity;
 use crate::time::SimTime;
 
-/// Something that happened at an instant, such as a button press or a drop.
+/// An instantaneous event, such as a button press or a drop.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Event {
     /// Name, such as `button_pressed`; a literal costs no allocation.
     pub name: Cow<'static, str>,
-    /// What it is about.
+    /// Its subject.
     pub subject: Entity,
-    /// What else took part.
+    /// The other entity involved.
     pub object: Option<Entity>,
-    /// A number that goes with it.
+    /// An attached number.
     pub value: f64,
     /// When.
     pub at: SimTime,
@@ -27,7 +27,7 @@ pub struct Event {
 const CHUNK: usize = 64;
 const CHUNKS: usize = 64;
 
-/// The last 4,096 events or so, numbered without gaps.
+/// About the last 4,096 events, numbered without gaps.
 #[derive(Clone, Default)]
 pub struct EventLog {
     first: u64,
@@ -40,7 +40,7 @@ impl EventLog {
     pub fn next(&self) -> u64 {
         self.next
     }
-    /// The number of the oldest event that is still here.
+    /// The number of the oldest stored event.
     pub fn first(&self) -> u64 {
         self.first
     }
@@ -50,7 +50,7 @@ impl EventLog {
         events.into_iter().for_each(|event| log.push(event));
         log
     }
-    /// Appends an event and forgets the oldest chunk when full.
+    /// Appends an event and drops the oldest chunk when full.
     pub fn push(&mut self, event: Event) {
         let full = self.chunks.back().is_none_or(|chunk| chunk.len() == CHUNK);
         if full {
@@ -70,7 +70,7 @@ impl EventLog {
     pub fn since(&self, cursor: u64) -> impl Iterator<Item = (u64, &Event)> {
         let skip = cursor.max(self.first) - self.first;
         let first = self.first;
-        // Only the front chunk can be shorter in numbers than its place, and it never is: chunks fill up.
+        // Chunks are always full except the last, so an event's chunk follows from its number.
         let from_chunk = (skip as usize) / CHUNK;
         self.chunks
             .iter()
@@ -83,7 +83,7 @@ impl EventLog {
     }
 }
 
-/// What a controller sees of the log: the events since its last tick.
+/// A controller's view of the log: the events since its last tick.
 #[derive(Clone, Copy)]
 pub struct Events<'a> {
     log: &'a EventLog,
@@ -99,7 +99,7 @@ impl<'a> Events<'a> {
     pub fn iter(&self) -> impl Iterator<Item = &'a Event> + use<'a> {
         self.log.since(self.cursor).map(|(_, event)| event)
     }
-    /// How many were forgotten before this reader came.
+    /// Number of events dropped before this reader read them.
     pub fn lost(&self) -> u64 {
         self.log.first().saturating_sub(self.cursor)
     }

@@ -1,4 +1,4 @@
-//! A serialiser that looks at every number of a value and writes nothing.
+//! Finite check: a serialiser that visits every number of a value and writes nothing.
 
 use std::fmt;
 

@@ -1,9 +1,9 @@
-//! What exists in a surgical scene, and the contract of those who act on it.
+//! The surgical scene: entities, components and snapshots, and the interface of controllers.
 //!
 //! The scene is a set of [`Entity`]s with [`Component`]s in [`Column`]s. A [`Snapshot`] is the scene at one
-//! [`Revision`]: shared, complete, never changing. Whoever acts on it implements [`Controller`]: one step
-//! reads a snapshot and fills [`Commands`], which the holder of the [`Store`] validates against the
-//! controller's declared [`Access`] and applies as a whole or not at all.
+//! [`Revision`]: shared, complete, immutable. Behaviours implement [`Controller`]: one step reads a snapshot and fills
+//! [`Commands`], which the holder of the [`Store`] validates against the controller's declared [`Access`] and applies
+//! atomically.
 //!
 //! What is absent here: threads, clocks, sockets, actors, physics, rendering, unsafe code.
 #![forbid(unsafe_code)]

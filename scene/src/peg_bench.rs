@@ -1,5 +1,6 @@
-//! The bench of a peg transfer, found by what its parts are: rings are dynamic bodies with a torus shape, pegs stand
-//! on `peg_board` shapes, and each side has a hand. Who judges and who practises must mean the same ones.
+//! Peg transfer bench, recognised by its parts: rings are dynamic bodies with a torus shape, pegs are on `peg_board`
+//! shapes, and each side has a hand. The exercise and the virtual trainee share this search, so that both use the same
+//! parts.
 
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
@@ -8,19 +9,19 @@ use crate::components::{Hand, Motion, RigidBody, Shape, Side};
 use crate::entity::Entity;
 use crate::snapshot::Snapshot;
 
-/// What a bench lacks.
+/// Why a scene is not a valid bench.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum BenchError {
-    /// Nothing to transfer.
+    /// There is no ring.
     #[error("the scene has no dynamic body with a torus shape")]
     NoRing,
-    /// Rings of several sizes.
+    /// Rings have different sizes.
     #[error("ring '{0}' differs in size from the first one")]
     RingSize(String),
-    /// One board or three.
+    /// The number of boards is not two.
     #[error("the scene has {0} peg_board shapes, the exercise needs 2")]
     Boards(usize),
-    /// Nobody to do it.
+    /// A hand is missing.
     #[error("the scene has no {} hand", .0.as_str())]
     NoHand(Side),
 }
@@ -39,7 +40,7 @@ pub struct BenchRings {
 /// A peg of a board.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BenchPeg {
-    /// Which board it stands on: 0 or 1, in entity order.
+    /// Index of its board: 0 or 1, in entity order.
     pub board: usize,
     /// Its foot on the board's face, in world \[m\].
     pub foot_in_world: Point3<f64>,
@@ -95,7 +96,7 @@ pub fn find_pegs(scene: &Snapshot) -> Result<Vec<BenchPeg>, BenchError> {
     if boards == 2 { Ok(found) } else { Err(BenchError::Boards(boards)) }
 }
 
-/// The hand of a side, with what it holds.
+/// The hand of a side, with its component.
 ///
 /// # Errors
 /// When there is none.

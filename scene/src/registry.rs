@@ -1,4 +1,4 @@
-//! The registry: which components there are in a session, and how to make, decode and parse them.
+//! The registry: the components of a session, with functions to create, decode and parse them.
 
 use std::any::TypeId;
 use std::collections::{BTreeMap, HashMap};
@@ -18,7 +18,7 @@ use crate::soft_body::SoftAbilities;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ComponentId(pub u16);
 
-/// Decodes a value of a TOML document; an error keeps its place.
+/// Decodes a value of a TOML document; errors keep their position.
 type PutDocument = fn(
     &mut Commands,
     Entity,
@@ -28,10 +28,10 @@ type PutDocument = fn(
 /// Decodes a value from the front of some bytes and returns the rest.
 type PutPostcard = for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>;
 
-/// The entities that name a body as one to which they give impulses.
+/// Entities that declare a coupling to a body, to which they give impulses.
 type NamedBy = fn(&dyn ErasedColumn, &str) -> Vec<Entity>;
 
-/// What the registry knows of one component.
+/// Registry entry of one component.
 #[derive(Clone)]
 pub struct ComponentEntry {
     /// Stable name.
@@ -40,9 +40,9 @@ pub struct ComponentEntry {
     pub key: u32,
     /// Whether its changes are recorded.
     pub record: RecordPolicy,
-    /// JSON schema of the value in a scenario file, when it may stand there.
+    /// JSON schema of the value in a scenario file, if it is allowed there.
     pub schema: fn() -> Option<serde_json::Value>,
-    /// What a soft body can do that carries it.
+    /// Abilities of soft bodies that carry it.
     pub soft_body: Option<SoftAbilities>,
     named_by: Option<NamedBy>,
     type_id: TypeId,
@@ -55,7 +55,7 @@ pub struct ComponentEntry {
     put_postcard: PutPostcard,
 }
 
-/// Something wrong with a set of components.
+/// Error in a set of components.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum RegistryError {
     /// Two types claim one name.
@@ -63,9 +63,9 @@ pub enum RegistryError {
     NameTaken {
         /// The name.
         name: &'static str,
-        /// The type that had it.
+        /// The type that already has it.
         first: &'static str,
-        /// The type that wants it.
+        /// The type that also claims it.
         second: &'static str,
     },
     /// Two names share a key.
@@ -82,9 +82,9 @@ pub enum RegistryError {
     /// No such component.
     #[error("unknown component '{name}'; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The known names.
         known: String,
     },
 }
@@ -115,7 +115,7 @@ pub struct RegistryBuilder {
 }
 
 impl RegistryBuilder {
-    /// Without any component.
+    /// A builder without components.
     pub fn new() -> Self {
         Self::default()
     }
@@ -267,11 +267,11 @@ impl Registry {
     pub fn by_key(&self, key: u32) -> Option<ComponentId> {
         self.by_key.get(&key).copied()
     }
-    /// The id of a key that must be known.
+    /// The id of a key; an error if it is unknown.
     pub(crate) fn require_key(&self, key: u32) -> Result<ComponentId, ComponentError> {
         self.by_key(key).ok_or_else(|| malformed(&format!("unknown component key {key:#010x}")))
     }
-    /// What is known of a component.
+    /// Entry of a component.
     ///
     /// # Panics
     /// When the id is of another registry.
@@ -282,20 +282,20 @@ impl Registry {
     pub fn iter(&self) -> impl Iterator<Item = (ComponentId, &ComponentEntry)> {
         self.entries.iter().enumerate().map(|(id, entry)| (ComponentId(id as u16), entry))
     }
-    /// The components by which methods move soft bodies, ordered by NAME, and what such bodies can do.
+    /// Components of soft-body methods, ordered by NAME, with the abilities of their bodies.
     pub fn soft_bodies(&self) -> &[(ComponentId, SoftAbilities)] {
         &self.soft_bodies
     }
-    /// Names of those of which bodies can do something.
+    /// Names of those whose bodies have an ability.
     pub fn soft_bodies_that(&self, can: impl Fn(&SoftAbilities) -> bool) -> Vec<&'static str> {
         let those = self.soft_bodies.iter().filter(|(_, of)| can(of));
         those.map(|(id, _)| self.entry(*id).name).collect()
     }
-    /// Names of the components that name bodies to which their own gives impulses.
+    /// Names of the components that declare couplings to other bodies.
     pub fn components_with_partners(&self) -> Vec<&'static str> {
         self.entries.iter().filter(|entry| entry.named_by.is_some()).map(|entry| entry.name).collect()
     }
-    /// Which entities of a column name a body as one to which they give impulses.
+    /// Entities of a column that declare a coupling to a body.
     pub(crate) fn named_by(&self, id: ComponentId, column: &dyn ErasedColumn, name: &str) -> Vec<Entity> {
         self.entry(id).named_by.map_or_else(Vec::new, |named_by| named_by(column, name))
     }

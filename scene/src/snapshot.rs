@@ -1,4 +1,4 @@
-//! Snapshots: the scene as it was at one revision, shared and never changing.
+//! Snapshots: the scene at one revision, shared and immutable.
 
 use std::sync::Arc;
 
@@ -46,7 +46,7 @@ impl Snapshot {
     pub fn registry(&self) -> &Arc<Registry> {
         &self.registry
     }
-    /// What happened lately.
+    /// Recent events.
     pub fn events(&self) -> &EventLog {
         &self.events
     }
@@ -56,7 +56,7 @@ impl Snapshot {
         let id = self.registry.id::<T>()?;
         self.columns[usize::from(id.0)].as_any().downcast_ref()
     }
-    /// A column whose type is not known here.
+    /// A type-erased column.
     pub fn erased_column(&self, id: ComponentId) -> &dyn ErasedColumn {
         self.columns[usize::from(id.0)].as_ref()
     }
@@ -85,8 +85,8 @@ impl Snapshot {
     pub fn entities(&self) -> impl Iterator<Item = Entity> {
         self.alive.iter().map(|(entity, ())| entity)
     }
-    /// The first counter above all those that entities of this spawner have: a session that goes on from a
-    /// snapshot must not give a name out twice.
+    /// The first counter above all those that entities of this spawner have: a session that continues from a snapshot
+    /// must not reuse an id.
     pub fn first_free(&self, station: u16, spawner: u16) -> u32 {
         let own = |entity: &Entity| entity.station() == station && entity.spawner() == spawner;
         self.entities().filter(own).map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1)
@@ -112,10 +112,9 @@ impl Snapshot {
         }
         world_from_entity
     }
-    /// Puts other values into rows that are there, for eyes only: what lies between two states of a slow writer. They
-    /// count as changed after every revision that the Model has published so far; `number` becomes
-    /// [`Snapshot::retouches`], and has to be larger than that of any snapshot that was shown before. Costs what the rows
-    /// cost, not what the scene does.
+    /// Replaces values of existing rows, for display only: interpolated states of a slow writer. They count as changed
+    /// after every published revision; `number` becomes [`Snapshot::retouches`], and must be larger than that of any
+    /// snapshot shown before. The cost depends on the rows, not on the scene's size.
     pub fn retouch<T: Component>(&mut self, number: u64, rows: impl IntoIterator<Item = (Entity, T)>) {
         self.retouches = number;
         let Some(id) = self.registry.id::<T>() else { return };
@@ -133,19 +132,18 @@ impl Snapshot {
             *slot = Arc::new(column);
         }
     }
-    /// The name of the component by which a method moves a soft body, and what the body can do; `None` of what no method
-    /// moves.
+    /// Name of the component of a soft body's method, and the body's abilities; `None` for other entities.
     pub fn soft_body(&self, entity: Entity) -> Option<(&'static str, SoftAbilities)> {
         let all = self.registry.soft_bodies().iter();
         let mut carried = all.filter(|(id, _)| self.erased_column(*id).revision(entity).is_some());
         carried.next().map(|(id, of)| (self.registry.entry(*id).name, *of))
     }
-    /// Whether there is a soft body that can do something.
+    /// Whether there is a soft body with an ability.
     pub fn has_soft_body_that(&self, can: impl Fn(&SoftAbilities) -> bool) -> bool {
         let mut those = self.registry.soft_bodies().iter().filter(|(_, of)| can(of));
         those.any(|(id, _)| !self.erased_column(*id).is_empty())
     }
-    /// The entities that give impulses to the body of that name, in order.
+    /// The entities coupled to the body of that name, in order.
     pub fn partners_of(&self, name: &str) -> Vec<Entity> {
         let all = self.registry.iter();
         let mut those: Vec<Entity> =

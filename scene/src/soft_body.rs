@@ -1,25 +1,26 @@
-//! What a soft body can do, whichever method moves it.
+//! Abilities of soft bodies, independent of their method.
 //!
-//! A method of soft bodies has a component of its own, by which a scene says that a body is moved by it. That component declares
-//! [`Component::SOFT_BODY`](crate::Component::SOFT_BODY): shared code asks a body what it can do, and never which method moves it.
+//! Each soft-body method has its own component, which assigns a body to the method. That component declares
+//! [`Component::SOFT_BODY`](crate::Component::SOFT_BODY): shared code queries a body's abilities, never its method.
 
-/// What a body can do whose vertices a method moves.
+/// Abilities of a body with simulated vertices.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SoftAbilities {
-    /// Its controller responds to contacts that detectors find.
+    /// Its controller responds to detected contacts.
     pub responds_to_contacts: bool,
-    /// It may be `coupled` with others: with those of its own method it is stepped as one problem, to others it gives impulses.
+    /// It may be `coupled` with other bodies: those of its own method are solved as one system, those of other methods
+    /// get impulses.
     pub couples: bool,
     /// It takes impulses from bodies of other controllers that are coupled with it.
     pub answers_couplings: bool,
-    /// It may be `pinned` to what has been driven into it.
+    /// It may be `pinned` to a body driven into it.
     pub is_pinnable: bool,
-    /// It goes on without elements that have burned, and takes them out of its surface.
+    /// It removes burned elements, also from its surface, and continues.
     pub loses_elements: bool,
 }
 
 impl SoftAbilities {
-    /// A body that can do nothing but move.
+    /// A body without any of these abilities.
     pub const NONE: Self = Self {
         responds_to_contacts: false,
         couples: false,
@@ -29,7 +30,7 @@ impl SoftAbilities {
     };
 }
 
-/// Names of components as a message tells them: `'a', 'b' or 'c'`.
+/// Names of components, formatted for a message: `'a', 'b' or 'c'`.
 #[must_use]
 pub fn one_of(names: &[&str]) -> String {
     let quoted: Vec<String> = names.iter().map(|name| format!("'{name}'")).collect();

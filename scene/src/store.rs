@@ -1,5 +1,4 @@
-//! The store: the one changing copy of the scene. Whoever holds it decides what gets in; see
-//! [`Store::validate`] for the rules that no write may break.
+//! The store: the only mutable copy of the scene. Its owner admits writes; see [`Store::validate`] for the rules.
 
 use std::sync::Arc;
 
@@ -15,13 +14,13 @@ use crate::registry::{ComponentId, Registry};
 use crate::snapshot::Snapshot;
 use crate::time::{Revision, SimTime};
 
-/// Why a batch was not applied. Nothing of it was.
+/// Why a batch was not applied; none of it was.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Refusal {
-    /// A command is wrong in itself.
+    /// A command is invalid.
     #[error(transparent)]
     Command(#[from] CommandError),
-    /// A row that the writer did not declare, or does not own.
+    /// The writer did not declare the row, or does not own it.
     #[error("{component} of {entity} is not the writer's to write")]
     NotDeclared {
         /// Name of the component.
@@ -29,13 +28,13 @@ pub enum Refusal {
         /// The entity.
         entity: Entity,
     },
-    /// An entity that does not exist.
+    /// The entity does not exist.
     #[error("entity {0} does not exist")]
     UnknownEntity(Entity),
-    /// An entity that exists already, or is not the writer's to create or remove.
+    /// The entity exists already, or the writer may not create or remove it.
     #[error("entity {0} is not the writer's to create or remove")]
     NotOwner(Entity),
-    /// A precondition that no longer holds: no failure, the writer may try again.
+    /// A precondition no longer holds: not an error, the writer may try again.
     #[error("conflict: {component} of {entity} changed in revision {}", changed.0)]
     Conflict {
         /// Name of the component.
@@ -81,7 +80,7 @@ impl Store {
         Self { current: snapshot.clone() }
     }
 
-    /// The scene as it is now.
+    /// A snapshot of the current scene.
     pub fn snapshot(&self) -> Snapshot {
         self.current.clone()
     }
@@ -155,8 +154,8 @@ impl Store {
         Ok(())
     }
 
-    /// Applies commands without asking who they are from: the scenario, a replay, or a batch that
-    /// [`Store::validate`] accepted. The values move out of the buffers.
+    /// Applies commands without access checks: those of the scenario, a replay, or a batch that [`Store::validate`]
+    /// accepted. The values move out of the buffers.
     pub fn apply(&mut self, commands: &mut Commands, time: SimTime) -> Revision {
         let revision = self.current.revision.next();
         self.current.revision = revision;
@@ -179,7 +178,7 @@ impl Store {
         revision
     }
 
-    /// Takes a writer's contributions away, because it died or was fenced. Counts as a revision.
+    /// Removes a writer's contributions, because it died or was fenced. Counts as a revision.
     pub fn remove_contributions(&mut self, rules: &WriterRules) -> Revision {
         let revision = self.current.revision.next();
         self.current.revision = revision;
@@ -216,8 +215,8 @@ impl Store {
         Ok(())
     }
 
-    /// Reads what [`Snapshot::encode`] wrote, in its canonical order. What it holds afterwards is proportional
-    /// to the number of bytes read.
+    /// Reads what [`Snapshot::encode`] wrote, in its canonical order. Its memory is proportional to the number of bytes
+    /// read.
     ///
     /// # Errors
     /// When the bytes are malformed or out of order, or name unknown components.
@@ -276,7 +275,7 @@ impl Store {
     }
 }
 
-/// Largest revision and event number that a file may state, so that counting on from there cannot overflow.
+/// Largest revision and event number that a file may state, so that counters cannot overflow.
 const NUMBER_MAX: u64 = 1 << 62;
 
 fn no_room(what: &str) -> ComponentError {

@@ -1,29 +1,30 @@
-//! What has been measured of tissues: values, the range in which others found them, and where that is written.
+//! Material parameters of tissues: measured values, ranges from the literature, and sources.
 //!
-//! A line `tissue = "liver"` at an entity fills in what its components leave open of these parameters, and a value outside
-//! the range is told. Where a source gives a shear modulus G, Young's modulus is 3 G, as of what keeps its volume.
+//! A line `tissue = "liver"` at an entity fills in those of these parameters that its components omit, and a value
+//! outside the range is reported. Where a source gives a shear modulus G, Young's modulus is 3 G, as for incompressible
+//! material.
 
 /// One property of a tissue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TissueParameter {
-    /// The key by which components have it.
+    /// Key of the parameter in components.
     pub name: &'static str,
     /// Its unit; empty for a ratio.
     pub unit: &'static str,
-    /// What is taken where a scenario says nothing else.
+    /// Default value.
     pub value: f64,
-    /// Between which values it has been found.
+    /// Published range.
     pub range: [f64; 2],
-    /// How, of whom, and by whom.
+    /// Source: method, sample and publication.
     pub source: &'static str,
 }
 
 /// A tissue.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TissueEntry {
-    /// By which scenarios call it.
+    /// Name in scenarios.
     pub name: &'static str,
-    /// What is known of it.
+    /// Its parameters.
     pub parameters: &'static [TissueParameter],
 }
 
@@ -57,8 +58,8 @@ const fn density(value: f64, range: [f64; 2], source: &'static str) -> TissuePar
     TissueParameter { name: "density", unit: "kg/m³", value, range, source }
 }
 
-/// What heat meets: conductivity \[W/(m·K)\] and heat capacity \[J/(kg·K)\] with their spread, blood that passes \[1/s\], share
-/// of water in the mass.
+/// Bioheat parameters: conductivity \[W/(m·K)\] and heat capacity \[J/(kg·K)\] with their ranges, blood perfusion
+/// \[1/s\], mass fraction of water.
 const fn conductivity(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
     TissueParameter { name: "conductivity", unit: "W/(m·K)", value, range, source }
 }
@@ -75,7 +76,7 @@ const fn water(value: f64, range: [f64; 2]) -> TissueParameter {
     TissueParameter { name: "water", unit: "", value, range, source: WET }
 }
 
-/// How fast heat harms (Arrhenius), and where what is dry chars and goes up in smoke.
+/// Thermal damage kinetics (Arrhenius), and temperatures of charring and vaporisation of dry tissue.
 const fn damage_frequency(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
     TissueParameter { name: "damage_frequency", unit: "1/s", value, range, source }
 }
@@ -92,7 +93,7 @@ const fn ablation(value: f64, range: [f64; 2], source: &'static str) -> TissuePa
     TissueParameter { name: "ablation", unit: "°C", value, range, source }
 }
 
-/// Tissue is mostly water, which keeps its volume.
+/// Tissue is mostly water, which is nearly incompressible.
 const POISSON: TissueParameter = TissueParameter {
     name: "poisson_ratio",
     unit: "",
@@ -342,7 +343,7 @@ pub fn tissue(name: &str) -> Option<&'static TissueEntry> {
 }
 
 impl TissueEntry {
-    /// What is known of a property.
+    /// A parameter by its key.
     #[must_use]
     pub fn parameter(&self, name: &str) -> Option<&'static TissueParameter> {
         self.parameters.iter().find(|parameter| parameter.name == name)
@@ -368,14 +369,14 @@ mod tests {
         for tissue in TISSUES {
             assert!(tissue.parameter("young_modulus").is_some(), "{}", tissue.name);
             for TissueParameter { name, value, range: [low, high], source, .. } in tissue.parameters {
-                // Only of what there is none, nothing else has been found.
+                // Only an absent property has an empty range.
                 assert!(low < high || [*low, *high] == [0.0; 2], "{} {name}", tissue.name);
                 assert!((low..=high).contains(&value), "{} {name}", tissue.name);
                 assert!(source.len() > 15, "{} {name}", tissue.name);
             }
         }
         assert_eq!(tissue("granite"), None);
-        // What burns in a way of its own says all of it, so that nothing is left to be liver's.
+        // A tissue with its own damage kinetics gives all parameters, so that none falls back to liver's.
         for name in ["damage_frequency", "damage_energy", "charring", "ablation"] {
             assert!(
                 ["gauze", "liver", "peritoneum"]

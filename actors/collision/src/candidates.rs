@@ -1,45 +1,45 @@
-//! The certificate of something that moves near a surface that moves: triangles that may come to touch it, each with what
-//! its distance was at least, and a distance that everything else had at least, all of them less whatever anything has
-//! moved since. While it holds, nobody needs to ask the tree.
+//! Candidate triangles with a certificate, for an object moving near a moving surface: lower bounds of the distance of
+//! each candidate and of all other triangles, reduced by the motion since the query. While the certificate holds, no
+//! tree query is needed.
 
-/// A triangle that a query has found.
+/// A triangle found by a query.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Found<T> {
     pub(crate) triangle: u32,
-    /// Its distance is not less \[m\].
+    /// Lower bound of its distance \[m\].
     pub(crate) at_least: f64,
-    /// What whoever asks wants to know of it again.
+    /// Data of the caller.
     pub(crate) note: T,
 }
 
-/// Slots whose soonest is kept: most of them are passed over at once.
+/// Slots per block; each block keeps its earliest expiry, so that most blocks are skipped at once.
 const BLOCK: usize = 16;
-/// Blocks at most: what keeps more looks through the others one by one.
+/// Most blocks; further slots are searched one by one.
 const BLOCKS: usize = 16;
 
-/// So many of the nearest stand before the others.
+/// Number of nearest candidates stored first.
 const FIRST: usize = 2 * BLOCK;
 
 /// At most `KEPT` candidates, the nearest first.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidates<T, const KEPT: usize> {
     triangle: [u32; KEPT],
-    /// Distance that it had at least, plus what had been travelled when it had it \[m\].
+    /// Lower bound of the distance plus the travelled distance at that time \[m\].
     due: [f64; KEPT],
     note: [T; KEPT],
-    /// Not more than the least of what is due in each block \[m\].
+    /// Lower bound of `due` in each block \[m\].
     soonest: [f64; BLOCKS],
     count: usize,
-    /// The same for every triangle that is not here \[m\].
+    /// The same for all triangles that are no candidates \[m\].
     others_due: f64,
-    /// What it and the surface have moved since the last gathering at most \[m\].
+    /// Upper bound of the motion of the object and the surface since the last gathering \[m\].
     travelled: f64,
-    /// No distance is told to be more than this \[m\].
+    /// Upper limit of the stored distance bounds \[m\].
     horizon: f64,
 }
 
 impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
-    /// Nothing is known.
+    /// No candidates and no certificate.
     pub(crate) fn none() -> Self {
         Self {
             triangle: [0; KEPT],
@@ -53,8 +53,8 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
         }
     }
 
-    /// No distance is told to be more than this \[m\], until the next gathering: what only brings nearer what is further
-    /// away than this need not be travelled.
+    /// Upper limit of the stored distance bounds \[m\], until the next gathering: motion that only approaches triangles
+    /// beyond it need not be counted.
     pub(crate) fn horizon(&self) -> f64 {
         self.horizon
     }
@@ -63,23 +63,23 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
         self.travelled += distance;
     }
 
-    /// Whether nothing outside of the candidates is nearer than `distance` now.
+    /// Whether all triangles nearer than `distance` are candidates.
     pub(crate) fn certify(&self, distance: f64) -> bool {
         self.others_at_least() >= distance
     }
 
-    /// A distance that everything else has at least \[m\].
+    /// Lower bound of the distance of all other triangles \[m\].
     pub(crate) fn others_at_least(&self) -> f64 {
         self.others_due - self.travelled
     }
 
-    /// Nothing is known any more.
+    /// Drops candidates and certificate.
     pub(crate) fn forget(&mut self) {
         (self.count, self.others_due, self.travelled) = (0, f64::NEG_INFINITY, 0.0);
     }
 
-    /// Takes what a query has found, knowing that the rest is not nearer than `limit`. What is too much goes to the rest.
-    /// Returns how many came within the limit.
+    /// Stores the triangles found by a query; all others are not nearer than `limit`. Surplus ones count among the
+    /// others. Returns how many are within the limit.
     pub(crate) fn gather(&mut self, found: &mut Vec<Found<T>>, limit: f64) -> usize {
         found.retain(|found| found.at_least < limit);
         self.travelled = 0.0;
@@ -93,7 +93,7 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
         }
         let gathered = found.len();
         found.truncate(KEPT);
-        // The nearest are looked at most often: they stand together, and first.
+        // The nearest are tested most often, so they are stored together, and first.
         if found.len() > FIRST {
             found.select_nth_unstable_by(FIRST, order);
         }
@@ -103,12 +103,12 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
             self.due[slot] = found.at_least;
             self.note[slot] = found.note;
         }
-        // Each is looked at once before it is known.
+        // Each is tested once before its bound is known.
         self.soonest = [f64::NEG_INFINITY; BLOCKS];
         gathered
     }
 
-    /// The next slot from one on of which the triangle may be as near as `distance` now.
+    /// The next slot from `from` on whose triangle may be within `distance` now.
     #[inline]
     pub(crate) fn next_within(&mut self, from: usize, distance: f64) -> Option<usize> {
         let due = distance + self.travelled;
@@ -130,12 +130,12 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
         None
     }
 
-    /// Where a triangle stands.
+    /// The slot of a triangle.
     pub(crate) fn place(&self, triangle: u32) -> Option<usize> {
         self.triangle[..self.count].iter().position(|&own| own == triangle)
     }
 
-    /// Tells that a triangle is not nearer than this now \[m\].
+    /// Sets a triangle's current lower bound of the distance \[m\].
     pub(crate) fn set(&mut self, slot: usize, at_least: f64) {
         let due = at_least.min(self.horizon) + self.travelled;
         self.due[slot] = due;
@@ -166,7 +166,7 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
     }
 }
 
-/// Written as choices four abreast, which are one instruction each; `f64::min` is several, for the sake of NaN.
+/// Written as four-lane selects, one instruction each; `f64::min` takes several because of NaN.
 #[inline]
 fn least(values: &[f64]) -> f64 {
     let smaller = |a: f64, b: f64| if b < a { b } else { a };
@@ -187,7 +187,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2_000))]
-        /// Blocks hide nothing, whatever was set and travelled in between.
+        /// Blocks hide no candidate, for any sequence of updates and motions.
         #[test]
         fn the_next_ones_within_reach_are_those_that_may_reach(
             distances in prop::collection::vec(0.0..1.0_f64, 0..60),

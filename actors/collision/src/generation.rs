@@ -1,8 +1,8 @@
-//! Telling one thing from every other, so that what is remembered of it is never taken for what is known of another.
+//! Object identities, so that cached data of one object is never used for another.
 
 use std::sync::Arc;
 
-/// What one thing is, and no other: a copy of the thing is another thing.
+/// Identity of an object; a copy of the object gets a new identity.
 #[derive(Debug, Default)]
 pub(crate) struct Identity(Arc<()>);
 
@@ -12,7 +12,7 @@ impl Clone for Identity {
     }
 }
 
-/// The identity of a thing that may be gone by now; no later thing has it.
+/// Remembered identity of an object that may no longer exist; it is never reused.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Known(Option<Arc<()>>);
 

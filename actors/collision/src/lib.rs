@@ -1,6 +1,5 @@
-//! Collision detection: each method of the field a plain algorithm in a file of its own, and a thin controller beside
-//! it. A surface is two slices, vertices and triangles as indices into them, so that a method reads what the scene
-//! holds without copying it.
+//! Collision detection: each method is a plain algorithm with a thin controller. A surface is two slices, vertices and
+//! triangles as indices into them, so that methods read the scene's data without copying.
 //!
 //! | Method | File |
 //! |---|---|
@@ -8,8 +7,8 @@
 //! | surface against surface, and against itself: contact, all pairs, distance, tolerance | [`obb_tree`] |
 //! | tree of axis-aligned boxes, neighbours, a surface that moves | [`aabb_tree`], [`topology`], [`moving_surface`] |
 //! | a shaft as a line: the dynamic point | [`dynamic_point`] |
-//! | what a hand feels: the finger proxy, or god-object | [`finger_proxy`] |
-//! | how deep surfaces are in each other | [`penetration`] |
+//! | haptic rendering: the finger proxy, or god-object | [`finger_proxy`] |
+//! | penetration of surfaces | [`penetration`] |
 //! | continuous: first contact within a step, of pairs and of lines and surfaces | [`continuous`] |
 //! | deforming bodies, bands and threads: the local spherical hash | [`spherical_hash`] |
 //! | an instrument's volume, also swept between two frames: the Z-buffer | [`z_buffer`] |

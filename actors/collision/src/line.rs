@@ -1,4 +1,4 @@
-//! A line (thread, band, needle) as every method takes it: two slices and a radius, checked once.
+//! Line (thread, band, needle), the input of methods for lines: two slices and a radius, checked once.
 
 use nalgebra::Point3;
 use thiserror::Error;
@@ -6,45 +6,45 @@ use thiserror::Error;
 use crate::primitive::Segment;
 use crate::surface::{SurfaceError, check_finite};
 
-/// What makes a line unusable. Segments of no length, unused vertices, forks and loops are answered.
+/// Why a line is invalid. Segments of no length, unused vertices, forks and loops are accepted.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum LineError {
-    /// A segment names a vertex that there is none of.
+    /// A segment refers to a vertex that does not exist.
     #[error(
         "segment {segment} names vertex {vertex}, but there are {vertices}: 0 to {vertices} - 1 are valid"
     )]
     NoVertex {
-        /// Which segment.
+        /// The segment.
         segment: usize,
-        /// What it names.
+        /// The index it refers to.
         vertex: u32,
-        /// How many there are.
+        /// Number found.
         vertices: usize,
     },
-    /// A vertex is nowhere.
+    /// A vertex is not finite.
     #[error("vertex {vertex} of the line has a coordinate that is not a finite number")]
     NotFinite {
-        /// Which vertex.
+        /// The vertex.
         vertex: usize,
     },
-    /// Positions for a line of another number of vertices.
+    /// The number of positions differs from that of the vertices.
     #[error("the line has {expected} vertices, but {found} positions came")]
     OtherVertices {
         /// Vertices of the line.
         expected: usize,
-        /// Positions that came.
+        /// Positions given.
         found: usize,
     },
-    /// More segments than an index can tell apart.
+    /// Too many segments for the index type.
     #[error("{found} segments are more than {} can be told apart", u32::MAX)]
     TooMany {
-        /// How many there are.
+        /// Number found.
         found: usize,
     },
-    /// A radius that no tube has.
+    /// The radius is negative or not finite.
     #[error("a radius of {radius} m is not one: 0 and more is valid")]
     Radius {
-        /// What came \[m\].
+        /// The value given \[m\].
         radius: f64,
     },
 }
@@ -58,10 +58,10 @@ pub struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// Takes what the scene holds, and looks through it once.
+    /// Wraps the scene's slices, after one check.
     ///
     /// # Errors
-    /// An end that does not exist, a coordinate that is not finite, a radius that is negative or not finite, more than
+    /// For an end that does not exist, a non-finite coordinate, a radius that is negative or not finite, more than
     /// [`u32::MAX`] segments.
     pub fn new(
         vertices: &'a [Point3<f64>],
@@ -104,14 +104,14 @@ impl<'a> Line<'a> {
     /// The ends of one segment.
     ///
     /// # Panics
-    /// When there is no such segment.
+    /// When the segment does not exist.
     #[must_use]
     pub fn segment(&self, index: u32) -> Segment {
         self.segments[index as usize].map(|vertex| self.vertices[vertex as usize])
     }
 }
 
-/// Whether every coordinate is a number.
+/// Checks that every coordinate is finite.
 pub(crate) fn check_line_finite(vertices: &[Point3<f64>]) -> Result<(), LineError> {
     check_finite(vertices).map_err(|error| match error {
         SurfaceError::NotFinite { vertex } => LineError::NotFinite { vertex },

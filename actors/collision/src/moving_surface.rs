@@ -1,5 +1,5 @@
-//! A surface that deforms, and what methods with a memory need of it: a tree that follows, neighbours, and how far
-//! anything on it can have come since a method last looked.
+//! A deforming surface with the data for methods with temporal coherence: a refitted tree, adjacency, and a bound of
+//! its motion since a method's last query.
 
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
@@ -8,19 +8,19 @@ use crate::Surface;
 use crate::aabb_tree::AabbTree;
 use crate::topology::Topology;
 
-/// What an update made of a surface.
+/// Result of a surface update.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SurfaceChange {
-    /// The same triangles: no vertex went further than this \[m\].
+    /// The same triangles; the largest vertex displacement \[m\].
     Moved(f64),
-    /// Other triangles or another number of vertices: everything was built anew.
+    /// Other triangles or another number of vertices: everything was rebuilt.
     Remeshed,
 }
 
 /// Why an update was refused; the surface stays as it was.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum UpdateError {
-    /// Not a time that can have passed.
+    /// The interval is negative or not finite.
     #[error("{0} s have passed between two updates: 0 or more are valid, and finite")]
     Time(f64),
 }
@@ -33,7 +33,7 @@ pub struct MovingSurface {
     triangles: Vec<[u32; 3]>,
     tree: AabbTree,
     topology: Topology,
-    /// Sum over all updates of the furthest that any vertex went \[m\].
+    /// Sum over all updates of the largest vertex displacement \[m\].
     motion: f64,
     last_motion: f64,
     interval_secs: f64,
@@ -42,7 +42,7 @@ pub struct MovingSurface {
 }
 
 impl MovingSurface {
-    /// Copies it and builds what belongs to it.
+    /// Copies a surface and builds its tree and adjacency.
     #[must_use]
     pub fn new(surface: &Surface) -> Self {
         Self {
@@ -59,8 +59,8 @@ impl MovingSurface {
         }
     }
 
-    /// Takes the surface as it is now, `interval_secs` after the update before (0 where that is not known). The tree is
-    /// refitted, without allocating; where the triangles are others (a cut, another mesh), all is built anew.
+    /// Updates the surface, `interval_secs` after the previous update (0 if unknown). The tree is refitted, without
+    /// allocating; if the triangles have changed (a cut, another mesh), everything is rebuilt.
     ///
     /// # Errors
     /// [`UpdateError::Time`].
@@ -73,7 +73,7 @@ impl MovingSurface {
         Ok(change)
     }
 
-    /// As [`update`](Self::update) where nobody knows what time has passed: nothing of it has a velocity.
+    /// As [`update`](Self::update) with an unknown interval: velocities are 0.
     pub fn follow(&mut self, surface: &Surface) -> SurfaceChange {
         self.interval_secs = 0.0;
         self.updates += 1;
@@ -127,35 +127,36 @@ impl MovingSurface {
         &self.topology
     }
 
-    /// Never less than any point of it has moved since it was made, along its path \[m\]: the difference of two readings
+    /// Upper bound of the path length of any of its points since it was created \[m\]: the difference of two readings
     /// bounds the motion in between, as long as the [topology revision](Self::topology_revision) is the same.
     #[must_use]
     pub fn motion(&self) -> f64 {
         self.motion
     }
 
-    /// The furthest that any vertex went in the last update \[m\].
+    /// Largest vertex displacement of the last update \[m\].
     #[must_use]
     pub fn last_motion(&self) -> f64 {
         self.last_motion
     }
 
-    /// How often it was updated.
+    /// Number of updates.
     #[must_use]
     pub fn updates(&self) -> u64 {
         self.updates
     }
 
-    /// How often its triangles were replaced.
+    /// Number of replacements of its triangles.
     #[must_use]
     pub fn topology_revision(&self) -> u64 {
         self.topology_revision
     }
 
-    /// Velocity over the last update of the point of a triangle with these weights \[m/s\]; 0 where no time is known.
+    /// Velocity over the last update of the point of a triangle with these weights \[m/s\]; 0 if the interval is
+    /// unknown.
     ///
     /// # Panics
-    /// When there is no such triangle.
+    /// When the triangle does not exist.
     #[must_use]
     pub fn velocity(&self, triangle: u32, weights: &[f64; 3]) -> Vector3<f64> {
         if self.interval_secs > 0.0 {
@@ -165,7 +166,7 @@ impl MovingSurface {
         }
     }
 
-    /// Where the last update has brought the point of a triangle with these weights \[m\].
+    /// Displacement in the last update of the point of a triangle with these weights \[m\].
     pub(crate) fn displacement(&self, triangle: u32, weights: &[f64; 3]) -> Vector3<f64> {
         let corners = self.triangles[triangle as usize].map(|vertex| vertex as usize);
         corners.iter().zip(weights).fold(Vector3::zeros(), |sum, (&vertex, &weight)| {

@@ -1,6 +1,6 @@
-//! Which part of a body takes part in a contact.
+//! Part of a body in a contact.
 
-/// A part of a surface or of a line, named by its place in the slices that were given.
+/// A part of a surface or of a line, by its index in the given slices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Part {
     /// A vertex.

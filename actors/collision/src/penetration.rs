@@ -1,55 +1,55 @@
-//! How deep two surfaces are in each other: the vertices of one that are inside of the other, each with its way out.
+//! Penetration of two surfaces: the vertices of one inside the other, each with depth and exit direction.
 //!
-//! Triangles that touch lie along the rim of what two bodies have in common; how deep it is is told by the vertices
-//! within (Heidelberger et al., *Consistent penetration depth estimation for deformable collision response*, 2004). From
-//! those of the rim the search floods over the surface's own edges, as far as it stays inside: its cost follows what is
-//! inside, not what there is.
+//! Triangles in contact lie along the rim of the intersection; its depth follows from the vertices inside (Heidelberger
+//! et al., *Consistent penetration depth estimation for deformable collision response*, 2004). From the rim the search
+//! floods over the surface's own edges, as long as it stays inside: its cost depends on the number of vertices inside,
+//! not on all vertices.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::moving_surface::MovingSurface;
 use crate::pseudonormal::pseudonormal;
 
-/// A vertex inside of another surface. All in that surface's frame.
+/// A vertex inside another surface, in that surface's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexInside {
-    /// Which vertex.
+    /// Its index.
     pub vertex: u32,
-    /// Where it is \[m\].
+    /// Its position \[m\].
     pub point: Point3<f64>,
-    /// The triangle of the other surface that is nearest to it.
+    /// The nearest triangle of the other surface.
     pub triangle: u32,
-    /// The nearest point of that \[m\].
+    /// The nearest point of that triangle \[m\].
     pub on_surface: Point3<f64>,
-    /// Unit direction in which it would get out.
+    /// Unit exit direction.
     pub outwards: Vector3<f64>,
-    /// How far that is \[m\].
+    /// Penetration depth \[m\].
     pub depth: f64,
 }
 
-/// Room for the search; a warmed one does not allocate. It remembers which triangle was nearest to each vertex and looks
-/// there first, so that one search for each pair of surfaces costs the least; what it finds does not depend on that.
+/// Buffers of the search; after warm-up it does not allocate. It caches the nearest triangle of each vertex as a warm
+/// start, so use one search per pair of surfaces; the result does not depend on the cache.
 #[derive(Clone, Debug, Default)]
 pub struct PenetrationSearch {
-    /// When each vertex was last looked at.
+    /// Search number of each vertex's last visit.
     stamps: Vec<u32>,
     stamp: u32,
     waiting: Vec<u32>,
-    /// The triangle that was nearest to each vertex when it was last looked at.
+    /// Nearest triangle of each vertex at its last visit.
     nearest: Vec<u32>,
     found: Vec<VertexInside>,
 }
 
 impl PenetrationSearch {
-    /// Room for nothing yet.
+    /// An empty search.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The vertices of `surface` inside of `other`, `most` at most, that are connected through the inside with a corner of
-    /// one of the `seeds` (triangles of `surface`; those that there are none of are passed over), in the order in which
-    /// they are reached. What is farther than `reach` \[m\] from the other surface is not looked at.
+    /// The vertices of `surface` inside of `other`, `most` at most, that are connected through the inside with a corner
+    /// of one of the `seeds` (triangles of `surface`; invalid indices are ignored), in the order in which they are
+    /// reached. Vertices farther than `reach` \[m\] from the other surface are skipped.
     pub fn vertices_inside(
         &mut self,
         surface: &MovingSurface,
@@ -75,7 +75,7 @@ impl PenetrationSearch {
                 corners.iter().for_each(|vertex| self.wait(*vertex));
             }
         }
-        // First in, first out: what is near the rim comes first, and a bound cuts off what is far.
+        // First in, first out: vertices near the rim come first, and a bound cuts off far ones.
         let mut next = 0;
         while let Some(&vertex) = self.waiting.get(next) {
             next += 1;
@@ -93,7 +93,7 @@ impl PenetrationSearch {
         &self.found
     }
 
-    /// What was found last.
+    /// The last result.
     #[must_use]
     pub fn found(&self) -> &[VertexInside] {
         &self.found
@@ -107,7 +107,7 @@ impl PenetrationSearch {
     }
 }
 
-/// Whether a point is inside, and where it would get out. `first` is where to look first, and the nearest afterwards.
+/// Whether a point is inside, and its exit. `first` is the warm start, and the nearest triangle afterwards.
 fn inside(
     other: &MovingSurface,
     vertex: u32,

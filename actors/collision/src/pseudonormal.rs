@@ -1,18 +1,18 @@
-//! Outward directions of faces, edges and vertices by which inside is told from outside (Bærentzen and Aanæs, *Signed
-//! distance computation using the angle weighted pseudonormal*, 2005).
+//! Angle-weighted pseudonormals of faces, edges and vertices, for inside tests (Bærentzen and Aanæs, *Signed distance
+//! computation using the angle weighted pseudonormal*, 2005).
 
 use nalgebra::Vector3;
 
 use crate::Surface;
 use crate::topology::Topology;
 
-/// The outward direction where a point with these weights lies on a triangle: of its face, of the faces about its edge,
-/// or of those about its vertex, weighed by their angles. For the nearest point of a closed surface, the asker is inside
-/// exactly where this points away from it. Not of unit length; `None` where no face about it has an area, or where they
-/// cancel each other out.
+/// The pseudonormal at a point with these weights on a triangle: of its face, of the faces at its edge, or of those at
+/// its vertex, weighted by their angles. At the nearest point of a closed surface, the query point is inside exactly if
+/// the pseudonormal points away from it. Not of unit length; `None` if no face there has an area, or if they cancel
+/// out.
 ///
 /// # Panics
-/// When there is no such triangle.
+/// When the triangle does not exist.
 #[must_use]
 pub fn pseudonormal(
     surface: &Surface,

@@ -1,52 +1,52 @@
-//! A triangle surface as every method takes it: two slices, checked once.
+//! Triangle surface, the input of every method: two slices, checked once.
 
 use nalgebra::Point3;
 use thiserror::Error;
 
 use crate::primitive::Triangle;
 
-/// What makes a surface unusable. Everything else (triangles without area, edges with three triangles, inverted or open
-/// surfaces, unused vertices, no triangles at all) is answered by every method.
+/// Why a surface is invalid. Every method accepts all other defects (triangles without area, edges with three
+/// triangles, inverted or open surfaces, unused vertices, no triangles at all).
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum SurfaceError {
-    /// A triangle names a vertex that there is none of.
+    /// A triangle refers to a vertex that does not exist.
     #[error(
         "triangle {triangle} names vertex {vertex}, but there are {vertices}: 0 to {vertices} - 1 are valid"
     )]
     NoVertex {
-        /// Which triangle.
+        /// The triangle.
         triangle: usize,
-        /// What it names.
+        /// The index it refers to.
         vertex: u32,
-        /// How many there are.
+        /// Number found.
         vertices: usize,
     },
-    /// A vertex is nowhere.
+    /// A vertex is not finite.
     #[error("vertex {vertex} has a coordinate that is not a finite number")]
     NotFinite {
-        /// Which vertex.
+        /// The vertex.
         vertex: usize,
     },
-    /// Positions for a surface of another number of vertices.
+    /// The number of positions differs from that of the vertices.
     #[error("the surface has {expected} vertices, but {found} positions came")]
     OtherVertices {
         /// Vertices of the surface.
         expected: usize,
-        /// Positions that came.
+        /// Positions given.
         found: usize,
     },
-    /// Another surface than the one that something was built from.
+    /// The surface differs from the one that a structure was built from.
     #[error("built from {expected} triangles, but asked about a surface of {found}")]
     OtherTriangles {
-        /// Triangles that it was built from.
+        /// Triangles of the structure.
         expected: usize,
-        /// Triangles that came.
+        /// Triangles given.
         found: usize,
     },
-    /// More triangles than an index can tell apart.
+    /// Too many triangles for the index type.
     #[error("{found} triangles are more than {} can be told apart", u32::MAX)]
     TooMany {
-        /// How many there are.
+        /// Number found.
         found: usize,
     },
 }
@@ -59,10 +59,10 @@ pub struct Surface<'a> {
 }
 
 impl<'a> Surface<'a> {
-    /// Takes what the scene holds, and looks through it once.
+    /// Wraps the scene's slices, after one check.
     ///
     /// # Errors
-    /// A corner that does not exist, a coordinate that is not finite, more than [`u32::MAX`] triangles.
+    /// For a corner that does not exist, a non-finite coordinate, or more than [`u32::MAX`] triangles.
     pub fn new(vertices: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Result<Self, SurfaceError> {
         if u32::try_from(triangles.len()).is_err() {
             return Err(SurfaceError::TooMany { found: triangles.len() });
@@ -78,7 +78,7 @@ impl<'a> Surface<'a> {
         Ok(Self { vertices, triangles })
     }
 
-    /// What was looked through before.
+    /// Wraps slices that were checked before.
     pub(crate) fn trusted(vertices: &'a [Point3<f64>], triangles: &'a [[u32; 3]]) -> Self {
         Self { vertices, triangles }
     }
@@ -98,7 +98,7 @@ impl<'a> Surface<'a> {
     /// The corners of one triangle.
     ///
     /// # Panics
-    /// When there is no such triangle.
+    /// When the triangle does not exist.
     #[inline]
     #[must_use]
     pub fn triangle(&self, index: u32) -> Triangle {
@@ -107,10 +107,10 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Whether every coordinate is a number; what a refit asks of the positions that it takes.
+/// Checks that every coordinate is finite, as required of positions for a refit.
 ///
 /// # Errors
-/// The first vertex that is not.
+/// The first non-finite vertex.
 pub fn check_finite(vertices: &[Point3<f64>]) -> Result<(), SurfaceError> {
     match vertices.iter().position(|vertex| !vertex.iter().all(|coordinate| coordinate.is_finite())) {
         Some(vertex) => Err(SurfaceError::NotFinite { vertex }),

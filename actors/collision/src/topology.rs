@@ -1,7 +1,7 @@
-//! Who is whose neighbour on a surface: the triangles about each vertex and each edge, in flat arrays.
+//! Adjacency of a surface: the triangles at each vertex and each edge, in flat arrays.
 //!
-//! Built in O(n) by counting, in the order of the triangles. An edge may have one triangle (a border), two, or any number;
-//! a triangle that names a vertex twice has an edge from that vertex to itself and stands once with it.
+//! Built in O(n) by counting, in the order of the triangles. An edge may have one triangle (a border), two, or any
+//! number; a triangle with a repeated vertex has an edge from that vertex to itself and is listed once there.
 
 use crate::Surface;
 
@@ -40,7 +40,7 @@ impl Lists {
     }
 }
 
-/// The neighbours of vertices and edges.
+/// Triangles at vertices and edges.
 #[derive(Clone, Debug, Default)]
 pub struct Topology {
     about_vertex: Lists,
@@ -50,7 +50,7 @@ pub struct Topology {
 }
 
 impl Topology {
-    /// Looks through all triangles once.
+    /// Builds it in one pass over the triangles.
     #[must_use]
     pub fn new(surface: &Surface) -> Self {
         let triangles = surface.triangles();
@@ -61,7 +61,7 @@ impl Topology {
         });
         let about_vertex = Lists::new(vertices, corners);
 
-        // The sides of all triangles, by their smaller vertex: an edge is then found among the few of that vertex.
+        // The edges of all triangles, by their smaller vertex: an edge is then found among the few of that vertex.
         let ends = |side: u32| {
             let corners = triangles[side as usize / 3];
             let (a, b) = (corners[side as usize % 3], corners[(side as usize + 1) % 3]);
@@ -115,8 +115,8 @@ impl Topology {
         &self.edges
     }
 
-    /// Triangles that share the part of `triangle` on which a point with these `weights` lies, itself among them: about a
-    /// vertex, about an edge, or nothing at all for its inside.
+    /// Triangles that share the part of `triangle` on which a point with these `weights` lies, itself among them: those
+    /// at a vertex, at an edge, or only itself for its interior.
     #[must_use]
     pub fn sharing(&self, corners: &[u32; 3], triangle: u32, weights: &[f64; 3]) -> &[u32] {
         let on = weights.map(|weight| weight > 0.0);
@@ -144,7 +144,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(500))]
-        /// Of any soup, degenerate and non-manifold: exactly the triangles that name the vertices.
+        /// For any triangle soup, degenerate and non-manifold: exactly the triangles that contain the vertices.
         #[test]
         fn neighbours_are_those_who_name_the_same_vertices(
             triangles in prop::collection::vec([0..12_u32, 0..12, 0..12], 0..60)

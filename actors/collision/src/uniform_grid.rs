@@ -1,5 +1,5 @@
-//! A uniform grid over boxes: which of them overlap another box. The broad phase of what moves anew at each step, where
-//! a tree would have to be built for a single use.
+//! Uniform grid over boxes, to find those that overlap another box: a broad phase for objects that move in each step,
+//! where a tree would be built for a single use.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,7 +11,7 @@ pub(crate) struct Box3 {
 }
 
 impl Box3 {
-    /// Holds nothing.
+    /// The empty box.
     pub const EMPTY: Self = Self {
         min: Point3::new(f64::INFINITY, f64::INFINITY, f64::INFINITY),
         max: Point3::new(f64::NEG_INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY),
@@ -39,9 +39,10 @@ impl Box3 {
     }
 }
 
-/// Cells for each box, at most.
+/// Most cells per box.
 const CELLS_PER_BOX: usize = 8;
-/// Boxes over more cells than this are kept apart and looked at each time: a few of them cost less than their cells.
+/// Boxes over more cells than this are kept in a separate list and tested in each query: a few of them cost less than
+/// their cells.
 const CELLS_OF_ONE_MAX: usize = 64;
 
 /// Boxes in a grid whose cells are as large as the mean box.
@@ -54,12 +55,12 @@ pub(crate) struct BoxGrid {
     starts: Vec<u32>,
     members: Vec<u32>,
     large: Vec<u32>,
-    /// First cell of each box, to tell in which of their common cells a pair is reported.
+    /// First cell of each box, to report a pair in only one of their common cells.
     firsts: Vec<[u32; 3]>,
 }
 
 impl BoxGrid {
-    /// Takes boxes with the names under which to report them; what lay in the grid before is gone.
+    /// Refills the grid with boxes and the ids to report for them.
     pub fn rebuild(&mut self, boxes: impl IntoIterator<Item = (Box3, u32)>) {
         self.boxes.clear();
         self.boxes.extend(boxes);
@@ -83,7 +84,7 @@ impl BoxGrid {
         }
         self.members.clear();
         self.members.resize(self.starts[cells] as usize, 0);
-        // Each start moves to the end of its cell, which is the start of the next: shifted back afterwards.
+        // Each start advances to the end of its cell, which is the start of the next; shifted back afterwards.
         for index in 0..self.boxes.len() {
             let range = self.range(&self.boxes[index].0);
             if count(&range) <= CELLS_OF_ONE_MAX {
@@ -124,7 +125,7 @@ impl BoxGrid {
         }
     }
 
-    /// First and last cell on each axis; what lies outside belongs to the cells of the border.
+    /// First and last cell on each axis; boxes outside belong to the border cells.
     fn range(&self, of: &Box3) -> [[usize; 2]; 3] {
         std::array::from_fn(|axis| {
             let cell = |place: f64| {
@@ -135,7 +136,7 @@ impl BoxGrid {
         })
     }
 
-    /// Names every box that overlaps `asked`, each once; in the same order for the same boxes.
+    /// Visits every box that overlaps `asked`, once each; in the same order for the same boxes.
     pub fn overlapping(&self, asked: &Box3, mut found: impl FnMut(u32)) {
         let range = self.range(asked);
         let mut offer = |index: u32| {
@@ -153,7 +154,7 @@ impl BoxGrid {
         each(&range, &self.dims, |cell, place| {
             for &index in &self.members[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
                 let first = &self.firsts[index as usize];
-                // Only in the first cell that both share.
+                // Reported only in the first cell that both share.
                 if (0..3).all(|axis| place[axis] == first[axis].max(from[axis])) {
                     offer(index);
                 }
@@ -212,7 +213,7 @@ mod tests {
             for _ in 0..100 {
                 let mut asked = random_box(&mut random, 0.2);
                 if random.random_bool(0.5) && !boxes.is_empty() {
-                    // Touching counts.
+                    // Touching boxes overlap.
                     asked.min = boxes[random.random_range(0..boxes.len())].max;
                     asked.max = asked.min + Vector3::repeat(0.1);
                 }

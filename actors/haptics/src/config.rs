@@ -1,4 +1,4 @@
-//! How a hand is rendered: what a scenario may set, and how errors read.
+//! Haptics configuration of a hand: scenario parameters and errors.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -7,7 +7,7 @@ use trocar_scene::kinematics::hand_rig::HandRigError;
 
 use crate::renderer::RendererConfig;
 
-/// Parameters of the haptics of one hand. Limits of the device come from the device.
+/// Parameters of the haptics of one hand. Device limits come from the device's capabilities.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticsConfig {
@@ -17,8 +17,8 @@ pub struct HapticsConfig {
     pub passivity: bool,
     /// Time constant with which the felt stiffness is estimated \[s\].
     pub felt_window_secs: f64,
-    /// Time between two writes of [`HapticStatus`](trocar_scene::HapticStatus) \[s\]; it is also what a
-    /// restarted controller may have forgotten.
+    /// Time between two writes of [`HapticStatus`](trocar_scene::HapticStatus) \[s\]; also the most that a restarted
+    /// controller may have lost.
     pub status_period_secs: f64,
 }
 
@@ -34,13 +34,13 @@ impl Default for HapticsConfig {
 }
 
 impl HapticsConfig {
-    /// Refuses parameters that no tick could work with.
+    /// Refuses parameters that are out of range.
     ///
     /// # Errors
     /// [`HapticsError::Config`] names the parameter and its range.
     pub fn check(&self) -> Result<(), HapticsError> {
         let range = |field, value: f64, min: f64, max: f64| {
-            // A NaN is in no range.
+            // NaN fails every range check.
             if (min..=max).contains(&value) {
                 Ok(())
             } else {

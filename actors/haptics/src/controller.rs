@@ -1,8 +1,8 @@
-//! The controller that serves one hand: device link → registration → port → renderer → device.
+//! Haptics controller of one hand: device link → registration → port → renderer → device.
 //!
-//! A thin schedule of the algorithms beside it. It holds nothing that the scene does not hold as well, apart
-//! from transients of a few milliseconds (blends, the sample before): a rebuilt one continues with the
-//! buttons and the shaft direction of its predecessor, and the driver, which keeps the energy, ramps its force in.
+//! It only schedules the algorithms of this crate. All its state is in the scene, apart from transients of a few
+//! milliseconds (blends, the previous sample): a restarted controller continues with the buttons and the shaft
+//! direction of its predecessor, and the driver, which keeps the energy, ramps its force in.
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HandIntent};
@@ -19,13 +19,13 @@ use crate::config::{HapticsConfig, HapticsError};
 use crate::felt_stiffness::FeltStiffness;
 use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
 
-/// Most damping as a share of m/ΔT of the device. The loop's delay of 1.5 steps and the filter of the measured
-/// velocity take `B·τ` off the apparent mass, τ about 3 ms; half of the mass has to stay.
+/// Largest damping as a share of m/ΔT of the device. The loop's delay of 1.5 steps and the filter of the measured
+/// velocity reduce the apparent mass by `B·τ`, τ about 3 ms; half of the mass must remain.
 const DAMPING_SHARE: f64 = 0.15;
-/// Period of a driver \[s\]: a faster controller shortens the loop's delay no further.
+/// Period of a driver \[s\]: a faster controller does not shorten the loop's delay further.
 const PERIOD_NOMINAL: f64 = 1e-3;
 
-/// A pose of the instrument that nobody stamped is taken to be as old as its last change.
+/// Last seen instrument pose; a pose without a time stamp counts as old as its last change.
 #[derive(Clone, Copy, Debug, Default)]
 struct SeenPose {
     revision: Option<Revision>,
@@ -54,8 +54,8 @@ pub struct HapticsController {
 }
 
 impl HapticsController {
-    /// Haptics for the entity `hand` of the scene, over `link` to a device that can do what `capabilities`
-    /// say. Continues where the scene says that an earlier one stood.
+    /// Haptics for the entity `hand` of the scene, over `link` to a device with `capabilities`. Continues from an
+    /// earlier controller's state in the scene.
     ///
     /// # Errors
     /// [`HapticsError`] when the scene does not describe the hand or a parameter is out of range.
@@ -98,8 +98,8 @@ impl HapticsController {
         self.renderer.name()
     }
 
-    /// Follows changes of the hand's own components, so that they can be edited live. One that does not fit
-    /// is refused with an event, and the rig stays as it was.
+    /// Follows changes of the hand's own components, so that they can be edited live. An invalid change is refused with
+    /// an event, and the rig stays unchanged.
     fn refresh_rig(&mut self, scene: &Snapshot, out: &mut Commands) {
         let newer = |revision: Option<Revision>| revision.is_some_and(|revision| revision > self.rig_read_at);
         let changed = newer(scene.changed::<Hand>(self.hand))
@@ -114,7 +114,7 @@ impl HapticsController {
         } else if let (InstrumentCoupling::Fulcrum(fulcrum), Some(port)) =
             (&mut self.rig.coupling, self.rig.port)
         {
-            // The port may move with the wall that it sits in.
+            // The port may move with the abdominal wall.
             *fulcrum = fulcrum.with_port_at(scene.world_pose(port).translation.vector);
         }
     }
@@ -151,7 +151,7 @@ impl HapticsController {
         })
     }
 
-    /// Wrench on the hand in the device's frame, before what the driver makes of it.
+    /// Wrench on the hand in the device's frame, before the driver's limits.
     fn render(
         &mut self,
         tick: &Tick<'_>,
@@ -161,7 +161,7 @@ impl HapticsController {
         energy_available: f64,
     ) -> Wrench {
         let dt = tick.period.as_secs_f64().max(1e-6);
-        // A spring at the tip is felt at the handle through the square of the lever and of the scale.
+        // Stiffness at the tip maps to the handle with the square of the lever and of the scale.
         let lever = match transmission {
             Transmission::Fulcrum(passage) => passage.lever().abs().max(1.0),
             Transmission::Free { .. } => 1.0,
@@ -193,13 +193,13 @@ impl HapticsController {
         }
         let size = wrench.force.norm();
         if size > self.capabilities.max_force_newtons {
-            // The driver clamps as well; here it keeps what is asked for within what can be felt.
+            // The driver clamps as well; this clamp keeps the command within the device's range.
             wrench.force *= self.capabilities.max_force_newtons / size;
         }
         wrench
     }
 
-    /// The hand is there: moves the instrument and returns what to render.
+    /// With the device connected: moves the instrument and returns the wrench to render.
     fn serve(
         &mut self,
         tick: &Tick<'_>,
@@ -234,7 +234,7 @@ impl HapticsController {
         self.render(tick, scene, &transmission, &handle_twist, sample.energy.available)
     }
 
-    /// The hand is gone: the instrument stays where it is.
+    /// With the device disconnected: holds the instrument in place.
     fn freeze(&mut self, out: &mut Commands) {
         self.renderer.reset();
         self.felt.clear();
@@ -246,7 +246,7 @@ impl HapticsController {
         }
     }
 
-    /// Where the trainee wants the hand to be, if it says so and it is a pose.
+    /// The virtual trainee's target for the hand, if present and valid.
     fn intent(&self, scene: &Snapshot) -> Option<HandIntent> {
         let target = scene.get::<HandTarget>(self.hand)?;
         let intent =
@@ -316,11 +316,11 @@ impl Controller for HapticsController {
     }
 }
 
-/// What the driver measured, as the scene's component.
+/// Converts the driver's sample to the scene's component.
 fn device_state(sample: &DeviceSample) -> DeviceState {
     let state = &sample.state;
     DeviceState {
-        // As measured, to the bit: whoever replays the recording must feel what was felt.
+        // Bit-identical to the measurement, so that a replay of the recording renders the same force.
         handle_in_device: Pose::from(state.pose_in_device),
         velocity_in_device: Velocity { linear: state.linear_velocity, angular: state.angular_velocity },
         gripper: state.gripper,
@@ -331,7 +331,7 @@ fn device_state(sample: &DeviceSample) -> DeviceState {
     }
 }
 
-/// Products of rotations drift off unit length: the scene gets a clean one.
+/// Renormalises a rotation: products of rotations drift off unit length.
 fn renormalised(pose: &Isometry3<f64>) -> Pose {
     let mut rotation = pose.rotation;
     rotation.renormalize();

@@ -1,16 +1,16 @@
-//! The stiffness that a hand feels, estimated while it is being felt.
+//! Online estimate of the stiffness rendered to a hand.
 //!
 //! Recursive least squares with exponential forgetting of `F = F₀ − K x` along the direction of the force:
 //! the slope is minus the covariance of force and position over the variance of the position.
 
 use nalgebra::Vector3;
 
-/// Force below which there is nothing to feel \[N\].
+/// Force below which the hand counts as out of contact \[N\].
 const FORCE_MIN: f64 = 0.1;
-/// Standard deviation of the position below which the slope says nothing \[m\].
+/// Standard deviation of the position below which the slope is unreliable \[m\].
 const SPREAD_MIN: f64 = 2e-5;
 
-/// Speed above which damping, not stiffness, is felt \[m/s\].
+/// Speed above which damping dominates the force \[m/s\].
 const SPEED_MAX: f64 = 0.03;
 
 /// Estimates −dF/dx at the hand.
@@ -26,7 +26,7 @@ pub struct FeltStiffness {
 }
 
 impl FeltStiffness {
-    /// Forgets with the time constant `window` \[s\].
+    /// An estimator with the forgetting time constant `window` \[s\].
     pub fn new(window: f64) -> Self {
         Self {
             window: window.max(1e-3),
@@ -39,14 +39,14 @@ impl FeltStiffness {
         }
     }
 
-    /// Forgets everything.
+    /// Resets the estimate.
     pub fn clear(&mut self) {
         *self = Self::new(self.window);
     }
 
-    /// Takes the handle's position \[m\], its velocity \[m/s\] and the force on the hand \[N\] of a tick of `dt`
-    /// \[s\], all in the device's frame. Starts anew when contact is made or the force turns by more than
-    /// about 25°; looks away while the hand is fast.
+    /// Takes the handle's position \[m\], its velocity \[m/s\] and the force on the hand \[N\] of a tick of `dt` \[s\],
+    /// all in the device's frame. Restarts when contact is made or the force rotates by more than about 25°; ignores
+    /// ticks while the hand is fast.
     pub fn update(
         &mut self,
         position: &Vector3<f64>,
@@ -76,7 +76,7 @@ impl FeltStiffness {
         self.covariance = (1.0 - gain) * (self.covariance + gain * position * force);
     }
 
-    /// Stiffness \[N/m\], or `None` out of contact and while the hand has hardly moved in it.
+    /// Stiffness \[N/m\], or `None` out of contact and until the hand has moved enough in it.
     pub fn value(&self) -> Option<f64> {
         (self.variance > SPREAD_MIN * SPREAD_MIN).then(|| -self.covariance / self.variance)
     }
@@ -95,7 +95,7 @@ mod tests {
             felt.update(&(normal * -depth), &Vector3::zeros(), &(normal * depth * 800.0), 1e-3);
         }
         assert!((felt.value().unwrap() - 800.0).abs() < 1e-6);
-        // A fast tick says nothing, whatever its force.
+        // A fast tick is ignored, whatever its force.
         felt.update(&Vector3::zeros(), &(normal * 0.5), &(normal * 3.0), 1e-3);
         assert!((felt.value().unwrap() - 800.0).abs() < 1e-6);
         felt.update(&Vector3::zeros(), &Vector3::zeros(), &Vector3::zeros(), 1e-3);

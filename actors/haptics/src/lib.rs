@@ -2,9 +2,9 @@
 //!
 //! The algorithms are plain types, each in a file of its own:
 //!
-//! - [`renderer`]: what the hand feels of a simulation that is slower than the hand ([`renderer::Held`],
+//! - [`renderer`]: force rendering from a simulation slower than the haptic rate ([`renderer::Held`],
 //!   [`renderer::VirtualCoupling`], [`renderer::Proxy`]);
-//! - [`felt_stiffness`]: the stiffness that the hand feels, estimated while it is felt;
+//! - [`felt_stiffness`]: online estimate of the rendered stiffness;
 //! - the kinematics (registration, fulcrum, wrenches) live in [`trocar_scene::kinematics`], so that virtual
 //!   trainees share them.
 //!

@@ -1,4 +1,4 @@
-//! A virtual trainee that does the peg transfer with both hands.
+//! Autopilot: a virtual trainee that performs the peg transfer with both hands.
 //!
 //! Each hand runs a sequence of steps; the two meet where one offers a ring and the other takes it:
 //!
@@ -7,9 +7,9 @@
 //! receiver:           (waits)                Reach → Enter → Pinch → Take → Over → Lower → Open → Back
 //! ```
 //!
-//! The trainee looks at rings, pegs and its own instruments, and decides where its two tips should go; *how*
-//! they get there is the motor model's business, and the only thing that differs between skills. A pinch that
-//! holds nothing is tried again elsewhere on the ring; a ring that slips away is picked up where it lies.
+//! The trainee observes rings, pegs and its own instruments, and sets goals for its two tips; the motor model executes
+//! the movements, and only it differs between skills. A failed pinch is tried again elsewhere on the ring; a ring that
+//! slips away is picked up where it lies.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -21,23 +21,23 @@ use crate::noise::Noise;
 use crate::strategy::{Step, Strategy};
 use crate::trainee_view::{BenchSeen, MomentSeen, tip_for_point, tip_pose};
 
-/// One hand's mind.
+/// Planning state of one hand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HandState {
     motor: HandMotor,
     step: Step,
-    /// Since when it is at this step \[s\].
+    /// Start of the current step \[s\].
     since: f64,
-    /// The ring it is busy with.
+    /// Its current ring.
     ring: Option<usize>,
     /// The ring was validly handed to this hand, so this hand may pick it up again.
     received: bool,
-    /// When its ring was last felt between the jaws \[s\], and since when without a gap.
+    /// Time of the last contact with its ring between the jaws \[s\], and start of the uninterrupted contact.
     felt_secs: Option<f64>,
     feeling_since: Option<f64>,
     /// The grasp that failed last.
     failed: Option<nalgebra::Point3<f64>>,
-    /// Pinches and placings that failed in a row.
+    /// Consecutive failed pinches and placements.
     failures: u32,
 }
 
@@ -48,7 +48,7 @@ pub struct Autopilot {
     giver: usize,
     returning: bool,
     finished: bool,
-    /// Since when nothing could be done \[s\].
+    /// Time since when no step was possible \[s\].
     stuck_since: Option<f64>,
 }
 
@@ -60,7 +60,7 @@ fn index(side: Side) -> usize {
     }
 }
 
-/// What the strategy of one tick looks at.
+/// Observations of one tick for the strategy.
 struct Scene<'a> {
     strategy: &'a Strategy,
     bench: &'a BenchSeen,
@@ -70,7 +70,7 @@ struct Scene<'a> {
 }
 
 impl Autopilot {
-    /// A trainee whose hands rest where they are now; `first_giver` is its non-dominant hand.
+    /// A trainee whose hands rest at their current poses; `first_giver` is its non-dominant hand.
     pub fn new(moment: &MomentSeen, first_giver: Side, seed: u64) -> Self {
         let hand = |index: usize| {
             let seen = &moment.hands[index];
@@ -101,24 +101,24 @@ impl Autopilot {
         }
     }
 
-    /// Whether it has nothing left to do.
+    /// Whether it has finished.
     pub fn finished(&self) -> bool {
         self.finished
     }
-    /// What the left, the right hand is at.
+    /// Current steps of the left and the right hand.
     pub fn steps(&self) -> [Step; 2] {
         self.hands.map(|hand| hand.step)
     }
-    /// The ring that the left, the right hand is busy with.
+    /// Current rings of the left and the right hand.
     pub fn rings(&self) -> [Option<usize>; 2] {
         self.hands.map(|hand| hand.ring)
     }
-    /// Whether the rings are on their way back.
+    /// Whether the second half (rings back) has begun.
     pub fn returning(&self) -> bool {
         self.returning
     }
 
-    /// One step of `dt` \[s\] that ends at `now` \[s\]: looks, decides, moves. Commands for left and right.
+    /// One step of `dt` \[s\] that ends at `now` \[s\]: observes, decides, moves. Returns commands for left and right.
     pub fn step(
         &mut self,
         strategy: &Strategy,
@@ -140,7 +140,7 @@ impl Autopilot {
         })
     }
 
-    /// Keeps track of the ring between the jaws.
+    /// Tracks the ring between the jaws.
     fn feel(&mut self, scene: &Scene<'_>, hand: usize) {
         let state = &mut self.hands[hand];
         if state.ring.is_some() && scene.moment.hands[hand].held == state.ring {
@@ -159,7 +159,7 @@ impl Autopilot {
         self.hands[hand].felt_secs.is_none_or(|felt| scene.now - felt > scene.strategy.loss_secs)
     }
 
-    /// A receiver that goes for a ring which the giver does not offer any more.
+    /// Whether a receiver reaches for a ring that the giver no longer offers.
     fn waits_in_vain(&self, hand: usize) -> bool {
         let (state, other) = (&self.hands[hand], &self.hands[1 - hand]);
         hand != self.giver && !state.received && !(other.step == Step::Offer && other.ring == state.ring)
@@ -183,7 +183,7 @@ impl Autopilot {
         self.hands[hand].motor.aim(scene.now, goal, scene.parameters, planned);
     }
 
-    /// Lets one hand take its next step when the present one is done.
+    /// Starts one hand's next step when the current one is done.
     fn proceed(&mut self, scene: &Scene<'_>, hand: usize) {
         let state = self.hands[hand];
         let arrived = state.motor.arrived();
@@ -234,7 +234,7 @@ impl Autopilot {
         }
     }
 
-    /// The opening of the hand's present grasp; anything sensible when it has none.
+    /// The opening of the hand's current grasp, or a default without one.
     fn opening(&self, hand: usize) -> f64 {
         self.hands[hand].motor.jaw_goal()
     }
@@ -247,7 +247,7 @@ impl Autopilot {
         }
         let other = self.hands[1 - hand];
         if hand != self.giver {
-            // A ring that slipped out of the receiver's jaws is its own to pick up.
+            // The receiver picks up a ring that slipped out of its own jaws.
             if self.hands[hand].received
                 && let Some(ring) = self.hands[hand].ring
             {
@@ -276,7 +276,7 @@ impl Autopilot {
         self.rest(scene, hand);
     }
 
-    /// Plans a grasp of the ring and starts for it.
+    /// Plans a grasp of the ring and starts it.
     fn try_ring(&mut self, scene: &Scene<'_>, hand: usize, ring: usize, planned: bool) -> bool {
         let wish = GraspWish { ring, hand, not_again: self.hands[hand].failed };
         let Some(plan) = plan_grasp(scene.bench, scene.moment, &wish) else { return false };
@@ -301,7 +301,7 @@ impl Autopilot {
             .collect();
         let distance = |ring: &usize| (scene.moment.rings[*ring].center() - tip).norm();
         rings.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
-        // After repeated failures another ring may come off more easily.
+        // After repeated failures another ring may be easier.
         if self.hands[hand].failures >= 3 && rings.len() > 1 {
             let turn = self.hands[hand].failures as usize % rings.len();
             rings.rotate_left(turn);
@@ -323,8 +323,7 @@ impl Autopilot {
         if self.returning { scene.bench.first_board } else { 1 - scene.bench.first_board }
     }
 
-    /// Whether the ring is where it belongs in this half: on a peg of the target board that it has to itself, or
-    /// shares with rings that came later and lie on top of it.
+    /// Whether the ring is placed in this half: on a peg of the target board, as the only or the lowest ring.
     fn is_done(&self, scene: &Scene<'_>, ring: usize) -> bool {
         let held = scene.moment.hands.iter().any(|hand| hand.held == Some(ring));
         let peg = scene.bench.peg_of(&scene.moment.rings, ring);
@@ -371,7 +370,7 @@ impl Autopilot {
         (across - up * across.dot(&up)).try_normalize(1e-9).unwrap_or_else(Vector3::x)
     }
 
-    /// Where a ring's centre is when it changes hands.
+    /// Position of a ring's centre at the hand-over.
     fn meeting_point(&self, scene: &Scene<'_>) -> Vector3<f64> {
         let pegs = &scene.bench.pegs;
         let count = pegs.len().max(1) as f64;
@@ -384,7 +383,7 @@ impl Autopilot {
 
     fn go_in(&mut self, scene: &Scene<'_>, hand: usize, plan: GraspPlan) {
         let Some(ring) = self.hands[hand].ring else { return self.let_go(scene, hand) };
-        // Somebody else may have moved it meanwhile.
+        // The ring may have been moved meanwhile.
         let placed = plan.place(&scene.moment.rings[ring], &scene.bench.graspers[hand]);
         self.aim(scene, hand, placed.tip, placed.closing, Some(scene.strategy.grasp_tolerance), true);
         self.enter(scene, hand, Step::Enter(plan));
@@ -418,7 +417,7 @@ impl Autopilot {
         self.enter(scene, hand, Step::Lift);
     }
 
-    /// After the lift: to the hand-over, or straight on to a peg if it was handed over before.
+    /// After the lift: to the hand-over, or directly to a peg if it was already handed over.
     fn carry_on(&mut self, scene: &Scene<'_>, hand: usize) {
         if self.hands[hand].received {
             return self.go_over(scene, hand);
@@ -500,7 +499,7 @@ impl Autopilot {
         self.enter(scene, hand, Step::Back);
     }
 
-    /// After withdrawing: the ring is in the other hand, on its peg, or to be picked up again.
+    /// After withdrawing, releases the ring: it is in the other hand, on its peg, or to be picked up again.
     fn forget(&mut self, scene: &Scene<'_>, hand: usize) {
         let keeps = hand != self.giver
             && self.hands[hand].received
@@ -511,7 +510,7 @@ impl Autopilot {
         }
     }
 
-    /// With all rings over, the roles are swapped; with all back, the work is done.
+    /// Swaps the roles when all rings are transferred; finishes when all are back.
     fn turn_round(&mut self, scene: &Scene<'_>) {
         let idle = self.hands.iter().all(|hand| hand.step == Step::Rest);
         if self.finished || !idle {
@@ -539,8 +538,8 @@ impl Autopilot {
     }
 }
 
-/// The closing direction that, by roll about the shaft alone, turns a normal fixed to the instrument as far up
-/// as possible; at most by 35°, since nobody likes to twist the wrist further.
+/// The closing direction that, by roll about the shaft alone, turns a normal fixed to the instrument as far up as
+/// possible; at most by 35°, a comfortable limit of the wrist.
 fn level(rotation: &UnitQuaternion<f64>, normal_in_tip: &Vector3<f64>, up: &Vector3<f64>) -> Vector3<f64> {
     let shaft = rotation * Vector3::z();
     let normal = rotation * normal_in_tip;

@@ -1,4 +1,4 @@
-//! The controller that schedules [`Autopilot`]: snapshot → what is seen → hand targets, and nothing else.
+//! Controller of an [`Autopilot`]: snapshot → observations → hand targets.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::coupling::InstrumentCoupling;
@@ -18,17 +18,17 @@ use crate::trainee_view::{BenchSeen, GrasperSeen, HandSeen, MomentSeen, PegSeen,
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AutopilotConfig {
-    /// How well practised it is.
+    /// Its skill.
     pub skill: Skill,
     /// Its dominant hand is the left one.
     pub left_handed: bool,
-    /// Motor parameters of its own, in place of the skill's.
+    /// Motor parameters that replace the skill's.
     pub motor: Option<MotorParameters>,
     /// Distances and times of the strategy.
     pub strategy: Strategy,
 }
 
-/// Everything that the trainee needs to go on after a restart; lives on the controller's own entity.
+/// Restart state of the trainee, on the controller's own entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AutopilotState {
     /// The board on which the rings started, counted in entity order.
@@ -57,10 +57,10 @@ fn missing(what: impl std::fmt::Display) -> ControllerError {
 }
 
 impl AutopilotController {
-    /// Finds the boards, the rings and the two hands in the scene, and goes on where an earlier life stopped.
+    /// Finds the boards, the rings and the two hands in the scene, and continues where an earlier life stopped.
     ///
     /// # Errors
-    /// Names what the scene or the configuration lacks.
+    /// Names the missing part of the scene or the configuration.
     pub fn new(config: &AutopilotConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let parameters = config.motor.unwrap_or_else(|| MotorParameters::of(config.skill));
         parameters.validate().map_err(missing)?;
@@ -134,7 +134,7 @@ impl Controller for AutopilotController {
     }
 }
 
-/// What is seen in a snapshot; hands left then right.
+/// Observations of a snapshot; hands left then right.
 fn look(scene: &Snapshot, rings: &[Entity], rigs: &[HandRig; 2]) -> MomentSeen {
     let seen = |ring: &Entity| RingSeen {
         pose: scene.world_pose(*ring),
@@ -181,7 +181,7 @@ fn grasper(scene: &Snapshot, rig: &HandRig) -> Result<GrasperSeen, ControllerErr
     })
 }
 
-/// The board around whose pegs most rings lie.
+/// The board with the most rings.
 fn fullest_board(bench: &BenchSeen, moment: &MomentSeen) -> usize {
     let on_second = moment
         .rings

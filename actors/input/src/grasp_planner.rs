@@ -1,9 +1,9 @@
-//! Where to take a ring: a point of its tube and a closing direction that the shaft allows.
+//! Grasp planner for rings: a point of the tube and a closing direction that the shaft allows.
 //!
-//! A grasper that passes a port can turn only about its own shaft `u`. To pinch the tube at a point with the
-//! tangent `t` its closing direction must be `±(u × t)`; so a grasp is one number, the angle of the point on
-//! the ring. The planner tries angles all round and keeps the best that touches nothing on its way in: no
-//! board below the jaws, no peg, no other ring, not the other instrument.
+//! A grasper that passes a port can turn only about its own shaft `u`. To pinch the tube at a point with the tangent
+//! `t` its closing direction must be `±(u × t)`; so a grasp is one number, the angle of the point on the ring. The
+//! planner tries angles all around and keeps the best one whose approach is free of collisions with the board, pegs,
+//! other rings and the other instrument.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -20,10 +20,10 @@ const CROSSING_MIN: f64 = 0.5;
 const SEPARATION: f64 = 1.53;
 /// Distance that is kept from everything \[m\].
 const MARGIN: f64 = 0.0005;
-/// How much of the shaft behind the jaws is looked at \[m\].
+/// Length of the shaft behind the jaws that is checked for collisions \[m\].
 const SHAFT_SEEN: f64 = 0.06;
-/// How far the corners of the blades may be aimed into the board \[m\]: a light touch, so that the jaws reach
-/// as far around the tube as the board allows.
+/// Planned penetration of the blades' corners into the board \[m\]: a light touch, so that the jaws reach as far around
+/// the tube as the board allows.
 const BOARD_TOUCH: f64 = 0.0003;
 /// Least and largest depth of a grasp: how far the tip passes beyond the tube's centre line \[m\].
 const DEPTH_MIN: f64 = 0.0003;
@@ -40,10 +40,10 @@ pub struct GraspPlan {
     pub depth: f64,
 }
 
-/// A grasp plan, placed in the world as the ring lies now.
+/// A grasp plan in world, for the ring's current pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlacedGrasp {
-    /// Where the tip goes \[m\].
+    /// Position of the tip \[m\].
     pub tip: Vector3<f64>,
     /// Unit direction of the shaft there.
     pub shaft: Vector3<f64>,
@@ -51,7 +51,7 @@ pub struct PlacedGrasp {
     pub closing: Vector3<f64>,
 }
 
-/// What a planner should take into account besides the bench.
+/// Request to the planner.
 #[derive(Clone, Copy, Debug)]
 pub struct GraspWish {
     /// Index of the ring.
@@ -63,11 +63,11 @@ pub struct GraspWish {
 }
 
 impl GraspPlan {
-    /// Where the grasp is now.
+    /// The grasp in world for the current poses.
     pub fn place(&self, ring: &RingSeen, grasper: &GrasperSeen) -> PlacedGrasp {
         let point = (ring.pose * self.point_in_ring).coords;
         let tangent = ring.pose.rotation * Vector3::z().cross(&self.point_in_ring.coords).normalize();
-        // The tip lies beyond the point along the shaft, which changes the shaft's direction but little.
+        // The tip lies beyond the point along the shaft, which changes the shaft's direction only little.
         let shaft = (point - grasper.apex).normalize();
         let closing = shaft.cross(&tangent).try_normalize(1e-6).unwrap_or(tangent);
         PlacedGrasp { tip: point + shaft * self.depth, shaft, closing }
@@ -123,12 +123,12 @@ pub fn plan_grasp(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspWish) -> O
             continue;
         }
         let radial = (point - ring.center()) / bench.ring_radius;
-        // Deep, across the tube, and level: then both pads bear evenly. With the ring's centre on the closing
-        // axis its weight does not turn it between the pads.
+        // Deep, across the tube, and level, so that both pads bear evenly. With the ring's centre on the closing axis
+        // its weight causes no torque between the pads.
         let swing = placed.closing.dot(&radial.cross(&up)).abs();
         let mut score = 0.5 * crossing + depth / bench.tube_radius - swing;
         score -= 0.5 * placed.closing.dot(&up).abs();
-        // The other hand will need room, or already takes it.
+        // Room for the other hand, now or later.
         score += if other_holds {
             (point - held_at).norm().min(SEPARATION * bench.ring_radius) / bench.ring_radius
         } else {
@@ -164,7 +164,7 @@ fn depth_above_board(bench: &BenchSeen, on_line: &PlacedGrasp, grasper: &Grasper
     if sinks > 1e-3 { (room / sinks).min(DEPTH_MAX) } else { DEPTH_MAX }
 }
 
-/// Both blades, opened, and the shaft behind them.
+/// Capsules of both open blades and the shaft behind them.
 fn instrument_parts(
     placed: &PlacedGrasp,
     grasper: &GrasperSeen,
@@ -176,7 +176,7 @@ fn instrument_parts(
     let blade = |side: f64| {
         let along = placed.shaft * half.cos() + placed.closing * (side * half.sin());
         let offset = placed.closing * (side * 0.5 * grasper.jaw_thickness);
-        // The blade's last bit is as near to the board as the ring is: leave it out.
+        // The end of the blade is as near to the board as the ring is, so it is excluded.
         let length = grasper.jaw_length - tube_radius;
         Capsule {
             from: hinge + offset,
@@ -221,7 +221,7 @@ fn touches(parts: &[Capsule], obstacles: &[Capsule]) -> bool {
     parts.iter().any(|part| obstacles.iter().any(|obstacle| part.gap(obstacle) < MARGIN))
 }
 
-/// Whether blades or shaft pass through the ring elsewhere than at the grasp.
+/// Whether blades or shaft pass through the ring away from the grasp.
 fn touches_own_ring(parts: &[Capsule], bench: &BenchSeen, ring: &RingSeen, angle: f64) -> bool {
     let step = 2.0 * std::f64::consts::PI / TUBE_PIECES as f64;
     (0..TUBE_PIECES).any(|piece| {

@@ -1,12 +1,12 @@
-//! Virtual trainees, and people without a haptic device.
+//! Input without haptic devices: virtual trainees, scripted paths and manual control.
 //!
-//! [`autopilot::Autopilot`] decides where two tips should go, [`motor_model::HandMotor`] how a hand gets
-//! there, [`grasp_planner`] where a ring can be taken. [`autopilot_controller::AutopilotController`] reads
-//! the snapshot and writes hand targets: like a person, it can move nothing but its hands.
+//! [`autopilot::Autopilot`] plans the goals of two tips, [`motor_model::HandMotor`] models a hand's movement to a goal,
+//! [`grasp_planner`] plans grasps of rings. [`autopilot_controller::AutopilotController`] reads the snapshot and writes
+//! hand targets: like a person, it moves only its hands.
 //!
-//! [`path`] is a movement that is written down, for scenarios that are to go the same way every time.
+//! [`path`] is a scripted movement, for reproducible scenarios.
 //!
-//! [`manual`] lets a person do the same with pointer, keyboard or gamepad.
+//! [`manual`] lets a person control the hands with pointer, keyboard or gamepad.
 #![forbid(unsafe_code)]
 
 pub mod autopilot;

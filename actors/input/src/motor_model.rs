@@ -1,14 +1,14 @@
-//! How a trainee's hand carries out what its owner wants: reaction, reach, error, correction, tremor.
+//! Motor model of a trainee's hand: reaction, reach, error, correction, tremor.
 //!
 //! - A reach follows the minimum-jerk profile (Flash & Hogan 1985, "The coordination of arm movements").
 //! - Its duration grows with distance over tolerance (Fitts 1954), and its peak speed is limited.
 //! - Its end point errs in proportion to its distance, more along the movement than across (signal-dependent
 //!   noise: Harris & Wolpert 1998; van Beers, Haggard & Wolpert 2004).
-//! - Vision then corrects with smaller reaches, one reaction time apart (Meyer et al. 1988).
-//! - Tremor lies on top: 8–12 Hz, tens to hundreds of micrometres (Elble & Koller 1990; Riviere & Khosla
-//!   1997 measured surgeons' hands).
+//! - Visual feedback then corrects with smaller reaches, one reaction time apart (Meyer et al. 1988).
+//! - Tremor is added: 8–12 Hz, tens to hundreds of micrometres (Elble & Koller 1990; Riviere & Khosla 1997 measured
+//!   surgeons' hands).
 //!
-//! A skill is nothing but a set of [`MotorParameters`]; whoever decides what to do does not know it.
+//! A skill is only a set of [`MotorParameters`]; the strategy does not depend on it.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use crate::noise::{Noise, Tremor};
 
-/// Corrections of one movement at most; then it counts as done.
+/// Most corrections of one movement; then it counts as done.
 const CORRECTIONS_MAX: u8 = 5;
 /// A correction aims at most this far from the goal itself \[m\].
 const CORRECTION_REACH_MAX: f64 = 0.004;
@@ -40,7 +40,7 @@ pub enum Skill {
     Expert,
 }
 
-/// The numbers that make a trainee's hands.
+/// Parameters of a trainee's motor behaviour.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotorParameters {
@@ -48,7 +48,7 @@ pub struct MotorParameters {
     pub tremor_rms: f64,
     /// Its centre frequency \[Hz\].
     pub tremor_hz: f64,
-    /// From something seen to the start of a movement \[s\].
+    /// Visual reaction time \[s\].
     pub reaction_secs: f64,
     /// Fitts: time of a movement without difficulty \[s\].
     pub fitts_base_secs: f64,
@@ -115,7 +115,7 @@ impl MotorParameters {
         }
     }
 
-    /// Refuses numbers that no hand has.
+    /// Refuses parameters out of range.
     ///
     /// # Errors
     /// Names the parameter and its range.
@@ -152,14 +152,14 @@ pub fn minimum_jerk(tau: f64) -> f64 {
     tau.powi(3) * (10.0 - 15.0 * tau + 6.0 * tau * tau)
 }
 
-/// Where an instrument's tip should go.
+/// Goal of an instrument's tip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TipGoal {
     /// Position of the tip in world \[m\].
     pub position: Vector3<f64>,
-    /// Wanted closing direction of the jaws in world, unit; the sign does not matter.
+    /// Target closing direction of the jaws in world, unit; the sign does not matter.
     pub closing: Vector3<f64>,
-    /// How near is near enough \[m\]; `None` passes by without looking.
+    /// Position tolerance \[m\]; `None` for a via point without visual correction.
     pub tolerance: Option<f64>,
 }
 
@@ -180,11 +180,11 @@ enum Phase {
     /// The movement starts at this time \[s\].
     Reacting(f64),
     Moving(Reach),
-    /// Looks where the tip is at this time \[s\].
+    /// Checks the tip's position at this time \[s\].
     Looking(f64),
 }
 
-/// What the hand is told to do right now.
+/// Current command of the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TipCommand {
     /// Position of the tip in world \[m\], tremor included.
@@ -225,8 +225,7 @@ impl HandMotor {
         }
     }
 
-    /// Goes for `goal` at once (a movement that was planned ahead) or after the reaction time (a response to
-    /// something seen).
+    /// Starts towards `goal` at once (a planned movement) or after the reaction time (a response to a visual stimulus).
     pub fn aim(&mut self, now: f64, goal: TipGoal, parameters: &MotorParameters, planned: bool) {
         // Jaws are symmetric: turn the shorter way.
         let sign = if goal.closing.dot(&self.closing) < 0.0 { -1.0 } else { 1.0 };
@@ -240,24 +239,24 @@ impl HandMotor {
         self.jaw_goal = angle;
     }
 
-    /// Whether the last goal is reached as well as it will be.
+    /// Whether the movement to the last goal has ended.
     pub fn arrived(&self) -> bool {
         self.phase == Phase::Arrived
     }
-    /// The opening that the jaws go for \[rad\].
+    /// Target opening of the jaws \[rad\].
     pub fn jaw_goal(&self) -> f64 {
         self.jaw_goal
     }
-    /// Whether the jaws are commanded where they should be.
+    /// Whether the commanded opening has reached its target.
     pub fn jaw_settled(&self) -> bool {
         self.jaw_angle == self.jaw_goal
     }
-    /// The goal that it goes for.
+    /// The current goal.
     pub fn goal(&self) -> &TipGoal {
         &self.goal
     }
 
-    /// One step of `dt` \[s\] that ends at `now` \[s\]; `seen` is where the tip is seen in world \[m\].
+    /// One step of `dt` \[s\] that ends at `now` \[s\]; `seen` is the observed tip position in world \[m\].
     pub fn advance(
         &mut self,
         now: f64,
@@ -314,12 +313,12 @@ impl HandMotor {
         });
     }
 
-    /// A wrist turns at the pace at which it opens and closes the gripper.
+    /// Duration of a wrist rotation, at the speed of the gripper.
     fn turn_secs(&self, parameters: &MotorParameters) -> f64 {
         PEAK_OVER_MEAN * self.closing.angle(&self.goal.closing) / parameters.jaw_speed
     }
 
-    /// Compares what is seen with what was wanted, and corrects.
+    /// Compares the observed tip with the goal, and corrects.
     fn look(&mut self, now: f64, seen: &Vector3<f64>, parameters: &MotorParameters) {
         let off = self.goal.position - seen;
         let near = self.goal.tolerance.is_none_or(|tolerance| off.norm() <= tolerance);
@@ -411,7 +410,7 @@ mod tests {
         run(&mut motor, &parameters, offset);
         assert!((motor.position + offset - Vector3::new(0.05, 0.0, 0.0)).norm() < 0.0005);
         assert_eq!(motor.corrections, 1);
-        // An offset beyond the limit is not chased for ever.
+        // An offset beyond the limit is not corrected for ever.
         motor.aim(0.0, goal(0.0, Some(0.0005)), &parameters, true);
         run(&mut motor, &parameters, Vector3::new(0.0, 0.1, 0.0));
         assert_eq!(motor.corrections, CORRECTIONS_MAX);

@@ -1,7 +1,7 @@
 //! Seeded noise whose whole state is four numbers, so that it can be kept in the scene.
 //!
-//! The normal variate is the sum of twelve uniforms (Irwin–Hall): exact arithmetic only, hence the same bits
-//! everywhere, and bounded by six standard deviations, hence no wild command once in a billion ticks.
+//! The normal variate is the sum of twelve uniforms (Irwin–Hall): exact arithmetic only, hence bit-identical
+//! everywhere, and bounded by six standard deviations, hence no rare outlier commands.
 
 use nalgebra::Vector3;
 use rand_pcg::Pcg32;

@@ -1,5 +1,5 @@
-//! A movement that is written down: a tip goes from place to place in given times, each reach a minimum-jerk one (Flash,
-//! Hogan 1985). It knows nothing of what it meets; what that does to the instrument is for physics.
+//! Scripted path of a tip: via points at given times, with minimum-jerk profiles (Flash, Hogan 1985). The path ignores
+//! contacts; their effect on the instrument is simulated by physics.
 
 use nalgebra::{Point3, Rotation3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
@@ -15,14 +15,14 @@ const SECS_MAX: f64 = 3600.0;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Arc {
-    /// Its middle in world \[m\].
+    /// Its centre in world \[m\].
     pub center: [f64; 3],
     /// The axis that it goes around.
     #[serde(default = "upwards")]
     pub axis: [f64; 3],
-    /// How far \[rad\]; negative against the axis.
+    /// Its angle \[rad\]; negative against the axis.
     pub angle: f64,
-    /// Whether the direction in which the jaws close turns with it, as when a curved needle is driven along itself.
+    /// Whether the jaws' closing direction rotates with it, as when a curved needle is driven along itself.
     #[serde(default)]
     pub turns: bool,
 }
@@ -31,54 +31,54 @@ fn upwards() -> [f64; 3] {
     [0.0, 0.0, 1.0]
 }
 
-/// One step: where to, in which time, and what the jaws and the pedal do by then. What is not said stays as it is.
+/// One step: target, duration, jaws and pedal. Omitted values stay unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Step {
     /// How long it takes \[s\].
     pub seconds: f64,
-    /// Place of the tip in world at its end \[m\].
+    /// Position of the tip in world at its end \[m\].
     pub to: Option<[f64; 3]>,
     /// Or along a circle.
     pub arc: Option<Arc>,
     /// Full opening of the jaws at its end \[rad\].
     pub jaws: Option<f64>,
-    /// Direction in which the jaws close, in world; what of it is along the shaft is left out.
+    /// Closing direction of the jaws in world; its component along the shaft is removed.
     pub closing: Option<[f64; 3]>,
     /// Share of full power throughout, 0 to 1.
     pub level: Option<f64>,
-    /// Which of two currents from then on; else the one that the instrument is set to.
+    /// Electrosurgical mode from then on; else the instrument's own setting.
     pub mode: Option<ActivationMode>,
-    /// At uniform speed, for what is cut or burned evenly; else it starts and ends at rest.
+    /// At uniform speed, for even cuts and burns; else it starts and ends at rest.
     pub uniform: bool,
 }
 
-/// A path that cannot be followed.
+/// Error of an invalid path.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("step {step}: {reason}")]
 pub struct PathError {
-    /// Which, counted from 0.
+    /// Index of the step, from 0.
     pub step: usize,
     /// What is wrong.
     pub reason: String,
 }
 
-/// What a hand does at one time.
+/// State of a hand at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Moment {
-    /// Place of the tip in world \[m\].
+    /// Position of the tip in world \[m\].
     pub tip_in_world: Point3<f64>,
     /// Full opening of the jaws \[rad\].
     pub jaw_angle: f64,
-    /// Direction in which they close.
+    /// Their closing direction.
     pub closing_in_world: Vector3<f64>,
     /// Share of full power.
     pub level: f64,
-    /// Which of two currents.
+    /// Electrosurgical mode.
     pub mode: Option<ActivationMode>,
 }
 
-/// A checked path: the moment at which each step begins, and how it goes on.
+/// A checked path: the start of each step, and the step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Path {
     /// Start \[s\], moment at the start, the step.
@@ -90,7 +90,7 @@ impl Path {
     /// Checks the steps of a hand that starts at `start`.
     ///
     /// # Errors
-    /// The first step that cannot be taken.
+    /// The first invalid step.
     pub fn new(start: Moment, steps: &[Step]) -> Result<Self, PathError> {
         if steps.len() > STEPS_MAX {
             let reason = format!("{} steps are too many (at most {STEPS_MAX})", steps.len());
@@ -111,12 +111,12 @@ impl Path {
         Ok(Self { legs, end: (secs, moment) })
     }
 
-    /// When it is over \[s\].
+    /// Its end \[s\].
     pub fn seconds(&self) -> f64 {
         self.end.0
     }
 
-    /// What the hand does at `secs`; after the end it stays.
+    /// State of the hand at `secs`; constant after the end.
     pub fn at(&self, secs: f64) -> Moment {
         let next = self.legs.partition_point(|(start, ..)| *start <= secs);
         let Some((start, from, step)) = next.checked_sub(1).and_then(|at| self.legs.get(at)) else {
@@ -156,12 +156,12 @@ fn check(step: &Step) -> Result<(), String> {
     Ok(())
 }
 
-/// From rest to rest, with the least jerk: share of the way by share of the time.
+/// Minimum-jerk profile from rest to rest: share of the distance by share of the time.
 fn minimum_jerk(share: f64) -> f64 {
     share * share * share * (10.0 - 15.0 * share + 6.0 * share * share)
 }
 
-/// `share` of a step done.
+/// The state within a step, at `share` of it.
 fn moment_within(from: &Moment, step: &Step, share: f64) -> Moment {
     let mut moment = *from;
     if let Some(to) = step.to {

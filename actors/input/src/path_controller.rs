@@ -1,4 +1,4 @@
-//! The controller that schedules a [`Path`]: time → hand target, and what is switched on.
+//! Controller of a [`Path`]: time → hand target and activation.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::coupling::InstrumentCoupling;
@@ -20,17 +20,17 @@ pub struct PathConfig {
     /// Opening of the jaws at the start \[rad\].
     #[serde(default)]
     pub jaws: f64,
-    /// What it does, one after the other, from the start of the session on.
+    /// Steps, in order, from the start of the session.
     pub step: Vec<Step>,
 }
 
-/// Moves one virtual hand along a path. It needs nothing but the time to go on after a restart.
+/// Moves one virtual hand along a path. To resume after a restart it needs only the time.
 pub struct PathController {
     hand: Entity,
     rig: HandRig,
     path: Path,
     activates: bool,
-    /// Level and current that were told last.
+    /// Last written level and mode.
     told: Option<(f64, Option<ActivationMode>)>,
 }
 
@@ -42,7 +42,7 @@ impl PathController {
     /// Finds the hand; its path starts where and as its instrument is in the scenario.
     ///
     /// # Errors
-    /// Names what the scene lacks, or the step that cannot be taken.
+    /// Names the missing part of the scene, or the invalid step.
     pub fn new(config: &PathConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let scene = context.scene;
         let hand = scene.find(&config.hand).filter(|hand| scene.get::<Hand>(*hand).is_some());
@@ -52,7 +52,7 @@ impl PathController {
             return Err(wrong(format_args!("no hand '{}'; there are: {}", config.hand, known.join(", "))));
         };
         let rig = HandRig::read(scene, hand).map_err(wrong)?;
-        // The first target is where the scenario has the handle: the origin of the device.
+        // The first target is the handle's pose in the scenario: the origin of the device.
         let home = rig.tip_in_world(&nalgebra::Isometry3::identity(), &-nalgebra::Vector3::z());
         let start = Moment {
             tip_in_world: home.translation.vector.into(),

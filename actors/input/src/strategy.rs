@@ -1,4 +1,4 @@
-//! What a virtual trainee plans with: the steps of a transfer, and the distances and times that it keeps.
+//! Strategy of a virtual trainee: the steps of a transfer, with distances and times.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,11 +10,11 @@ use crate::grasp_planner::GraspPlan;
 pub struct Strategy {
     /// Distance along the shaft from which a grasp is entered, and to which a hand withdraws \[m\].
     pub stand_off: f64,
-    /// How near the tip must be before the jaws close \[m\].
+    /// Tip tolerance before the jaws close \[m\].
     pub grasp_tolerance: f64,
-    /// How near on the way \[m\].
+    /// Tip tolerance at via points \[m\].
     pub way_tolerance: f64,
-    /// How near a ring's centre must be to a peg's axis before it is lowered \[m\].
+    /// Tolerance of a ring's centre from a peg's axis before it is lowered \[m\].
     pub peg_tolerance: f64,
     /// Room between a carried ring and the heads of the pegs \[m\].
     pub carry_clearance: f64,
@@ -22,15 +22,15 @@ pub struct Strategy {
     pub hand_over_behind: f64,
     /// Height of the hand-over above the heads of the pegs \[m\].
     pub hand_over_above: f64,
-    /// A grasp must last this long until it is believed \[s\].
+    /// A grasp must last this long to count \[s\].
     pub verify_secs: f64,
-    /// After this time a pinch without a grasp is given up \[s\].
+    /// Time after which a pinch without a grasp is abandoned \[s\].
     pub pinch_secs: f64,
-    /// A ring that was not felt for this long is lost \[s\].
+    /// Time without contact after which a ring counts as lost \[s\].
     pub loss_secs: f64,
     /// Below this speed a ring can be taken \[m/s\].
     pub rest_speed: f64,
-    /// With nothing left that can be reached for this long, the half is over \[s\].
+    /// Time without a reachable ring after which the half is over \[s\].
     pub patience_secs: f64,
 }
 
@@ -53,7 +53,7 @@ impl Default for Strategy {
     }
 }
 
-/// What a hand is at.
+/// Current step of a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Step {
     /// Waits at its side.
@@ -62,7 +62,7 @@ pub enum Step {
     Reach(GraspPlan),
     /// Goes in along the shaft.
     Enter(GraspPlan),
-    /// Closes the jaws and feels.
+    /// Closes the jaws until contact.
     Pinch(GraspPlan),
     /// Raises the ring above the pegs.
     Lift,

@@ -1,4 +1,4 @@
-//! What a virtual trainee sees: rings, pegs and its own two instruments, in plain geometry.
+//! Observations of a virtual trainee: rings, pegs and its own two instruments, as plain geometry.
 
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
 
@@ -17,7 +17,7 @@ pub struct PegSeen {
     pub radius: f64,
 }
 
-/// The build of a grasper as far as it matters for grasping.
+/// Dimensions of a grasper that matter for grasping.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GrasperSeen {
     /// From the hinge to the tip \[m\].
@@ -34,7 +34,7 @@ pub struct GrasperSeen {
     pub apex: Vector3<f64>,
 }
 
-/// What stays as it is during an exercise.
+/// The constant parts of an exercise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BenchSeen {
     /// All pegs.
@@ -69,7 +69,7 @@ pub struct RingSeen {
     pub speed: f64,
 }
 
-/// Everything that moves, at one moment.
+/// All moving parts at one moment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MomentSeen {
     /// Rings, always in the same order.
@@ -91,24 +91,24 @@ impl RingSeen {
 }
 
 impl BenchSeen {
-    /// Up, as the first peg says it.
+    /// The up direction, from the first peg.
     pub fn up(&self) -> Vector3<f64> {
         self.pegs.first().map_or_else(Vector3::z, |peg| peg.up)
     }
-    /// The peg that stands next to `point` \[m\].
+    /// The peg nearest to `point` \[m\].
     pub fn nearest_peg(&self, point: &Vector3<f64>) -> Option<&PegSeen> {
         let distance = |peg: &PegSeen| (peg.foot - point).norm_squared();
         self.pegs.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
-    /// Height of `point` above the board next to it \[m\].
+    /// Height of `point` above the nearest board \[m\].
     pub fn height(&self, point: &Vector3<f64>) -> f64 {
         self.nearest_peg(point).map_or(point.z, |peg| (point - peg.foot).dot(&peg.up))
     }
-    /// How far a ring reaches below its centre, tilted as it is \[m\].
+    /// Extent of a ring below its centre at its current tilt \[m\].
     pub fn drop_below_center(&self, ring: &RingSeen) -> f64 {
         self.ring_radius * ring.normal(&self.up()).cross(&self.up()).norm() + self.tube_radius
     }
-    /// The peg that a ring has taken: it goes through the ring's hole, and no other ring is lower on it.
+    /// The peg that a ring occupies: it passes through the ring's hole, and no other ring is lower on it.
     pub fn peg_of(&self, rings: &[RingSeen], ring: usize) -> Option<usize> {
         let seen = rings.get(ring)?;
         let peg = self.peg_inside(seen)?;
@@ -118,7 +118,7 @@ impl BenchSeen {
         });
         (!stacked).then_some(peg)
     }
-    /// The peg that goes through the ring's hole, as far as one can see.
+    /// The peg that passes through the ring's hole, by observation.
     pub fn peg_inside(&self, ring: &RingSeen) -> Option<usize> {
         self.pegs.iter().position(|peg| {
             let normal = ring.normal(&peg.up);

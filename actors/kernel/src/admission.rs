@@ -1,34 +1,34 @@
-//! What the Model says of a batch or a writer, and what it counts.
+//! Admission results: outcomes of batches, errors of declarations, and counters per writer.
 
 use thiserror::Error;
 use trocar_scene::{AccessOverlap, ComponentError, Entity, Refusal, RegistryError, Revision};
 
 use crate::operator::{OPERATOR, OPERATOR_NAME, OPERATOR_WRITES_MAX};
 
-/// Most rows whose ownership has moved from one writer to another.
+/// Most rows transferred from one writer to another.
 pub(crate) const TRANSFERS_MAX: usize = 4096;
 
-/// What became of a batch.
+/// Outcome of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Outcome {
-    /// It is in the scene.
+    /// The batch was applied.
     Applied {
         /// The revision that it made.
         revision: Revision,
     },
-    /// It broke a rule; nothing of it is in the scene.
+    /// The batch broke a rule; none of it was applied.
     Rejected(Rejection),
-    /// A precondition did not hold any more; nothing of it is in the scene, and nobody is to blame.
+    /// A precondition no longer held; none of the batch was applied. This is not an error of the writer.
     Conflict(Refusal),
 }
 
 /// Why a batch was rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Rejection {
-    /// From a writer that never declared itself.
+    /// The writer never declared itself.
     #[error("writer {0} has not declared what it writes")]
     UnknownWriter(u16),
-    /// From an earlier life of its writer.
+    /// The batch is from an earlier life of its writer.
     #[error("epoch {found} is fenced off; the writer is in epoch {current}")]
     StaleEpoch {
         /// The batch's epoch.
@@ -36,10 +36,10 @@ pub enum Rejection {
         /// The writer's.
         current: u32,
     },
-    /// A row handed over to nobody.
+    /// A row was transferred to an unknown writer.
     #[error("a row is handed over to writer {0}, which has not declared itself")]
     UnknownHeir(u16),
-    /// A row of a writer's own entity handed over: its contributions would outlive it.
+    /// A row of a writer's own entity was transferred: its contributions would outlive it.
     #[error("{component} of {entity} stands on a writer's own entity and cannot be handed over")]
     OwnEntity {
         /// Name of the component.
@@ -47,13 +47,13 @@ pub enum Rejection {
         /// The writer's entity.
         entity: Entity,
     },
-    /// Too many rows handed over.
+    /// Too many rows were transferred.
     #[error("more than {TRANSFERS_MAX} rows have been handed over")]
     TooManyTransfers,
     /// It cannot be encoded, so it could be neither hashed nor recorded.
     #[error("the batch cannot be encoded: {0}")]
     Unencodable(ComponentError),
-    /// More in one batch than an operator may ask for: the Model would keep everybody waiting.
+    /// An operator's batch is too large: it would block the Model for too long.
     #[error("{0} writes in one batch; valid: up to {OPERATOR_WRITES_MAX}")]
     TooManyWrites(usize),
     /// It broke a rule of the scene.
@@ -61,7 +61,7 @@ pub enum Rejection {
     Refused(Refusal),
 }
 
-/// A writer that the Model does not take.
+/// Why the Model refuses a writer's declaration.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum DeclareError {
     /// The operator's name or number.
@@ -72,15 +72,15 @@ pub enum DeclareError {
         /// Its number.
         id: u16,
     },
-    /// Two writers of one name.
+    /// Two writers have the same name.
     #[error("two writers are named '{0}'")]
     NameTaken(String),
-    /// Two writers of one number.
+    /// Two writers have the same number.
     #[error("'{name}' and '{other}' both are writer {id}")]
     IdTaken {
         /// The new one.
         name: String,
-        /// The one that had it.
+        /// The writer that already has it.
         other: String,
         /// The number.
         id: u16,
@@ -93,12 +93,12 @@ pub enum DeclareError {
         /// What is wrong.
         error: RegistryError,
     },
-    /// Two writers of one row.
+    /// Two writers declared the same row.
     #[error(transparent)]
     Overlap(#[from] AccessOverlap),
 }
 
-/// What the Model counts for each writer.
+/// Counters of the Model per writer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WriterCounts {
     /// Batches applied.
@@ -109,6 +109,6 @@ pub struct WriterCounts {
     pub conflicts: u64,
     /// Batches that made the Model panic.
     pub quarantined: u64,
-    /// Applied batches that were undone before anybody saw them, because a later one made the Model panic.
+    /// Applied batches rolled back before publication, because a later one made the Model panic.
     pub undone: u64,
 }

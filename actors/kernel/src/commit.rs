@@ -1,4 +1,4 @@
-//! Commits: what was applied, encoded once, in the order in which it was applied.
+//! Commit log: applied batches and fences, encoded once, in the order of application.
 
 use std::sync::Arc;
 
@@ -15,11 +15,11 @@ pub struct Commit<'a> {
     pub revision: Revision,
     /// The writer's name.
     pub writer: &'a str,
-    /// Where it came from.
+    /// Its provenance.
     pub provenance: Provenance,
     /// The state hash after it.
     pub hash: StateHash,
-    /// The encoded commands; for a fence, those that it amounts to.
+    /// The encoded commands; for a fence, the equivalent removals.
     pub payload: &'a [u8],
 }
 
@@ -33,7 +33,7 @@ struct Entry {
     end: usize,
 }
 
-/// Commits in a row, in buffers that are used again and again.
+/// Consecutive commits, in reused buffers.
 #[derive(Debug, Default)]
 pub struct CommitBuffer {
     entries: Vec<Entry>,
@@ -61,7 +61,7 @@ impl CommitBuffer {
     pub fn last_hash(&self) -> Option<StateHash> {
         self.entries.last().map(|entry| entry.hash)
     }
-    /// Forgets the commits and keeps the room.
+    /// Clears the commits and keeps the capacity.
     pub fn clear(&mut self) {
         self.truncate(0);
     }
@@ -96,7 +96,7 @@ impl CommitBuffer {
         self.entries.push(Entry { kind, revision, writer, provenance, hash, end });
     }
 
-    /// Forgets all but the first `len` commits.
+    /// Keeps only the first `len` commits.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.entries.truncate(len);
         self.bytes.truncate(self.entries.last().map_or(0, |entry| entry.end));

@@ -1,7 +1,7 @@
-//! A writer's way to the Model: a bounded ring of batches, a ring of emptied buffers back, and a doorbell.
+//! A writer's handle to the Model: a bounded ring of batches, a ring of emptied buffers back, and a doorbell.
 //!
-//! Nothing here waits, locks or (once warmed) allocates. A full ring, or more commands than the writer's
-//! [`FlowLimit`], costs only that writer. The Model's ends of the rings belong to the [`Intake`](crate::Intake).
+//! Nothing here blocks, locks or (after warm-up) allocates. A full ring, or more commands than the writer's
+//! [`FlowLimit`], affects only that writer. The Model's ends of the rings belong to the [`Intake`](crate::Intake).
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -17,13 +17,13 @@ use crate::runtime::Clock;
 use crate::signal::Signal;
 use crate::token_bucket::{FlowLimit, TokenBucket, count};
 
-/// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
-/// nothing is allocated for it once they have all been used.
+/// Buffers that a handle starts with: enough for a Model that is occasionally late, so that nothing is allocated after
+/// warm-up.
 pub(crate) const SPARES: usize = 8;
 
-/// Wakes the Model. Called at most once until the Model begins to drain; must not allocate or wait.
+/// Wakes the Model. Called at most once until the Model begins to drain; must not allocate or block.
 pub trait Doorbell: Send + Sync {
-    /// There is something to drain.
+    /// Signals that a batch waits.
     fn ring(&self);
 }
 
@@ -33,7 +33,7 @@ impl<F: Fn() + Send + Sync> Doorbell for F {
     }
 }
 
-/// What both ends of a lane count and see; survives restarts of the writer.
+/// Counters shared by both ends of a lane; survives restarts of the writer.
 #[derive(Debug, Default)]
 pub struct LaneStatus {
     sent: AtomicU64,
@@ -49,28 +49,28 @@ impl LaneStatus {
     pub fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
-    /// Batches that did not, because the ring was full or the writer sent more commands than it may.
+    /// Batches refused, because the ring was full or the flow limit was exceeded.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
-    /// Batches that went into the ring and never reached the scene: lost on a bad link, or with a Model that
-    /// ended before it had published them.
+    /// Batches that went into the ring and never reached the scene: lost on a faulty link, or with a Model that ended
+    /// before publishing them.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
-    /// Batches that came late or were overtaken on a bad link.
+    /// Batches delayed or overtaken on a faulty link.
     pub fn delayed(&self) -> u64 {
         self.delayed.load(Ordering::Relaxed)
     }
-    /// Batches that came twice.
+    /// Batches that arrived twice.
     pub fn duplicated(&self) -> u64 {
         self.duplicated.load(Ordering::Relaxed)
     }
-    /// `batches` went the way of a Model.
+    /// Counts `batches` as lost with a Model that ended.
     pub(crate) fn lose(&self, batches: u64) {
         self.lost.fetch_add(batches, Ordering::Relaxed);
     }
-    /// What a link did since it was looked at last.
+    /// Adds the change of a link's counts since the last call.
     pub(crate) fn count_link(&self, before: &LinkCounts, after: &LinkCounts) {
         let gone = |counts: &LinkCounts| counts.lost + counts.corrupted;
         let late = |counts: &LinkCounts| counts.delayed + counts.reordered;
@@ -84,14 +84,14 @@ impl LaneStatus {
     }
 }
 
-/// What became of a tick's commands at the handle.
+/// Result of submitting a tick's commands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Submitted {
     /// On its way to the Model.
     Sent,
-    /// Nothing was commanded, so nothing was sent.
+    /// There were no commands, so nothing was sent.
     Empty,
-    /// The ring was full, or it was more than the writer may send; the commands are gone and counted.
+    /// The ring was full, or the flow limit was exceeded; the commands are dropped and counted.
     Dropped,
 }
 
@@ -101,7 +101,7 @@ pub(crate) struct Sealed {
     pub(crate) batch: Box<Batch>,
 }
 
-/// What a handle is made of: the writer's ends of its rings, and who rings the bell.
+/// Parts of a handle: the writer's ends of its rings, and the doorbell.
 pub(crate) struct Ends {
     pub(crate) batches: Producer<Sealed>,
     pub(crate) returns: Consumer<Box<Batch>>,
@@ -118,7 +118,7 @@ pub struct WriterHandle {
     allocator: EntityAllocator,
     flow: TokenBucket,
     current: Box<Batch>,
-    /// Used in turn, so that all of them are warm.
+    /// Used round-robin, so that all of them are warm.
     spares: VecDeque<Box<Batch>>,
     status: Arc<LaneStatus>,
 }
@@ -138,11 +138,11 @@ impl WriterHandle {
         Self { writer, epoch, ends, flow: TokenBucket::new(flow), current, spares, allocator, status }
     }
 
-    /// Which writer this is.
+    /// The writer's id.
     pub fn writer(&self) -> WriterId {
         self.writer
     }
-    /// Which life of the writer.
+    /// The writer's epoch.
     pub fn epoch(&self) -> u32 {
         self.epoch
     }
@@ -151,15 +151,15 @@ impl WriterHandle {
         &self.status
     }
 
-    /// Empty commands for a tick at `now`; discards what an earlier tick left behind.
+    /// Empty commands for a tick at `now`; discards leftovers of an earlier tick.
     pub fn begin(&mut self, now: SimTime) -> &mut Commands {
         self.current.commands.clear();
         self.current.commands.begin(now);
         &mut self.current.commands
     }
 
-    /// Sends what was commanded since [`Self::begin`] as the batch of tick number `tick` at `time`, which had
-    /// read the scene at `based_on`.
+    /// Sends the commands since [`Self::begin`] as the batch of tick number `tick` at `time`, which had read the scene
+    /// at `based_on`.
     pub fn submit(&mut self, tick: u64, time: SimTime, based_on: Revision) -> Submitted {
         while self.spares.len() < self.spares.capacity()
             && let Ok(spare) = self.ends.returns.pop()
@@ -208,7 +208,7 @@ impl fmt::Debug for WriterHandle {
     }
 }
 
-/// The doorbell, rung once until somebody begins to drain.
+/// The doorbell, which rings once until draining begins.
 pub(crate) struct Bell {
     rung: Signal,
     target: Arc<dyn Doorbell>,
@@ -223,17 +223,17 @@ impl Bell {
             self.target.ring();
         }
     }
-    /// From here on a submission rings again; it is seen what came before the ring that this silences.
+    /// Re-arms the bell: later submissions ring again. Batches sent before the ring that this clears are visible.
     pub(crate) fn silence(&self) {
         self.rung.take();
     }
 }
 
-/// What became of a batch, for a writer that waits for an answer.
+/// Receipt of a batch, for a writer that waits for an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Receipt {
     /// Number of the batch's tick.
     pub tick: u64,
-    /// What the Model decided; `None` when the batch made it panic, and nothing of it is in the scene.
+    /// What the Model decided; `None` when the batch made it panic and was not applied.
     pub outcome: Option<Outcome>,
 }

@@ -1,8 +1,8 @@
-//! The Model's ends of all rings. They belong to no Model: whoever drains them holds [`Lanes`], a ticket that the
-//! next drainer's takes the place of, so that what a dead or hung Model had not taken waits for its successor.
+//! Receiving ends of all writers' rings. They outlive any one Model: the Model that drains them holds [`Lanes`], a
+//! ticket that the next Model's ticket revokes, so that batches left by a dead or hung Model wait for its successor.
 //!
-//! The lock around them is held for the length of a pop. Only the drainer takes it; one that was superseded sees
-//! so before it tries.
+//! The lock around the rings is held for one pop. Only the current drainer takes it; a superseded drainer checks its
+//! ticket before it tries.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -24,13 +24,13 @@ struct Lane {
 }
 
 impl Lane {
-    /// Its writer is gone and everything it sent has been drained.
+    /// Whether the writer has ended and all its batches are drained.
     fn is_spent(&self) -> bool {
         self.batches.is_abandoned() && self.batches.is_empty()
     }
 }
 
-/// A link on which faults act, between the rings of one writer and the Model.
+/// A faulty link between the rings of one writer and the Model.
 struct Link {
     writer: WriterId,
     status: Arc<LaneStatus>,
@@ -46,7 +46,7 @@ impl Link {
     }
 }
 
-/// What has been opened or ordered and the drainer has not seen yet.
+/// Newly opened lanes and ordered faults that the drainer has not seen yet.
 #[derive(Default)]
 struct Arrivals {
     lanes: Vec<Lane>,
@@ -56,9 +56,9 @@ struct Arrivals {
 #[derive(Default)]
 struct Active {
     lanes: Vec<Lane>,
-    /// Where the next turn begins.
+    /// Lane at which the next round-robin turn begins.
     next: usize,
-    /// Hardly ever any: one per writer whose link is bad.
+    /// One per writer whose link is faulty; usually empty.
     links: Vec<Link>,
 }
 
@@ -70,15 +70,15 @@ pub struct Intake {
     arrivals: Mutex<Arrivals>,
     /// Whether there are arrivals.
     arrived: AtomicBool,
-    /// Number of the drainer whose word counts.
+    /// Number of the current drainer.
     drainer: AtomicU64,
     active: Mutex<Active>,
-    /// Whether any link is bad: what waits on it comes without anybody ringing.
+    /// Whether any link is faulty: messages delayed on it become due without a ring of the doorbell.
     is_any_link_bad: AtomicBool,
 }
 
 impl Intake {
-    /// Without writers; `bell` wakes the Model, `clock` tells when a batch was sealed.
+    /// An intake without writers; `bell` wakes the Model, `clock` dates the sealing of batches.
     pub fn new(registry: Arc<Registry>, clock: Clock, bell: Arc<dyn Doorbell>) -> Arc<Self> {
         Arc::new(Self {
             registry,
@@ -92,11 +92,10 @@ impl Intake {
         })
     }
 
-    /// Gives a life of a writer rings of its own, for `capacity` batches (at least 1), and its flow limit.
+    /// Opens rings for one life of a writer, for `capacity` batches (at least 1), with its flow limit.
     ///
-    /// A writer that was fenced keeps its old rings, so that a zombie can neither disturb its successor nor
-    /// be disturbed; what it still sends is refused by its epoch. `allocator` and `status` are shared by all
-    /// lives of a writer.
+    /// A fenced writer keeps its old rings, so that a zombie cannot disturb its successor; its late batches are refused
+    /// by their epoch. `allocator` and `status` are shared by all lives of a writer.
     pub fn open(
         &self,
         writer: WriterId,
@@ -108,8 +107,8 @@ impl Intake {
         self.open_lane(writer, epoch, (capacity, flow), allocator, status, None)
     }
 
-    /// The same without a flow limit, for a writer that is told what became of its batches, once they are published.
-    /// It must have taken the receipts of all but `capacity` of them when it sends another; more are lost.
+    /// The same without a flow limit, for a writer that gets a receipt for each batch once it is published. At most
+    /// `capacity` receipts may be outstanding when it sends another batch; further receipts are lost.
     pub(crate) fn open_with_receipts(
         &self,
         writer: WriterId,
@@ -134,7 +133,7 @@ impl Intake {
     ) -> WriterHandle {
         let capacity = capacity.max(1);
         let (batches, from_writer) = RingBuffer::new(capacity);
-        // Everything that can be in flight fits into the way back.
+        // The return ring holds everything that can be in flight.
         let (to_writer, returns) = RingBuffer::new(capacity + 2);
         let lane = Lane { writer, batches: from_writer, returns: to_writer, receipts };
         unpoisoned(&self.arrivals).lanes.push(lane);
@@ -144,28 +143,27 @@ impl Intake {
         WriterHandle::new(writer, epoch, ends, (capacity, flow), allocator, status)
     }
 
-    /// A fault of the link between a writer and the Model begins or ends, from the next pass on.
+    /// Begins or ends a fault of the link between a writer and the Model, from the next pass on.
     pub(crate) fn fault(&self, writer: WriterId, status: &Arc<LaneStatus>, order: &FaultOrder) {
         unpoisoned(&self.arrivals).orders.push((writer, status.clone(), order.clone()));
         self.arrived.store(true, Ordering::Release);
     }
 
-    /// Whether something may be on its way for which nobody will ring.
+    /// Whether a message may become due without a ring of the doorbell.
     pub(crate) fn is_any_link_bad(&self) -> bool {
         self.is_any_link_bad.load(Ordering::Relaxed)
     }
 
-    /// From here on the lanes are drained through what this returns, and no longer through what it returned
-    /// before.
+    /// Makes the caller the drainer: the returned lanes replace those returned before.
     pub fn take(self: &Arc<Self>) -> Lanes {
         let ticket = self.drainer.fetch_add(1, Ordering::AcqRel) + 1;
-        // An unanswered ring of a dead drainer must not keep the bell silent.
+        // A ring that a dead drainer never answered must not keep the bell silent.
         self.bell.silence();
         Lanes { intake: self.clone(), ticket }
     }
 }
 
-/// Nothing under these locks is left half changed by a panic: it is only pushed to or popped from.
+/// Ignores poisoning: data under these locks is only pushed or popped, so a panic leaves it consistent.
 fn unpoisoned<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -184,7 +182,7 @@ impl Active {
         }
     }
 
-    /// The next batch that waits, one lane after the other.
+    /// The next waiting batch, round-robin over the lanes.
     fn in_turn(&mut self) -> Option<(usize, Sealed)> {
         let count = self.lanes.len();
         for step in 0..count {
@@ -230,13 +228,13 @@ pub struct Lanes {
     ticket: u64,
 }
 
-/// Which lane a batch came through.
+/// Index of the lane that a batch came through.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LaneIndex(usize);
 
-/// A batch that has come.
+/// A received batch.
 pub struct Arrival {
-    /// Through which lane.
+    /// The lane it came through.
     pub lane: LaneIndex,
     /// When its writer sealed it.
     pub sealed_at: SimTime,
@@ -245,14 +243,13 @@ pub struct Arrival {
 }
 
 impl Lanes {
-    /// Whether nobody else drains the lanes by now.
+    /// Whether this ticket is still the current drainer.
     pub fn is_current(&self) -> bool {
         self.intake.drainer.load(Ordering::Acquire) == self.ticket
     }
 
     fn active(&self) -> Option<MutexGuard<'_, Active>> {
-        // Before the lock, so that a thread that was left behind does not get in anybody's way; and again
-        // under it.
+        // Checked before the lock, so that a superseded thread does not contend for it, and again under it.
         if !self.is_current() {
             return None;
         }
@@ -260,8 +257,8 @@ impl Lanes {
         self.is_current().then_some(active)
     }
 
-    /// Begins a pass: from here on a submission rings the bell again. Call it before the first [`Self::pop`] of
-    /// a pass, so that nothing sent in between is missed.
+    /// Begins a pass: later submissions ring the bell again. Call it before the first [`Self::pop`] of a pass, so that
+    /// no batch sent in between is missed.
     pub fn begin_pass(&mut self) {
         let Some(mut active) = self.active() else { return };
         self.intake.bell.silence();
@@ -278,13 +275,12 @@ impl Lanes {
         self.intake.is_any_link_bad.store(!active.links.is_empty(), Ordering::Relaxed);
     }
 
-    /// The next batch that has come by `now`, one lane in turn; `None` when there is none, or when somebody else
-    /// drains the lanes.
+    /// The next batch that has arrived by `now`, round-robin; `None` when there is none or this ticket is superseded.
     pub fn pop(&mut self, now: SimTime) -> Option<Arrival> {
         self.active()?.pop(now)
     }
 
-    /// Whether the writer of this lane waits for answers.
+    /// Whether the writer of this lane expects receipts.
     pub(crate) fn wants_receipt(&self, lane: LaneIndex) -> bool {
         let waits = |active: MutexGuard<'_, Active>| {
             active.lanes.get(lane.0).is_some_and(|lane| lane.receipts.is_some())
@@ -292,24 +288,23 @@ impl Lanes {
         self.active().is_some_and(waits)
     }
 
-    /// Tells the writer what became of a batch, if it wants to know. Valid until the next
-    /// [`Self::begin_pass`].
+    /// Sends the writer the receipt of a batch, if it expects receipts. Valid until the next [`Self::begin_pass`].
     pub(crate) fn answer(&mut self, lane: LaneIndex, receipt: Receipt) {
         let Some(mut active) = self.active() else { return };
         if let Some(receipts) = active.lanes.get_mut(lane.0).and_then(|lane| lane.receipts.as_mut()) {
-            // Full only when nobody reads it any more.
+            // The ring is full only when its reader has ended.
             let _ = receipts.push(receipt);
         }
     }
 
-    /// Returns an applied or refused batch's buffers to its writer. Clears them here, so that values are
-    /// freed on the Model's thread and not on the writer's. Valid until the next [`Self::begin_pass`].
+    /// Returns an applied or refused batch's buffers to its writer. Clears them here, so that values are freed on the
+    /// Model's thread, not on the writer's. Valid until the next [`Self::begin_pass`].
     pub fn give_back(&mut self, lane: LaneIndex, mut batch: Box<Batch>) {
         batch.commands.clear();
         let Some(mut active) = self.active() else { return };
         let writer = batch.provenance.writer;
         if let Some(lane) = active.lanes.get_mut(lane.0).filter(|lane| lane.writer == writer) {
-            // Full only when the writer is gone, or when it got a copy's buffers as well.
+            // The ring is full only when the writer has ended, or when it got a duplicate's buffers as well.
             let _ = lane.returns.push(batch);
         }
     }

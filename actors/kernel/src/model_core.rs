@@ -1,4 +1,4 @@
-//! The Model without its actor: takes batches, decides what gets in, and publishes snapshots.
+//! Core of the Model without its actor: admits batches, applies them and publishes snapshots.
 //!
 //! Sans-IO: no clock, no thread, no channel. The live Model and lock-step drive the same core, so that the
 //! same batches in the same order give the same revisions and the same hash.
@@ -32,7 +32,7 @@ struct Writer {
 
 pub(crate) type Transfers = BTreeMap<(ComponentId, Entity), WriterId>;
 
-/// What readers see, and what the Model falls back to.
+/// The published state, which the Model also rolls back to.
 #[derive(Clone)]
 struct Committed {
     snapshot: Arc<Snapshot>,
@@ -41,7 +41,7 @@ struct Committed {
     commits: usize,
 }
 
-/// A fence that readers have not seen: it outlives a fall-back, or what a dead writer contributed came back.
+/// An unpublished fence. It must survive a roll-back, or the dead writer's contributions would reappear.
 struct UnseenFence {
     writer: WriterId,
     epoch: u32,
@@ -63,12 +63,12 @@ pub struct ModelCore {
     scratch: Vec<u8>,
     committed: Committed,
     unseen_fences: Vec<UnseenFence>,
-    /// Whether a batch is being moved into the scene; still set after a panic in the middle of it.
+    /// Whether a batch is being moved into the scene; still set after a panic during the move.
     half_applied: bool,
 }
 
 impl ModelCore {
-    /// Owns a scene; `station` is this station's number, part of every writer's entity.
+    /// A core that owns a scene; `station` is this station's number, part of every writer's entity.
     ///
     /// # Errors
     /// When the scene cannot be encoded.
@@ -77,7 +77,7 @@ impl ModelCore {
         Ok(Self::going_on(store, station, chain, Arc::default()))
     }
 
-    /// Owns a scene that another core has come to, with its chain and with the rows that were handed over there.
+    /// A core that continues from another core's scene, with its hash chain and transferred rows.
     pub(crate) fn resume(store: Store, station: u16, head: StateHash, transfers: Arc<Transfers>) -> Self {
         Self::going_on(store, station, Chain::resume(head), transfers)
     }
@@ -122,7 +122,7 @@ impl ModelCore {
         self
     }
 
-    /// Continues a chain instead of beginning one at the scene: a replay from a keyframe.
+    /// Continues a hash chain instead of starting one from the scene, for a replay from a keyframe.
     #[must_use]
     pub fn with_chain(mut self, head: StateHash) -> Self {
         self.chain = Chain::resume(head);
@@ -130,19 +130,19 @@ impl ModelCore {
         self
     }
 
-    /// Whether commits are kept for [`Self::swap_commits`]; off, so that nothing piles up unread.
+    /// Whether commits are kept for [`Self::swap_commits`]; off, commits do not pile up unread.
     pub fn keep_commits(&mut self, keep: bool) {
         self.keep_commits = keep;
     }
 
-    /// Takes a writer, or a new life of one: what it writes must not overlap with what others write. Rows
-    /// that were handed over stay where they are. Returns its epoch, which is 1 in its first life.
+    /// Declares a writer, or a new life of one: its write access must not overlap with that of others. Transferred rows
+    /// keep their owner. Returns its epoch, which is 1 in its first life.
     ///
-    /// A writer that declares something else than in the life before must have been fenced: a later fence takes
-    /// away only what it contributes now.
+    /// A writer must be fenced before it declares other access than in its previous life: a later fence removes only
+    /// its current contributions.
     ///
     /// # Errors
-    /// [`DeclareError`]; the writers that were declared before are not affected.
+    /// [`DeclareError`]; writers declared before are not affected.
     pub fn declare(&mut self, name: &str, id: WriterId, access: &Access) -> Result<u32, DeclareError> {
         if name == OPERATOR_NAME || id == OPERATOR {
             return Err(DeclareError::Reserved { name: name.to_owned(), id: id.0 });
@@ -199,8 +199,8 @@ impl ModelCore {
         }
     }
 
-    /// Applies a sealed batch as a whole or not at all. `now` is the time at which it is applied, which only
-    /// decides about publication: what enters the scene and the hash is the batch's own time.
+    /// Applies a sealed batch atomically. `now` affects only when to publish: the scene and the hash take the batch's
+    /// own time.
     ///
     /// A batch that panics in here (a component's own code) leaves the core unusable until
     /// [`Self::recover`] is called.
@@ -246,7 +246,7 @@ impl ModelCore {
         Outcome::Applied { revision }
     }
 
-    /// Everything that can be said against a batch; leaves its encoding in `scratch`.
+    /// Runs all checks on a batch; leaves its encoding in `scratch`.
     fn admit(&mut self, at: usize, epoch: u32, batch: &Batch) -> Result<(), Rejection> {
         let writer = &self.writers[at];
         if epoch != writer.epoch {
@@ -276,7 +276,8 @@ impl ModelCore {
     fn move_ownership(&mut self, batch: &Batch) {
         for transfer in batch.commands.transfers() {
             let row = (transfer.component, transfer.entity);
-            // Of everybody else, not only of the sender: of two heirs of one row in a batch the later one has it.
+            // Removed from all other writers, not only the sender: if a batch transfers one row twice, the later
+            // recipient owns it.
             for writer in &mut self.writers {
                 if writer.id == transfer.to {
                     writer.rules.grant(row.0, row.1);
@@ -286,7 +287,7 @@ impl ModelCore {
             }
             Arc::make_mut(&mut self.transfers).insert(row, transfer.to);
         }
-        // Entities are never reused, so the rights to a removed one need not be remembered.
+        // Entities are never reused, so rights to a removed one can be dropped.
         if !self.transfers.is_empty() && !batch.commands.despawns().is_empty() {
             Arc::make_mut(&mut self.transfers)
                 .retain(|(_, entity), _| !batch.commands.despawns().contains(entity));
@@ -296,11 +297,11 @@ impl ModelCore {
         }
     }
 
-    /// Ends the lives of a writer before `epoch`: their batches are refused from now on and its contributions
-    /// leave the scene. Does nothing and says `false` when the writer is unknown or in that epoch already.
+    /// Fences the lives of a writer before `epoch`: their batches are refused and their contributions leave the scene.
+    /// Returns `false`, without effect, when the writer is unknown or already in that epoch.
     ///
-    /// A writer that declared nothing has nothing in the scene: its fence is no commit, so that the chain does
-    /// not depend on who merely looks on (a recorder).
+    /// The fence of a writer that declared nothing is no commit, so that the hash chain does not depend on read-only
+    /// participants (a recorder).
     pub fn fence(&mut self, id: WriterId, epoch: u32, now: SimTime) -> bool {
         let Some(at) = self.position(id).filter(|at| self.writers[*at].epoch < epoch) else { return false };
         let writer = &mut self.writers[at];
@@ -315,13 +316,13 @@ impl ModelCore {
         true
     }
 
-    /// Takes a fenced writer's contributions out of the scene, as a commit.
+    /// Removes a fenced writer's contributions from the scene, as a commit.
     fn end_lives(&mut self, fence: &UnseenFence) {
         let UnseenFence { writer, epoch, now, ref rules } = *fence;
         let Some(at) = self.position(writer) else { return };
         let writer = &self.writers[at];
         let revision = self.store.remove_contributions(rules);
-        // The epoch stands where a batch has its tick.
+        // The epoch takes the place of a batch's tick.
         let provenance =
             Provenance { writer: writer.id, epoch, tick: u64::from(epoch), time: now, based_on: revision };
         self.scratch.clear();
@@ -334,8 +335,8 @@ impl ModelCore {
         self.clock.applied(now);
     }
 
-    /// Applies a recorded commit again, without asking what its writer may do: that was decided when it was
-    /// recorded. The hash afterwards is that of the commands as they are now, encoded anew.
+    /// Applies a recorded commit again, without access checks, which passed when it was recorded. The resulting hash is
+    /// computed from the commands as encoded now.
     ///
     /// # Errors
     /// When the commands cannot be encoded, or the scene has no room for their rows; nothing is applied then.
@@ -350,7 +351,7 @@ impl ModelCore {
         self.scratch.clear();
         commands.encode(&mut self.scratch)?;
         self.chain.append(kind, writer, provenance.tick, provenance.time, &self.scratch);
-        // A fence is no event of the scene's own time.
+        // A fence does not advance the scene's time.
         let time = if kind == CommitKind::Fence { SimTime::ZERO } else { provenance.time };
         self.clock.applied(provenance.time);
         Ok(self.store.apply(commands, time))
@@ -376,9 +377,8 @@ impl ModelCore {
         snapshot
     }
 
-    /// After a panic in [`Self::apply`]: blames `culprit`, and if its batch was already being moved into the
-    /// scene, falls back to what was last published. What was applied since, and nobody has seen, is gone;
-    /// returns whether that was so.
+    /// After a panic in [`Self::apply`]: counts it against `culprit`, and if its batch was being moved into the scene,
+    /// rolls back to the last published state. Batches applied since then are lost; returns whether it rolled back.
     pub fn recover(&mut self, culprit: Option<WriterId>) -> bool {
         if let Some(at) = culprit.and_then(|id| self.position(id)) {
             self.writers[at].counts.quarantined += 1;
@@ -389,7 +389,7 @@ impl ModelCore {
         std::mem::take(&mut self.half_applied)
     }
 
-    /// Forgets everything since the last publication, except who was fenced.
+    /// Rolls back to the last publication, but keeps fences.
     fn fall_back(&mut self) {
         let committed = self.committed.clone();
         self.store = Store::from_snapshot(&committed.snapshot);
@@ -403,7 +403,7 @@ impl ModelCore {
             if writer.rules.is_unrestricted() {
                 continue;
             }
-            // Compiled before, so it compiles again.
+            // It compiled before, so it compiles again.
             if let Ok(mut rules) =
                 WriterRules::compile(&writer.access, self.store.view().registry(), writer.rules.me())
             {
@@ -439,7 +439,7 @@ impl ModelCore {
     pub fn station(&self) -> u16 {
         self.station
     }
-    /// The rows that were handed over, and to whom.
+    /// The transferred rows and their new owners.
     pub(crate) fn transfers(&self) -> &Arc<Transfers> {
         &self.transfers
     }
@@ -447,7 +447,7 @@ impl ModelCore {
     pub fn epoch(&self, id: WriterId) -> Option<u32> {
         self.position(id).map(|at| self.writers[at].epoch)
     }
-    /// What was counted for a writer.
+    /// Outcome counts of a writer.
     pub fn counts(&self, id: WriterId) -> Option<WriterCounts> {
         self.position(id).map(|at| self.writers[at].counts)
     }
@@ -470,7 +470,7 @@ impl ModelCore {
     }
 }
 
-/// Gives a writer's fresh rules what was handed to it, and takes what it handed away.
+/// Applies the transfers to a writer's new rules: adds rows transferred to it and removes rows transferred away.
 fn restore_transfers(transfers: &Transfers, id: WriterId, rules: &mut WriterRules) {
     for ((component, entity), heir) in transfers {
         if *heir == id {
@@ -481,8 +481,8 @@ fn restore_transfers(transfers: &Transfers, id: WriterId, rules: &mut WriterRule
     }
 }
 
-/// A fence as the commands that it amounts to: the removal of the writer's contributions, in the encoding of
-/// [`Commands::encode`], so that a replay needs to know nothing about the writer.
+/// Encodes a fence as commands, in the format of [`Commands::encode`]: the removal of the writer's contributions. A
+/// replay then needs no knowledge of the writer.
 fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>) {
     let kept = || {
         let keys = rules.contributes().iter().map(|id| registry.entry(*id));

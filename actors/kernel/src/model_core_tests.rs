@@ -1,4 +1,4 @@
-//! What the Model promises, one test per promise. `tests/model_sequences.rs` plays random sessions.
+//! Tests of the Model's guarantees, one per guarantee. `tests/model_sequences.rs` runs random sessions.
 
 use trocar_scene::{
     Access, Batch, CommandError, Commands, Entity, EntityAllocator, EntitySet, Provenance, Refusal, Revision,
@@ -167,7 +167,7 @@ fn ownership_moves_explicitly_and_survives_a_restart_of_either_side() {
     submit(&mut core, ENGINE, 1, |out| out.transfer::<Count>(RING, PILOT));
     assert!(matches!(submit(&mut core, ENGINE, 1, put(1)), Outcome::Rejected(_)));
     assert!(matches!(submit(&mut core, PILOT, 1, put(2)), Outcome::Applied { .. }));
-    // A new life that declares something else is compiled anew; what was handed over stays.
+    // A new life with another declaration is compiled again; transferred rows stay transferred.
     let wider = Access::new().writes::<Count>(EntitySet::Of(vec![PEG])).contributes::<Shadow>();
     core.declare("pilot", PILOT, &wider).expect("no overlap");
     assert!(matches!(submit(&mut core, PILOT, 1, put(3)), Outcome::Applied { .. }));

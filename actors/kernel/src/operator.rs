@@ -1,10 +1,9 @@
-//! The operator: whoever writes into a session from outside of it. A researcher's program, a tuning panel, a
+//! The operator: the writer for programs outside the session, such as a researcher's script, a tuning panel or a
 //! console.
 //!
-//! It declares nothing and may write everything, so it overlaps with nobody; a controller that writes the same
-//! row simply does so again at its next tick. What it writes is screened as everybody's is, stands in the
-//! recording and the chain of hashes under its name, and comes back in a replay. The Model knows it from the
-//! beginning, so that nothing has to be asked of anybody before the first write.
+//! It declares no access and may write every row, so it conflicts with no writer; a controller that owns the same row
+//! overwrites it at its next tick. The operator's batches are checked like all others, enter the recording and the hash
+//! chain under its name, and are replayed. The Model knows it from the start, so the first write needs no declaration.
 
 use std::time::Duration;
 
@@ -22,37 +21,37 @@ pub const OPERATOR_WRITES_MAX: usize = 16_384;
 /// It is never restarted.
 pub(crate) const OPERATOR_EPOCH: u32 = 1;
 
-/// Why what an operator wrote is not in the scene, or may not be.
+/// Why an operator's batch is not, or may not be, in the scene.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum OperatorError {
-    /// It broke a rule; nothing of it is in the scene.
+    /// The batch broke a rule; none of it was applied.
     #[error(transparent)]
     Rejected(#[from] Rejection),
-    /// A precondition did not hold any more; nothing of it is in the scene.
+    /// A precondition no longer held; none of the batch was applied.
     #[error(transparent)]
     Conflict(Refusal),
-    /// A component's own code panicked in the Model; nothing of it is in the scene, and the Model goes on from
-    /// what was last published.
+    /// A component's own code panicked in the Model; none of the batch was applied, and the Model continues from the
+    /// last published state.
     #[error("the batch made the Model panic; nothing of it is in the scene")]
     Quarantined,
-    /// The Model has failed and is not back yet; try again.
+    /// The Model failed and has not restarted yet; try again.
     #[error("the Model is being restarted")]
     ModelDown,
-    /// Batches that the Model has not answered fill the way to it; try again.
+    /// The ring is full of unanswered batches; try again.
     #[error("the Model has not answered the batches before this one")]
     Busy,
-    /// No answer came in time: it may still be applied, later.
+    /// No answer in time: the batch may still be applied later.
     #[error("the Model did not answer within {} s", .0.as_secs_f64())]
     NoAnswer(Duration),
     /// The session has ended.
     #[error("the session has ended")]
     Ended,
-    /// Every handle that a session gives out is in use.
+    /// All operator handles of the session are in use.
     #[error("the session has {0} operators already; drop one")]
     TooMany(u32),
 }
 
-/// The Model's decision as whoever asked for it sees it.
+/// Converts the Model's decision to the operator's result.
 pub(crate) fn answer(outcome: Outcome) -> Result<Revision, OperatorError> {
     match outcome {
         Outcome::Applied { revision } => Ok(revision),

@@ -1,4 +1,4 @@
-//! What an operator may and may not do, one test per promise.
+//! Tests of the operator's rights and limits, one per guarantee.
 
 use trocar_scene::{
     Access, CommandError, Commands, Controller, ControllerError, Entity, EntityAllocator, EntitySet, Refusal,
@@ -18,7 +18,7 @@ use crate::testing::{Bomb, Count, Level, Pairs, registry};
 const RING: Entity = Entity::new(0, 0, 1);
 const PEG: Entity = Entity::new(0, 0, 2);
 
-/// Counts up on the ring, from whatever is there, and copies the level of the peg to the ring.
+/// Increments the ring's count, and copies the level of the peg to the ring.
 struct Engine;
 impl Controller for Engine {
     fn access(&self) -> Access {
@@ -165,7 +165,7 @@ fn a_row_given_to_somebody_is_taken_from_whoever_had_it() {
     assert!(!send(WriterId(1), &|out| out.put(RING, Count(1))), "it was taken away");
     assert!(send(WriterId(2), &|out| out.put(RING, Count(2))));
     assert!(send(OPERATOR, &|out| out.put(RING, Count(3))), "the operator still may");
-    // What a writer keeps on its own entity can be written too, what nobody has cannot.
+    // An operator can write a component on a writer's own entity, but not one of an entity that does not exist.
     assert!(send(OPERATOR, &|out| out.put(Entity::of_writer(0, 1), Count(4))));
     assert!(!send(OPERATOR, &|out| out.put(Entity::of_writer(0, 9), Count(4))));
 }
@@ -238,7 +238,7 @@ fn a_batch_that_makes_the_model_panic_is_quarantined_and_the_session_goes_on() {
 fn a_session_that_has_given_up_takes_nothing() {
     let mut session = session();
     for step in 1..=60_000 {
-        // Whoever kills the Model again and again ends the session, as anybody else would.
+        // An operator that kills the Model again and again ends the session, like any other writer.
         let _ = session.apply(|out| out.put(PEG, Bomb::new(13)));
         if !session.step_until(SimTime::from_millis(step)) {
             break;

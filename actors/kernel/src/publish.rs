@@ -1,15 +1,15 @@
-//! When the Model publishes: after so many batches, after so long, or when nothing is left to apply.
+//! Publication rule of the Model: after a number of batches, after a time, or when no batch waits.
 //!
-//! A rule, not a timer: publishing "when idle" by a message to oneself starves under load.
+//! A rule, not a timer: publishing "when idle" through a message to itself would starve under load.
 
 use trocar_scene::SimTime;
 
 /// Limits between two publications.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublishRule {
-    /// Most applied batches that readers do not see yet.
+    /// Most applied batches before a publication.
     pub batches_max: u32,
-    /// Longest time for which the first of them waits.
+    /// Longest time that the first of them waits for publication.
     pub age_max: SimTime,
 }
 
@@ -19,7 +19,7 @@ impl Default for PublishRule {
     }
 }
 
-/// Counts what is applied and not yet published.
+/// Tracks the applied, unpublished batches.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PublishClock {
     rule: PublishRule,
@@ -28,11 +28,11 @@ pub struct PublishClock {
 }
 
 impl PublishClock {
-    /// Nothing is unpublished.
+    /// A clock without unpublished batches.
     pub fn new(rule: PublishRule) -> Self {
         Self { rule, unpublished: 0, first: SimTime::ZERO }
     }
-    /// A batch was applied.
+    /// Records that a batch was applied.
     pub fn applied(&mut self, now: SimTime) {
         if self.unpublished == 0 {
             self.first = now;
@@ -46,11 +46,11 @@ impl PublishClock {
                 || self.unpublished >= self.rule.batches_max
                 || now.since(self.first) >= self.rule.age_max)
     }
-    /// How many applied batches readers do not see yet.
+    /// Number of applied, unpublished batches.
     pub fn unpublished(&self) -> u32 {
         self.unpublished
     }
-    /// A snapshot with everything applied so far is out.
+    /// Records that everything applied so far was published.
     pub fn published(&mut self) {
         self.unpublished = 0;
     }

@@ -1,22 +1,21 @@
-//! "There is something to look at": raised by many, taken by one, and nothing that was written before a raise is
-//! missed after the take. `tests/loom` tries every interleaving.
+//! Wake-up flag, many producers to one consumer: writes made before a raise are visible after the take. `tests/loom`
+//! tries every interleaving.
 
 use crate::sync::{AtomicBool, Ordering};
 
-/// A flag between those who leave something and the one who looks for it.
+/// A flag between the producers of work and its one consumer.
 #[derive(Debug, Default)]
 pub(crate) struct Signal(AtomicBool);
 
 impl Signal {
-    /// Whoever looks from now on finds what was written before; true for the first since the last take, whose duty it
-    /// is to wake the one who looks.
+    /// Publishes earlier writes. True for the first raise since the last take: that producer must wake the consumer.
     pub(crate) fn raise(&self) -> bool {
         !self.0.swap(true, Ordering::AcqRel)
     }
 
-    /// Whether it was raised; down again. Take it before looking, not after.
+    /// Clears the flag and returns whether it was raised. Take it before looking for work, not after.
     pub(crate) fn take(&self) -> bool {
-        // A swap, not a store: it must see what came before the raise that it takes down.
+        // A swap, not a store: it must see the writes that preceded the raise that it clears.
         self.0.swap(false, Ordering::AcqRel)
     }
 }

@@ -1,18 +1,17 @@
-//! Snapshots that are no longer current, kept until nobody reads them, so that a controller never runs a
-//! scene's destructor.
+//! Deferred reclamation of retired snapshots: they are kept until no reader holds them, so that a controller never runs
+//! a scene's destructor.
 //!
-//! A reader that drops the last reference to a snapshot frees it there and then: hundreds of microseconds
-//! in the middle of a haptic tick. As long as the Model keeps one reference more, the reader's drop is a
-//! decrement.
+//! A reader that drops the last reference frees the snapshot at once, which takes hundreds of microseconds within a
+//! haptic tick. While the Model keeps one more reference, the reader's drop is only a decrement.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
-/// Keeps retired values alive while anybody else holds them, and frees them on the thread that sweeps.
+/// Keeps retired values alive while others hold them, and frees them on the sweeping thread.
 ///
-/// Bounded: beyond `keep` values the oldest go to a reaper thread, which waits for their holders there.
+/// Bounded: beyond `keep` values the oldest go to a reaper thread, which waits for their holders.
 #[derive(Debug)]
 pub struct Retired<T: Send + Sync + 'static> {
     held: VecDeque<Arc<T>>,
@@ -20,9 +19,9 @@ pub struct Retired<T: Send + Sync + 'static> {
     reaper: SyncSender<Arc<T>>,
 }
 
-/// How many values the reaper's queue takes.
+/// Capacity of the reaper's queue.
 const REAPER_QUEUE: usize = 256;
-/// How often the reaper looks whether a holder has let go.
+/// Period at which the reaper checks for released values.
 const REAPER_PAUSE: Duration = Duration::from_millis(5);
 
 impl<T: Send + Sync + 'static> Retired<T> {
@@ -36,7 +35,7 @@ impl<T: Send + Sync + 'static> Retired<T> {
         Ok(Self { held: VecDeque::with_capacity(keep + 1), keep, reaper })
     }
 
-    /// Takes over a value that has just been replaced, and frees those that nobody holds any more.
+    /// Takes a value that has just been replaced, and frees values without other holders.
     pub fn retire(&mut self, value: Arc<T>) {
         self.held.push_back(value);
         self.sweep();
@@ -44,8 +43,8 @@ impl<T: Send + Sync + 'static> Retired<T> {
             let Some(oldest) = self.held.pop_front() else { break };
             match self.reaper.try_send(oldest) {
                 Ok(()) => {}
-                // Still somebody's: to drop it here would make its reader free it. What is held this way
-                // is bounded by the number of readers, each of which holds one.
+                // Still in use: dropping it here would leave the freeing to its reader. The number of such values is
+                // bounded by the number of readers, which hold one each.
                 Err(TrySendError::Full(value) | TrySendError::Disconnected(value)) => {
                     self.held.push_front(value);
                     break;
@@ -54,18 +53,18 @@ impl<T: Send + Sync + 'static> Retired<T> {
         }
     }
 
-    /// Frees, on this thread, the values that nobody else holds.
+    /// Frees, on this thread, the values without other holders.
     pub fn sweep(&mut self) {
-        // A retired value can no longer be loaded by anybody, so a count of one stays one.
+        // A retired value can no longer be loaded, so a count of one stays one.
         self.held.retain(|value| Arc::strong_count(value) > 1);
     }
 
-    /// How many values wait here for their readers.
+    /// Number of values kept for their readers.
     pub fn len(&self) -> usize {
         self.held.len()
     }
 
-    /// Whether none waits.
+    /// Whether no value is kept.
     pub fn is_empty(&self) -> bool {
         self.held.is_empty()
     }
@@ -73,7 +72,7 @@ impl<T: Send + Sync + 'static> Retired<T> {
 
 impl<T: Send + Sync + 'static> Drop for Retired<T> {
     fn drop(&mut self) {
-        // The readers of what is left may outlive the Model; the reaper waits for them.
+        // Readers of the remaining values may outlive the Model; the reaper waits for them.
         for value in self.held.drain(..) {
             if Arc::strong_count(&value) > 1 {
                 let _ = self.reaper.try_send(value);

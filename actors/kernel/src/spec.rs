@@ -1,4 +1,4 @@
-//! What a session consists of, as data that both drivers take: live (actix) and lock-step.
+//! Session specification, as data for both drivers: live (actix) and lock-step.
 
 use std::any::Any;
 use std::fmt;
@@ -18,12 +18,12 @@ use crate::token_bucket::FlowLimit;
 /// Builds a controller from the scene as it is now; called again for every restart.
 pub type Factory = Arc<dyn Fn(&BuildContext) -> Result<Box<dyn Controller>, ControllerError> + Send + Sync>;
 
-/// Something outside of the scene that must refuse a writer's words from older epochs, told before
-/// anything else happens when that writer dies or stalls: a device driver that takes its forces.
+/// A consumer outside the scene that must refuse a writer's output from older epochs, such as a device driver that
+/// takes its forces. It is notified first when that writer dies or stalls.
 ///
 /// Called from the watchdog's thread: it must neither wait nor allocate.
 pub trait Fence: Send + Sync {
-    /// From now on refuse everything that carries an epoch below `epoch`.
+    /// Refuses all output with an epoch below `epoch` from now on.
     fn raise(&self, epoch: u32);
 }
 
@@ -42,11 +42,11 @@ pub struct ControllerSpec {
     pub factory: Factory,
     /// How it is supervised.
     pub child: ChildSpec,
-    /// Told first when it dies or stalls.
+    /// Fences raised first when it dies or stalls.
     pub fences: Vec<Arc<dyn Fence>>,
     /// How many batches its ring holds.
     pub ring_capacity: usize,
-    /// How many commands it may send; what is above is refused at its own handle.
+    /// Flow limit; commands above it are refused at its own handle.
     pub flow: FlowLimit,
 }
 
@@ -84,10 +84,10 @@ pub fn period_of(rate_hz: f64) -> SimTime {
     SimTime::from_secs_f64(1.0 / rate_hz).max(SimTime(1))
 }
 
-/// A participant that lives outside of the scene and that lock-step must step in virtual time: a device
-/// driver with its virtual hand. Live, it runs on a thread of its own and the kernel does not see it.
+/// A participant outside the scene that lock-step steps in virtual time, such as a device driver with its virtual hand.
+/// In live mode it runs on its own thread, unseen by the kernel.
 ///
-/// Whoever branches a session finds its own peers by downcasting [`LockstepSession::peers`] and makes new ones of them.
+/// Code that branches a session downcasts [`LockstepSession::peers`] to find its own peers and to copy them.
 ///
 /// [`LockstepSession::peers`]: crate::LockstepSession::peers
 pub trait Peer: Any + Send {
@@ -97,7 +97,7 @@ pub trait Peer: Any + Send {
     fn period_ns(&self) -> u64;
     /// One step at `now`.
     fn step(&mut self, now: SimTime);
-    /// The session is over; [`Self::step`] has seen that forces are to be zero.
+    /// Called at the end of the session, after [`Self::step`] has seen the order for zero forces.
     fn finish(&mut self, _now: SimTime) {}
 }
 
@@ -105,56 +105,56 @@ pub trait Peer: Any + Send {
 pub trait FaultSink: Send + Sync {
     /// A fault begins or ends.
     fn fault(&self, order: &FaultOrder);
-    /// Whether the target works as it should right now, as far as it knows: when that turns false a fault is
-    /// detected, when it turns true again the target has resumed. `None`: it cannot tell.
+    /// Whether the target reports that it works: a change to false detects a fault, a change back to true means that it
+    /// resumed. `None`: it cannot tell.
     fn is_sound(&self) -> Option<bool> {
         None
     }
 }
 
-/// Tells when a session has reached its goal.
+/// Stop condition of a session.
 #[derive(Clone)]
 pub struct StopWhen {
-    /// How often it is asked.
+    /// Interval between checks.
     pub every: SimTime,
     /// `true` ends the session.
     pub check: Arc<dyn Fn(&Snapshot) -> bool + Send + Sync>,
 }
 
-/// Called before anything else when a session ends, however it ends: sets a device's force to zero.
+/// Called first at every end of a session: sets a device's force to zero.
 pub type ZeroForces = Arc<dyn Fn() + Send + Sync>;
 
-/// Takes what the Model commits: the way to a recorder.
+/// Receives the Model's commits, for a recorder.
 ///
-/// Called on the Model's thread right after each publication: it must not wait, and leaves what is slow to
-/// somebody else. What it cannot take it counts and declares as a gap.
+/// Called on the Model's thread right after each publication: it must not block, and leaves slow work to another
+/// thread. Commits that it cannot take are counted and declared as a gap.
 pub trait CommitSink: Send {
-    /// Takes the commits up to `snapshot` and gives an emptied buffer back for the next ones.
+    /// Takes the commits up to `snapshot` and returns an empty buffer for the next ones.
     fn committed(&mut self, snapshot: &Arc<Snapshot>, commits: CommitBuffer) -> CommitBuffer;
-    /// Writes out what is left and closes, when the last controller and the Model have ended; gives up after
-    /// `limit`. `true` when nothing is missing in the recording.
+    /// Flushes and closes the recording, when the last controller and the Model have ended; gives up after `limit`.
+    /// `true` when the recording is complete.
     fn close(&mut self, limit: Duration) -> bool;
 }
 
-/// A session: the scene at the start and everyone who acts on it.
+/// A session: the initial scene and all participants.
 pub struct SessionSpec {
     /// Name of the scenario.
     pub scenario: String,
     /// This station's number, part of every entity allocated here.
     pub station: u16,
-    /// Seeds everything random: jitter, faults, tremor.
+    /// Seed of all randomness: jitter, faults, tremor.
     pub seed: u64,
     /// The known components.
     pub registry: Arc<Registry>,
     /// The scene at the start.
     pub scene: Store,
-    /// Everyone who acts on it.
+    /// The controllers.
     pub controllers: Vec<ControllerSpec>,
-    /// Who else lock-step must step; ignored live.
+    /// Peers that lock-step steps; ignored in live mode.
     pub peers: Vec<Box<dyn Peer>>,
     /// Fault targets beside the controllers and the Model.
     pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
-    /// What shall go wrong.
+    /// The faults to inject.
     pub faults: FaultPlan,
     /// Takes the commits; [`Recorder::install`](crate::recorder::Recorder::install) sets it.
     pub commit_sink: Option<Box<dyn CommitSink>>,
@@ -216,18 +216,18 @@ pub enum Mode {
     Replay,
 }
 
-/// What is left of a session when it has ended.
+/// Result of a session.
 #[derive(Clone)]
 pub struct SessionOutcome {
-    /// How it was run.
+    /// The mode in which it ran.
     pub mode: Mode,
     /// 0, or 70 when the supervisor gave up.
     pub code: i32,
     /// Why it gave up, if it did.
     pub reason: Option<String>,
-    /// Time of the session.
+    /// Session time at the end.
     pub sim: SimTime,
-    /// Time on the clock.
+    /// Wall-clock duration.
     pub wall: SimTime,
     /// Chain over all commits.
     pub hash: StateHash,
@@ -235,13 +235,13 @@ pub struct SessionOutcome {
     pub snapshot: Arc<Snapshot>,
     /// One row per controller, in the order of the session.
     pub controllers: Vec<ControllerReport>,
-    /// The Model's own row: it has no rate; live, its ticks are the passes that it was woken for.
+    /// The Model's own row: it has no rate; in live mode, its ticks are its wake-ups.
     pub model: ControllerReport,
     /// One row per fault of the plan.
     pub faults: Vec<FaultRow>,
     /// What failed, in order.
     pub incidents: Vec<Incident>,
-    /// Who was held for failing too often, and why.
+    /// Children held for failing too often, with the reason.
     pub held: Vec<(String, String)>,
     /// Threads that had to be abandoned and never ended.
     pub zombies: u32,
@@ -251,13 +251,13 @@ pub struct SessionOutcome {
     pub permission: Permission,
 }
 
-/// Name under which the Model stands in the supervisor tree and in fault files.
+/// Name of the Model in the supervisor tree and in fault files.
 pub const MODEL: &str = "model";
 
-/// Name under which the recorder stands in the supervisor tree and in fault files.
+/// Name of the recorder in the supervisor tree and in fault files.
 pub const RECORDER: &str = "recorder";
 
-/// Name under which the windows onto a session stand in fault files, where there are any.
+/// Name of a session's windows in fault files, if it has windows.
 pub const VIEWER: &str = "viewer";
 
 /// The kinds of fault that a fault file may hold (design §5).
@@ -266,7 +266,7 @@ pub const VIEWER: &str = "viewer";
 pub enum FaultKind {
     /// Panic at the start of the next tick.
     Kill,
-    /// One step that does not end for the given time.
+    /// One step hangs for the given time.
     Stall,
     /// Every step takes the given time longer.
     Slow,
@@ -290,7 +290,7 @@ pub enum FaultKind {
     Nan,
     /// Nothing can be written to the disk.
     DiskFull,
-    /// The disk takes so many bytes per second and no more.
+    /// The disk's write rate is limited.
     DiskSlow,
 }
 
@@ -331,16 +331,16 @@ impl FaultKind {
             Self::DiskSlow => "disk_slow",
         }
     }
-    /// Whether it befalls messages on their way.
+    /// Whether it affects messages in flight.
     pub const fn is_of_link(self) -> bool {
         use FaultKind as K;
         matches!(self, K::Drop | K::Delay | K::Duplicate | K::Reorder | K::Corrupt | K::Partition)
     }
-    /// Whether it befalls the recorder's disk rather than the recorder.
+    /// Whether it affects the recorder's disk rather than the recorder.
     pub const fn is_of_disk(self) -> bool {
         matches!(self, Self::DiskFull | Self::DiskSlow)
     }
-    /// Whether it strikes once (and does not heal by itself ending).
+    /// Whether it strikes once, without an end of its own.
     pub const fn is_instant(self) -> bool {
         matches!(self, Self::Kill | Self::Stall)
     }
@@ -352,12 +352,12 @@ impl fmt::Display for FaultKind {
     }
 }
 
-/// What the fault plan tells a seam to do now.
+/// An order of the fault plan to begin or end one fault.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FaultOrder {
     /// Position of the fault in its plan.
     pub index: u32,
-    /// Whom it strikes: a controller, [`MODEL`], or a fault sink.
+    /// Target: a controller, [`MODEL`], or a fault sink.
     pub target: String,
     /// What happens.
     pub kind: FaultKind,
@@ -365,30 +365,30 @@ pub struct FaultOrder {
     pub begins: bool,
     /// Length of a stall, extra time per step of `slow`, extra latency of `delay`; ignored by the others.
     pub span: SimTime,
-    /// By how much the extra latency of `delay` varies, either way.
+    /// Variation of the extra latency of `delay`, ±.
     pub jitter: SimTime,
-    /// Chance per message or batch, 0 to 1, of the kinds that strike some of them.
+    /// Probability per message or batch, 0 to 1, for the kinds that affect a share of them.
     pub probability: f64,
-    /// What a slow disk takes [bytes/s]; ignored by the others.
+    /// Write rate of a slow disk [bytes/s]; ignored by the others.
     pub bytes_per_sec: f64,
     /// Seed of this fault's own randomness.
     pub seed: u64,
 }
 
-/// What became of one fault: a row of the report. Times in seconds of the session.
+/// Outcome of one fault: a row of the report. Times are session seconds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FaultRecord {
     /// Its id in the plan.
     pub id: String,
-    /// Whom it struck.
+    /// Its target.
     pub target: String,
-    /// What it did.
+    /// Its kind.
     pub kind: FaultKind,
-    /// When it struck.
+    /// Time of injection.
     pub injected_secs: Option<f64>,
     /// When it ended by itself.
     pub healed_secs: Option<f64>,
-    /// When the supervisor or the Model noticed.
+    /// Time at which the supervisor or the Model detected it.
     pub detected_secs: Option<f64>,
     /// When the replacement was built.
     pub restarted_secs: Option<f64>,

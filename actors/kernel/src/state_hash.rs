@@ -1,4 +1,4 @@
-//! The state hash: a chain over everything that ever changed the scene.
+//! The state hash: a hash chain over all changes of the scene.
 //!
 //! ```text
 //! hash₀     = BLAKE3("trocar-chain-1" ‖ initial scene)
@@ -9,9 +9,9 @@
 //! despawns, removals, then every put that is not derived in order of component NAME and entity, transfers,
 //! events. The payload of a fence is the removal of the writer's contributions in the same encoding.
 //!
-//! Neither the order in which components were registered, nor writer numbers, epochs, or the revision that a
-//! writer had read enter the hash: a session and its replay agree as long as the same was written by the
-//! same names at the same times in the same order.
+//! Neither the order in which components were registered, nor writer numbers, epochs, or the revision that a writer had
+//! read enter the hash: a session and its replay agree if the same names write the same commands at the same times in
+//! the same order.
 //!
 //! [`Commands::encode`]: trocar_scene::Commands::encode
 
@@ -36,7 +36,7 @@ impl fmt::Debug for StateHash {
     }
 }
 
-/// What changed the scene.
+/// Kind of a change of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CommitKind {
     /// A batch was applied.
@@ -45,14 +45,14 @@ pub enum CommitKind {
     Fence,
 }
 
-/// The chain as far as it has come.
+/// The running hash chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chain {
     head: StateHash,
 }
 
 impl Chain {
-    /// Begins at a scene.
+    /// Starts a chain from a scene.
     ///
     /// # Errors
     /// When the scene cannot be encoded.
@@ -62,7 +62,7 @@ impl Chain {
         Ok(Self { head: StateHash(*blake3::hash(&bytes).as_bytes()) })
     }
 
-    /// Continues from a hash that [`Self::head`] gave.
+    /// Continues a chain from the hash returned by [`Self::head`].
     pub fn resume(head: StateHash) -> Self {
         Self { head }
     }

@@ -5,14 +5,14 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, RecordPolicy, Registry, RegistryBuilder, finite};
 
-/// A number that everybody may have.
+/// A number that any entity may carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count(pub u64);
 impl Component for Count {
     const NAME: &'static str = "test_count";
 }
 
-/// A number that must be finite and may be told to panic when it is checked.
+/// A number that must be finite and can be set to panic when it is checked.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Level(pub f64);
 impl Component for Level {
@@ -29,7 +29,7 @@ impl Component for Pairs {
     const NAME: &'static str = "test_pairs";
 }
 
-/// Something that follows from the rest.
+/// A derived component.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Shadow(pub f64);
 impl Component for Shadow {

@@ -1,12 +1,12 @@
-//! How many commands a writer may send: a token bucket at its own handle (Turner, "New directions in
-//! communications (or which way to the information age?)", 1986).
+//! Token bucket that limits a writer's commands at its own handle (Turner, "New directions in communications (or which
+//! way to the information age?)", 1986).
 //!
-//! Every command costs the Model about as much, and who waits for the Model waits for whole batches: so both the
-//! commands per second and the size of one batch are bounded where they are sent, by whoever sends too many.
+//! Commands cost the Model about the same each, and the Model processes whole batches. Therefore both the command rate
+//! and the batch size are bounded, at the sender's handle.
 
 use trocar_scene::{Commands, SimTime};
 
-/// What a writer may send.
+/// Flow limit of a writer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FlowLimit {
     /// Commands per second in the long run, > 0.
@@ -16,19 +16,19 @@ pub struct FlowLimit {
 }
 
 impl FlowLimit {
-    /// No limit but the ring's.
+    /// No limit except the ring's capacity.
     pub const UNLIMITED: Self = Self { commands_per_sec: f64::INFINITY, burst: u32::MAX };
 }
 
-/// 250,000 commands per second, which takes the Model about a tenth of a core, and 8,192 at once, which keep the
-/// others waiting for two milliseconds or so. The controllers of the peg transfer send 40,000 per second together.
+/// 250,000 commands per second, which takes the Model about a tenth of a core, and 8,192 at once, which delay the other
+/// writers by about two milliseconds. The controllers of the peg transfer send 40,000 per second together.
 impl Default for FlowLimit {
     fn default() -> Self {
         Self { commands_per_sec: 250_000.0, burst: 8_192 }
     }
 }
 
-/// Meters one writer against its limit.
+/// Token bucket of one writer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TokenBucket {
     limit: FlowLimit,
@@ -41,7 +41,7 @@ impl TokenBucket {
         Self { limit, tokens: f64::from(limit.burst), at: SimTime::ZERO }
     }
 
-    /// Whether `count` commands may be sent at `now`; if so they are spent.
+    /// Whether `count` commands may be sent at `now`; if so their tokens are spent.
     pub(crate) fn admit(&mut self, count: usize, now: SimTime) -> bool {
         if self.limit == FlowLimit::UNLIMITED {
             return true;
@@ -58,7 +58,7 @@ impl TokenBucket {
     }
 }
 
-/// How many commands stand in a batch.
+/// Number of commands in a batch.
 pub(crate) fn count(commands: &Commands) -> usize {
     commands.puts().map(|(_, puts)| puts.len()).sum::<usize>()
         + commands.removes().len()

@@ -1,4 +1,4 @@
-//! An FLS-style score: cutoff time minus time minus penalties, normalised to 0–100.
+//! FLS-style score: cutoff time minus time minus penalties, normalised to 0–100.
 //!
 //! The form is that of the MISTELS/FLS programme (Derossis et al. 1998, "Development of a model for training
 //! and evaluation of laparoscopic skills"; Fraser et al. 2003). Its official coefficients are not public:
@@ -19,7 +19,7 @@ pub struct FlsWeights {
     pub perfect_secs: f64,
     /// Penalty per percent of the objects that were lost out of view \[s\].
     pub secs_per_percent_lost: f64,
-    /// Further penalties per error kind \[s\]; kinds that are not listed cost their time only.
+    /// Further penalties per error kind \[s\]; unlisted kinds only cost time.
     pub secs_per_error: BTreeMap<String, f64>,
 }
 
@@ -34,7 +34,7 @@ impl Default for FlsWeights {
     }
 }
 
-/// Weights that make no score.
+/// Why weights are invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FlsWeightsError {
     /// A number is negative or not finite.
@@ -56,7 +56,7 @@ pub enum FlsWeightsError {
 }
 
 impl FlsWeights {
-    /// Refuses weights that make no score.
+    /// Refuses invalid weights.
     ///
     /// # Errors
     /// Names the weight.

@@ -1,9 +1,9 @@
 //! Exercises: goals, errors, scores.
 //!
-//! [`peg_transfer::PegTransfer`] is the exercise as a state machine that is fed with observations;
-//! [`peg_transfer_controller::PegTransferController`] reads them from the scene and writes `TaskState`.
-//! [`outcome`] judges any scene by what simulators measure of it. [`fls_score`] and [`motion_metrics`] serve every exercise. Scores are FLS-*style*: no clinical validity is
-//! claimed for any of them.
+//! [`peg_transfer::PegTransfer`] is the exercise as a state machine driven by observations;
+//! [`peg_transfer_controller::PegTransferController`] reads them from the scene and writes `TaskState`. [`outcome`]
+//! judges any scene by the simulators' measurements. [`fls_score`] and [`motion_metrics`] are shared by all exercises.
+//! Scores are FLS-*style*: no clinical validity is claimed for any of them.
 #![forbid(unsafe_code)]
 
 pub mod fls_score;

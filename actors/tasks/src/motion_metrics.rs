@@ -1,10 +1,9 @@
-//! How a hand moved: the motion metrics of laparoscopic skill assessment, streaming and in bounded memory.
+//! Motion metrics of laparoscopic skill assessment, streaming and in bounded memory.
 //!
-//! Time, path length, depth and mean speed follow Cotin et al. 2002, "Metrics for laparoscopic skills
-//! trainers: the weakest link!" (depth = distance travelled along the instrument's own axis); smoothness is
-//! the log dimensionless jerk of Balasubramanian et al. 2012, "A robust and sensitive metric for quantifying
-//! movement smoothness": `LDLJ = −ln(T³ / v²_peak · ∫ |jerk|² dt)`. The mean jerk is left out on purpose: it
-//! does not tell skills apart.
+//! Time, path length, depth and mean speed follow Cotin et al. 2002, "Metrics for laparoscopic skills trainers: the
+//! weakest link!" (depth = distance travelled along the instrument's own axis); smoothness is the log dimensionless
+//! jerk of Balasubramanian et al. 2012, "A robust and sensitive metric for quantifying movement smoothness":
+//! `LDLJ = −ln(T³ / v²_peak · ∫ |jerk|² dt)`. The mean jerk is omitted on purpose: it does not discriminate skills.
 
 use std::collections::BTreeMap;
 
@@ -28,7 +27,7 @@ pub struct MotionMetrics {
     recent: Vec<(f64, Point3<f64>)>,
     /// Time of the first sample \[s\].
     first_secs: Option<f64>,
-    /// Where the current stretch began \[m\].
+    /// Start of the current stretch \[m\].
     stretch_from: Option<Point3<f64>>,
     /// Sum of the straight lines of the finished stretches \[m\].
     straight: f64,
@@ -38,7 +37,7 @@ pub struct MotionMetrics {
     speed_peak: f64,
     /// ∫|jerk|² dt up to the middle of the last stencil \[m²/s⁵\].
     jerk_integral: f64,
-    /// |jerk|² of the last stencil \[m²/s⁶\] and the length of time that it still lacks at the end \[s\].
+    /// |jerk|² of the last stencil \[m²/s⁶\] and the time at the end that it does not cover yet \[s\].
     jerk_tail: (f64, f64),
 }
 

@@ -1,5 +1,4 @@
-//! A scene that is judged by what came of it: quantities that simulators measure and what hands felt, within bounds at the
-//! end.
+//! Outcome of a scene: measurements of simulators and stiffnesses felt by hands must be within bounds at the end.
 
 use std::collections::BTreeMap;
 
@@ -11,40 +10,40 @@ use trocar_scene::{
 
 /// Most expectations of a scenario.
 const EXPECTATIONS_MAX: usize = 256;
-/// Where an entity is in world, along each axis \[m\], behind its name: `ring.lifted.z_m`.
+/// Suffixes of an entity's position in world, per axis \[m\]: `ring.lifted.z_m`.
 const PLACE: [&str; 3] = [".x_m", ".y_m", ".z_m"];
-/// What a hand feels of what it presses on \[N/m\], behind the hand's name: `hand.left.felt_stiffness_n_per_m`.
+/// Suffix of the stiffness felt by a hand \[N/m\]: `hand.left.felt_stiffness_n_per_m`.
 const FELT_STIFFNESS: &str = ".felt_stiffness_n_per_m";
 
-/// Which value of a quantity counts.
+/// Statistic of a quantity that is judged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Which {
-    /// The one at the end.
+    /// The final value.
     #[default]
     Last,
-    /// The largest that there was.
+    /// The maximum.
     Largest,
-    /// The smallest that there was.
+    /// The minimum.
     Smallest,
-    /// The mean of all that there were. A stiffness is felt only while a hand presses.
+    /// The mean over all measurements; a stiffness is measured only while a hand presses.
     Mean,
 }
 
-/// What is expected of one quantity.
+/// Expectation of one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expectation {
-    /// Its name, as a simulator measures it: `gauze.cut_area_m2`; or a hand's and `.felt_stiffness_n_per_m`; or anything's and
-    /// `.x_m`, `.y_m`, `.z_m`, where it is in world.
+    /// Its name: a simulator's measurement, as `gauze.cut_area_m2`; a hand's with `.felt_stiffness_n_per_m`; or any
+    /// entity's with `.x_m`, `.y_m`, `.z_m`, its position in world.
     pub measure: String,
-    /// Which value counts.
+    /// The judged statistic.
     #[serde(default)]
     pub which: Which,
-    /// Least value that is good.
+    /// Smallest accepted value.
     #[serde(default = "anything_above")]
     pub min: f64,
-    /// Largest value that is good.
+    /// Largest accepted value.
     #[serde(default = "anything_below")]
     pub max: f64,
 }
@@ -57,7 +56,7 @@ fn anything_below() -> f64 {
 }
 
 impl Expectation {
-    /// Its name among the values: that of the quantity, and which value of it.
+    /// Its key among the values: quantity and statistic.
     fn key(&self) -> String {
         let which = match self.which {
             Which::Last => return self.measure.clone(),
@@ -73,18 +72,18 @@ impl Expectation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OutcomeConfig {
-    /// When it is over \[s\].
+    /// Time of the judgement \[s\].
     pub seconds: f64,
-    /// What is expected then.
+    /// The expectations at that time.
     #[serde(default)]
     pub expect: Vec<Expectation>,
 }
 
 impl OutcomeConfig {
-    /// Refuses what cannot be judged.
+    /// Refuses invalid expectations.
     ///
     /// # Errors
-    /// Says what, and what would be valid.
+    /// Names the problem, and what would be valid.
     pub fn check(&self) -> Result<(), String> {
         if !(0.0..=86_400.0).contains(&self.seconds) {
             return Err(format!("seconds: {} is out of range (0 to 86,400)", self.seconds));
@@ -105,7 +104,7 @@ impl OutcomeConfig {
     }
 }
 
-/// The values that count so far, in the order of the expectations.
+/// The statistics so far, in the order of the expectations.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OutcomeState {
     /// `None` until it has been measured.
@@ -113,9 +112,9 @@ pub struct OutcomeState {
     /// How often each was measured.
     #[serde(default)]
     pub counts: Vec<u64>,
-    /// Bodies that their simulators had to stop, with the reason.
+    /// Bodies stopped by their simulators, with the reason.
     pub frozen: Vec<String>,
-    /// Whether the judgement has been given.
+    /// Whether the judgement is done.
     pub over: bool,
 }
 impl Component for OutcomeState {
@@ -130,10 +129,10 @@ pub struct OutcomeController {
 }
 
 impl OutcomeController {
-    /// Goes on where an earlier life stopped.
+    /// Continues where an earlier life stopped.
     ///
     /// # Errors
-    /// What cannot be judged.
+    /// When an expectation is invalid.
     pub fn new(config: &OutcomeConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         config.check().map_err(|reason| ControllerError::Scene(format!("outcome: {reason}")))?;
         let mut state = context.scene.get::<OutcomeState>(context.me).cloned().unwrap_or_default();
@@ -209,7 +208,7 @@ impl OutcomeController {
     }
 }
 
-/// A quantity as it is now, if anybody measures it, any hand feels it, or it is where something is.
+/// Current value of a quantity: a measurement, a felt stiffness, or a position; `None` if there is none.
 fn measured(scene: &Snapshot, name: &str) -> Option<f64> {
     if let Some(hand) = name.strip_suffix(FELT_STIFFNESS) {
         let status = scene.get::<HapticStatus>(scene.find(hand)?)?;

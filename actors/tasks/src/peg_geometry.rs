@@ -1,4 +1,4 @@
-//! Geometry of a peg-transfer board: is a ring around a peg, how high is it, can it be seen.
+//! Geometry of a peg-transfer board: ring-around-peg test, clearance, visibility.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -25,7 +25,7 @@ pub struct RingShape {
     pub tube_radius: f64,
 }
 
-/// Where a ring is, in world.
+/// Placement of a ring in world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RingPlacement {
     /// Its centre \[m\].
@@ -43,8 +43,8 @@ impl RingShape {
 
     /// Whether the peg passes through the ring's hole.
     ///
-    /// The peg's axis is cut with the ring's plane: the cut must lie on the peg and inside the hole. A ring
-    /// that stands on its edge (more than about 70° of tilt) is around nothing.
+    /// The peg's axis is intersected with the ring's plane: the point must lie on the peg and inside the hole. A ring
+    /// that stands on its edge (more than about 70° of tilt) is around no peg.
     pub fn is_around(&self, ring: &RingPlacement, peg: &Peg) -> bool {
         let steepness = peg.axis_in_world.dot(&ring.axis_in_world);
         if steepness.abs() < 0.35 {
@@ -62,7 +62,7 @@ impl RingShape {
     }
 }
 
-/// What the trainee can see.
+/// The trainee's field of view.
 #[derive(Clone, Debug, PartialEq)]
 pub enum FieldOfView {
     /// An axis-aligned box in world.

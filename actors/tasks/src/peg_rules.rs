@@ -1,4 +1,4 @@
-//! What a peg-transfer exercise is judged by: its set-up, thresholds, observations and kinds of error.
+//! Rules of the peg-transfer exercise: set-up, thresholds, observations and kinds of error.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -42,7 +42,7 @@ impl Default for Rules {
     }
 }
 
-/// What does not change during the exercise.
+/// The constant set-up of the exercise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PegTransferSetup {
     /// All pegs of both boards.
@@ -51,7 +51,7 @@ pub struct PegTransferSetup {
     pub ring: RingShape,
     /// The board on which the rings start.
     pub first_board: usize,
-    /// What counts as in view.
+    /// The field of view.
     pub view: FieldOfView,
     /// Thresholds.
     pub rules: Rules,
@@ -74,7 +74,7 @@ impl PegTransferSetup {
 /// A ring as seen at one moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RingObservation {
-    /// Where it is.
+    /// Its placement.
     pub placement: RingPlacement,
     /// Speed of its centre \[m/s\].
     pub speed: f64,
@@ -93,22 +93,22 @@ pub struct TipObservation {
     pub shaft_in_world: Vector3<f64>,
 }
 
-/// What an error is about. The names in files are those of [`ErrorKind::as_str`].
+/// Kind of an error. [`ErrorKind::as_str`] gives the names in files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum ErrorKind {
-    /// Let go where it can be seen, but not on a peg.
+    /// A ring was released in view, but not on a peg.
     DropInView,
-    /// Left the field of view.
+    /// A ring left the field of view.
     DropOutOfView,
-    /// Fell off the boards, where no instrument gets it.
+    /// A ring fell off the boards, out of the instruments' reach.
     DropOutOfReach,
-    /// Lifted by the hand that should receive.
+    /// A ring was lifted by the receiving hand.
     WrongHand,
-    /// Changed hands on the board or around a peg.
+    /// A ring was handed over on the board or around a peg.
     NotInMidAir,
-    /// Put on the other board without a valid hand-over.
+    /// A ring was placed on the other board without a valid hand-over.
     NoHandOver,
-    /// Put on a peg that already has a ring.
+    /// A ring was placed on an occupied peg.
     PegOccupied,
     /// A placed ring was knocked off its peg.
     Displaced,
@@ -144,7 +144,7 @@ impl ErrorKind {
 /// One error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExerciseError {
-    /// What it is about.
+    /// Its kind.
     pub kind: ErrorKind,
     /// When, on the observations' clock \[s\].
     pub at_secs: f64,
@@ -152,7 +152,7 @@ pub struct ExerciseError {
     pub ring: usize,
 }
 
-/// Something that happened in a step.
+/// An event of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Happening {
     /// The clock started.
@@ -161,14 +161,14 @@ pub enum Happening {
     Lifted {
         /// Index of the ring.
         ring: usize,
-        /// Who lifted it.
+        /// The lifting hand.
         by: Side,
     },
     /// A ring changed hands in mid-air.
     HandedOver {
         /// Index of the ring.
         ring: usize,
-        /// Who has it now.
+        /// The receiving hand.
         to: Side,
     },
     /// A ring rests on a free peg of the other board.
@@ -178,7 +178,7 @@ pub enum Happening {
         /// Index of the peg.
         peg: usize,
     },
-    /// All rings are over; now they go back.
+    /// All rings were transferred; the second half (back) begins.
     Returning,
     /// An error.
     Error(ExerciseError),

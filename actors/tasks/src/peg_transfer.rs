@@ -1,19 +1,19 @@
-//! Peg transfer as a state machine: who lifted, handed over and placed which ring, and what went wrong.
+//! Peg transfer as a state machine: lifts, hand-overs and placements of each ring, and errors.
 //!
-//! The exercise is the first one of the FLS programme (MISTELS: Derossis et al. 1998): every ring is lifted
-//! with one hand (the *giver*), handed to the other (the *receiver*) in mid-air, and placed on a free peg of
-//! the other board; then all go back with the roles swapped. The machine sees positions and opposing
-//! contacts; it does not know who moves the hands or how skilled they are.
+//! The exercise is the first one of the FLS programme (MISTELS: Derossis et al. 1998): every ring is lifted with one
+//! hand (the *giver*), handed to the other (the *receiver*) in mid-air, and placed on a free peg of the other board;
+//! then all are transferred back with the roles swapped. The input of the machine is positions and opposing contacts;
+//! it is independent of who moves the hands and of their skill.
 //!
-//! Rules, where FLS leaves room:
+//! Rules, where FLS is not specific:
 //! - the clock starts when an instrument first touches a ring, and stops when the last ring rests on its peg;
 //! - a hand holds a ring until [`Rules::release_secs`] after the last opposing contact of its jaws;
 //! - a ring that was dropped in view must be picked up again. After a valid hand-over the receiver may do so;
 //!   a ring that the giver lifts must be handed over (again);
 //! - a ring that was lifted by the wrong hand, or handed over while on the board, does not count as handed
 //!   over: placing it is an error, and it must be transferred again;
-//! - a ring that leaves the field of view while nobody holds it, or comes to rest below the boards where no
-//!   instrument gets it, is lost; the exercise goes on without it, but is not *completed*.
+//! - a ring that leaves the field of view while not held, or comes to rest below the boards out of reach, is lost; the
+//!   exercise continues without it, but is not *completed*.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::Side;
@@ -26,14 +26,14 @@ use crate::peg_rules::{
 /// Errors beyond this number are counted, not listed.
 pub const MAX_ERRORS: usize = 256;
 
-/// How far one ring is in the current half.
+/// State of one ring in the current half.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 enum RingState {
-    /// Lies somewhere, to be lifted.
+    /// Waiting to be lifted.
     Waiting,
-    /// Off the board in these hands (left, right).
+    /// Off the board, held by these hands (left, right).
     Held([bool; 2]),
-    /// Let go at this time; not yet at rest.
+    /// Released at this time; not yet at rest.
     Released { at_secs: f64 },
     /// Done: rests on this peg.
     Placed { peg: usize },
@@ -41,7 +41,7 @@ enum RingState {
     Lost,
 }
 
-/// What is remembered of one ring.
+/// Progress of one ring.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct RingProgress {
     state: RingState,
@@ -49,7 +49,7 @@ struct RingProgress {
     handed_over: bool,
     /// Last opposing contact per hand \[s\].
     contact_secs: [Option<f64>; 2],
-    /// Since when it rests \[s\].
+    /// Time since when it has been at rest \[s\].
     resting_since: Option<f64>,
 }
 
@@ -58,12 +58,12 @@ impl RingProgress {
         Self { state: RingState::Waiting, handed_over: false, contact_secs: [None; 2], resting_since: None };
 }
 
-/// Where the whole exercise stands.
+/// Outcome of the exercise.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Outcome {
-    /// All rings went over and back.
+    /// All rings were transferred and returned.
     Completed,
-    /// Everything that was not lost went over and back.
+    /// All rings that were not lost were transferred and returned.
     SomeLost,
     /// The time was up.
     CutOff,
@@ -75,9 +75,9 @@ pub struct PegTransfer {
     now_secs: Option<f64>,
     started_secs: Option<f64>,
     ended_secs: Option<f64>,
-    /// Whether the rings are on their way back.
+    /// Whether the second half (rings back) has begun.
     returning: bool,
-    /// Who lifts in the current half.
+    /// The lifting hand of the current half.
     giver: Side,
     rings: Vec<RingProgress>,
     errors: Vec<ExerciseError>,
@@ -110,7 +110,7 @@ impl PegTransfer {
         }
     }
 
-    /// Takes in what is seen at `secs` \[s\]; `rings` in the same order every time, `tips` left then right.
+    /// Takes the observations at `secs` \[s\]; `rings` in the same order every time, `tips` left then right.
     ///
     /// Observations that are not later than the last, or with another number of rings, are ignored, and so
     /// is everything after the end.
@@ -206,7 +206,7 @@ impl PegTransfer {
         }
     }
 
-    /// Who holds the ring, with short gaps in the contacts bridged.
+    /// The hands that hold the ring; short gaps in the contacts are bridged.
     fn holders(&mut self, ring: usize, secs: f64, seen: &RingObservation, rules: &Rules) -> [bool; 2] {
         std::array::from_fn(|hand| {
             let last = &mut self.rings[ring].contact_secs[hand];
@@ -217,7 +217,7 @@ impl PegTransfer {
         })
     }
 
-    /// A ring leaves the board in somebody's jaws.
+    /// Handles a ring lifted off the board.
     fn lift(&mut self, ring: usize, holders: [bool; 2], secs: f64, happened: &mut Vec<Happening>) {
         let giver_holds = holders[index(self.giver)];
         let progress = &mut self.rings[ring];
@@ -234,7 +234,7 @@ impl PegTransfer {
         }
     }
 
-    /// A held ring may have gone from both hands into one.
+    /// Handles a held ring that may have passed from both hands into one.
     #[expect(clippy::too_many_arguments, reason = "one moment's facts about one ring")]
     fn change_hands(
         &mut self,
@@ -251,7 +251,7 @@ impl PegTransfer {
         }
         let to = self.giver.other();
         if !now[index(to)] {
-            // The receiver let go again: the ring is back where it came from.
+            // The receiver released it: the ring is back in the giver's hand.
             self.rings[ring].handed_over = false;
             return;
         }
@@ -268,7 +268,7 @@ impl PegTransfer {
         happened.push(Happening::HandedOver { ring, to });
     }
 
-    /// A released ring has come to rest: where?
+    /// Judges where a released ring has come to rest.
     fn settle(
         &mut self,
         setup: &PegTransferSetup,
@@ -285,7 +285,7 @@ impl PegTransfer {
         };
         let from_first = setup.pegs[peg].board == setup.first_board;
         if from_first != self.returning {
-            // Put back on a peg of the board that it came from: costs its time, nothing else.
+            // Put back on a peg of the board that it came from: this only costs time.
             return;
         }
         let occupied = self.rings.iter().any(|other| other.state == RingState::Placed { peg });
@@ -310,7 +310,7 @@ impl PegTransfer {
         happened.push(Happening::Error(error));
     }
 
-    /// Turns round after the last ring of a half, and ends the exercise.
+    /// Swaps the roles after the last ring of the first half, and ends the exercise after the second.
     fn advance(&mut self, setup: &PegTransferSetup, secs: f64, happened: &mut Vec<Happening>) {
         let settled = |ring: &RingProgress| matches!(ring.state, RingState::Placed { .. } | RingState::Lost);
         if self.rings.iter().all(settled) {
@@ -350,7 +350,7 @@ impl PegTransfer {
         let placed = self.rings.iter().filter(|ring| matches!(ring.state, RingState::Placed { .. })).count();
         placed as u32 + if self.returning { self.ring_count() - self.lost() } else { 0 }
     }
-    /// Transfers in all: each ring goes over and back.
+    /// Total transfers: each ring is transferred and returned.
     pub fn steps(&self) -> u32 {
         2 * self.ring_count()
     }
@@ -389,7 +389,7 @@ impl PegTransfer {
     pub fn giver(&self) -> Side {
         self.giver
     }
-    /// Name of the current phase: of the ring that has come furthest among those in hand.
+    /// Name of the current phase: that of the held ring with the most progress.
     pub fn phase(&self) -> &'static str {
         match self.outcome {
             Some(Outcome::CutOff) => return "cut_off",

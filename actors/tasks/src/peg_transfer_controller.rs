@@ -1,4 +1,4 @@
-//! The controller that schedules [`PegTransfer`]: scene → observations → `TaskState` and events.
+//! Controller of a [`PegTransfer`]: scene → observations → `TaskState` and events.
 
 use std::collections::BTreeMap;
 
@@ -24,8 +24,7 @@ const WRITE_EVERY: u64 = 10;
 pub struct PegTransferConfig {
     /// The trainee's dominant hand is the left one: the right hand lifts first.
     pub left_handed: bool,
-    /// What counts as in view: lowest and highest corner of a box in world \[m\]; without it, what the
-    /// scene's camera sees.
+    /// Field of view: lowest and highest corner of a box in world \[m\]; without it, the scene's camera's frustum.
     pub view_box: Option<[[f64; 3]; 2]>,
     /// Thresholds of the judgement.
     pub rules: Rules,
@@ -33,7 +32,7 @@ pub struct PegTransferConfig {
     pub weights: FlsWeights,
 }
 
-/// Everything that the exercise needs to go on after a restart; lives on the controller's own entity.
+/// Restart state of the exercise, on the controller's own entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PegTransferState {
     /// The board on which the rings started, counted in entity order.
@@ -59,11 +58,11 @@ fn missing(what: &str) -> ControllerError {
 }
 
 impl PegTransferController {
-    /// Finds the boards (`peg_board` shapes), the rings (dynamic `torus` shapes), the hands and the camera
-    /// in the scene, and goes on where an earlier life stopped.
+    /// Finds the boards (`peg_board` shapes), the rings (dynamic `torus` shapes), the hands and the camera in the
+    /// scene, and continues where an earlier life stopped.
     ///
     /// # Errors
-    /// Names what the scene or the configuration lacks.
+    /// Names the missing part of the scene or the configuration.
     pub fn new(config: &PegTransferConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         config.weights.validate().map_err(|error| missing(&error.to_string()))?;
         let known = |kind: &String| ErrorKind::ALL.iter().any(|known| known.as_str() == kind);
@@ -136,7 +135,7 @@ impl PegTransferController {
         })
     }
 
-    /// What the rest of the world reads.
+    /// The published task state.
     fn task_state(&self) -> TaskState {
         let exercise = &self.state.exercise;
         let metrics = exercise.metrics();
@@ -222,10 +221,10 @@ impl Controller for PegTransferController {
     }
 }
 
-/// Where the rings start for a left-handed trainee: each mirrored across the plane midway between the two
-/// boards, so that the right hand finds them on its own side. Empty when the scene has no two boards.
+/// Where the rings start for a left-handed trainee: each mirrored across the plane midway between the two boards, so
+/// that they are on the right hand's side. Empty when the scene has no two boards.
 ///
-/// For whoever sets a scene up before it starts; the exercise itself never moves a ring.
+/// For the set-up of a scene before it starts; the exercise itself never moves a ring.
 pub fn mirrored_start(scene: &Snapshot) -> Vec<(Entity, Pose)> {
     let (Ok((rings, _)), Ok(pegs)) = (find_rings(scene), find_pegs(scene)) else { return Vec::new() };
     let middle = |board: usize| {

@@ -1,8 +1,9 @@
-//! From the bytes of the kernel's `struct input_event` to a [`GamepadState`], by the Linux gamepad specification.
+//! Gamepad decoder: from bytes of the kernel's `struct input_event` to a [`GamepadState`], by the Linux gamepad
+//! specification.
 //!
-//! Events between two reports belong together and take effect with the second one. What was lost in the kernel
-//! (`SYN_DROPPED`) makes everything up to the next report worthless: the pad then counts as released, but
-//! for what it says from there on.
+//! Events between two reports belong together and take effect with the second one. After a loss in the kernel
+//! (`SYN_DROPPED`) all events up to the next report are discarded: the pad counts as released until later events say
+//! otherwise.
 
 use super::{GamepadButton, GamepadState};
 
@@ -51,28 +52,28 @@ pub(super) const BUTTONS: [(u16, GamepadButton); 14] = [
     (0x223, GamepadButton::Right),
 ];
 
-/// Share of a stick's way within which it counts as released, unless the kernel says more.
+/// Dead zone as a share of a stick's range, unless the kernel reports a larger one.
 const STICK_DEAD_ZONE: f64 = 0.12;
 /// The same for triggers.
 const TRIGGER_DEAD_ZONE: f64 = 0.04;
 
-/// What the kernel says about an axis.
+/// The kernel's description of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AbsRange {
     /// Its code, such as 0 for `ABS_X`.
     pub code: u16,
-    /// Where it is.
+    /// Current value.
     pub value: i32,
     /// Least value.
     pub min: i32,
     /// Greatest value.
     pub max: i32,
-    /// Values about the middle that mean nothing.
+    /// Dead zone around the middle.
     pub flat: i32,
 }
 
 impl AbsRange {
-    /// −1 to 1 over its range; 0 of an axis without one.
+    /// Value mapped to −1 to 1 over its range; 0 for an empty range.
     fn centred(&self) -> f64 {
         let (min, max) = (f64::from(self.min), f64::from(self.max));
         if max <= min {
@@ -84,30 +85,31 @@ impl AbsRange {
     fn share(&self) -> f64 {
         if self.max <= self.min { 0.0 } else { 0.5 * (self.centred() + 1.0) }
     }
-    /// The dead zone that the kernel knows of, as a share of the way from the middle.
+    /// The kernel's dead zone, as a share of the half range.
     fn dead_zone(&self) -> f64 {
         let half = 0.5 * (f64::from(self.max) - f64::from(self.min));
         if half > 0.0 { (f64::from(self.flat) / half).clamp(0.0, 0.5) } else { 0.0 }
     }
 }
 
-/// Makes states of bytes.
+/// Decodes bytes to states.
 #[derive(Clone, Debug)]
 pub struct GamepadDecoder {
     axes: [Option<AbsRange>; AXES.len()],
     /// As [`GamepadState::buttons`].
     pressed: u16,
-    /// Of pads whose triggers are buttons: left, right.
+    /// For pads whose triggers are buttons: left, right.
     trigger_buttons: [bool; 2],
-    /// Bytes of an event that is not whole yet.
+    /// Bytes of an incomplete event.
     rest: [u8; INPUT_EVENT_BYTES],
     rest_len: usize,
-    /// Events were lost: what comes before the next report is to be forgotten.
+    /// Events were lost: events before the next report are discarded.
     dropping: bool,
 }
 
 impl GamepadDecoder {
-    /// A pad with these axes, and the codes of the buttons that are down already. What is no gamepad's is ignored.
+    /// Decoder for a pad with these axes, and the codes of the buttons already pressed. Codes that a gamepad does not
+    /// have are ignored.
     pub fn new(axes: &[AbsRange], pressed: &[u16]) -> Self {
         let mut decoder = Self {
             axes: AXES.map(|code| axes.iter().find(|axis| axis.code == code).copied()),
@@ -121,7 +123,7 @@ impl GamepadDecoder {
         decoder
     }
 
-    /// Takes bytes as they were read, and tells `report` the state at each report in them.
+    /// Decodes the bytes read, and calls `report` with the state at each report in them.
     pub fn feed(&mut self, mut bytes: &[u8], mut report: impl FnMut(GamepadState)) {
         while !bytes.is_empty() {
             let take = bytes.len().min(INPUT_EVENT_BYTES - self.rest_len);
@@ -137,7 +139,7 @@ impl GamepadDecoder {
         }
     }
 
-    /// Takes the whole event in `rest`; whether it was a report.
+    /// Handles the complete event in `rest`; returns whether it was a report.
     fn event(&mut self) -> bool {
         let [.., t0, t1, c0, c1, v0, v1, v2, v3] = self.rest;
         let (kind, code) = (u16::from_ne_bytes([t0, t1]), u16::from_ne_bytes([c0, c1]));
@@ -153,7 +155,7 @@ impl GamepadDecoder {
                 true
             }
             _ if self.dropping => false,
-            // 2 is a repetition of a key that is down.
+            // 2 is the auto-repeat of a pressed key.
             (EV_KEY, code) => {
                 self.key(code, value != 0);
                 false
@@ -197,7 +199,7 @@ impl GamepadDecoder {
         }
     }
 
-    /// Axes of the right stick: where a pad has no second pair of turning axes, they are Z and RZ.
+    /// Axes of the right stick: Z and RZ if the pad has no second pair of rotation axes.
     fn right_stick(&self) -> [u16; 2] {
         if self.axis(ABS_RX).is_some() { [ABS_RX, ABS_RY] } else { [ABS_Z, ABS_RZ] }
     }
@@ -213,7 +215,7 @@ impl GamepadDecoder {
         self.axes[index].as_ref()
     }
 
-    /// What the pad says now.
+    /// The pad's current state.
     pub fn state(&self) -> GamepadState {
         let mut state = GamepadState { buttons: self.pressed, ..GamepadState::default() };
         state.left_stick = self.stick([ABS_X, ABS_Y]);
@@ -238,7 +240,7 @@ impl GamepadDecoder {
         state
     }
 
-    /// Both axes of a stick, zero within a round dead zone, from whose edge on they grow.
+    /// Both axes of a stick, zero within a round dead zone and growing from its edge.
     fn stick(&self, codes: [u16; 2]) -> [f64; 2] {
         let axes = codes.map(|code| self.axis(code));
         let [x, y] = axes.map(|axis| axis.map_or(0.0, AbsRange::centred));
@@ -252,7 +254,7 @@ impl GamepadDecoder {
     }
 }
 
-/// 0 to 1 from the edge of a dead zone on.
+/// Rescales the range beyond a dead zone to 0 to 1.
 fn beyond(share: f64, dead: f64) -> f64 {
     ((share - dead) / (1.0 - dead)).clamp(0.0, 1.0)
 }

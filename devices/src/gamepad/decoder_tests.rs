@@ -72,7 +72,7 @@ fn pads_without_a_second_pair_of_turning_axes_have_their_right_stick_on_z() {
     let mut pad = GamepadDecoder::new(&axes, &[]);
     let bytes = [event(EV_ABS, ABS_Z, 255), event(EV_KEY, BTN_TR2, 1), report()].concat();
     let said = states(&mut pad, &bytes)[0];
-    // Of 256 values none is the middle: the other axis rests half a value beside it.
+    // 256 values have no exact middle: the other axis rests half a value beside it.
     assert!((said.right_stick[0] - 1.0).abs() < 1e-4 && said.right_stick[1].abs() < 0.01, "{said:?}");
     assert_eq!(said.triggers, [0.0, 1.0]);
 }

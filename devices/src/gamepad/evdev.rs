@@ -1,4 +1,4 @@
-//! The gamepads of this machine: the kernel's event devices, and what it says about them (Linux).
+//! Gamepads of this machine: the kernel's event devices (evdev) and their capabilities (Linux).
 
 use std::collections::BTreeMap;
 use std::fs::{DirEntry, File, OpenOptions};
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use super::decoder::{AXES, AbsRange, BTN_GAMEPAD, BUTTONS, GamepadDecoder};
 use super::reader::{GamepadSource, PluggedGamepad};
 
-/// Most files of the folder that are looked at.
+/// Most files of the folder that are examined.
 const FILES_MAX: usize = 256;
 /// Bytes of a bit field with one bit per key code (`KEY_MAX` is 0x2ff).
 const KEY_BYTES: usize = 0x300 / 8;
@@ -21,7 +21,7 @@ const ABSINFO_BYTES: usize = 24;
 /// Longest name of a device.
 const NAME_BYTES: usize = 128;
 
-/// Numbers of the kernel's questions (`EVIOCGNAME`, `EVIOCGKEY`, `EVIOCGBIT`, `EVIOCGABS`).
+/// Numbers of the kernel's requests (`EVIOCGNAME`, `EVIOCGKEY`, `EVIOCGBIT`, `EVIOCGABS`).
 const GET_NAME: u8 = 0x06;
 const GET_KEY: u8 = 0x18;
 const GET_KEY_BITS: u8 = 0x21;
@@ -32,7 +32,7 @@ const GET_ABS: u8 = 0x40;
 #[derive(Debug)]
 pub struct InputFolder {
     path: PathBuf,
-    /// What was looked at and is no gamepad: device number and time of change by name. Not opened again.
+    /// Examined files that are no gamepads: device number and change time by name. They are not opened again.
     others: BTreeMap<String, (u64, i64, i64)>,
 }
 
@@ -43,7 +43,7 @@ impl Default for InputFolder {
 }
 
 impl InputFolder {
-    /// Another folder than the system's.
+    /// A folder other than the system's.
     pub fn at(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into(), others: BTreeMap::new() }
     }
@@ -54,7 +54,7 @@ impl InputFolder {
         if self.others.get(name) == Some(&identity) {
             return Ok(None);
         }
-        // Not remembered where it fails: permissions of a new device are often set a moment later.
+        // Failures are not remembered: permissions of a new device are often set a moment later.
         let file = OpenOptions::new()
             .read(true)
             .custom_flags(libc::O_NONBLOCK | libc::O_CLOEXEC)
@@ -69,7 +69,7 @@ impl InputFolder {
 
 impl GamepadSource for InputFolder {
     fn scan(&mut self, open: &[&str]) -> Vec<PluggedGamepad> {
-        // A machine without the folder has no gamepad, and may have one later.
+        // A machine without the folder has no gamepad yet.
         let Ok(entries) = std::fs::read_dir(&self.path) else { return Vec::new() };
         let mut names: Vec<(String, DirEntry)> = entries
             .take(FILES_MAX)
@@ -79,12 +79,12 @@ impl GamepadSource for InputFolder {
             .collect();
         names.sort_by(|(a, _), (b, _)| a.cmp(b));
         self.others.retain(|name, _| names.iter().any(|(there, _)| there == name));
-        // What cannot be opened or asked belongs to others, or is on its way out.
+        // Skips devices that cannot be opened or queried: no permission, or being unplugged.
         names.iter().filter_map(|(name, entry)| self.plugged(entry, name).ok().flatten()).collect()
     }
 }
 
-/// The device's title and a decoder in its present state, if it is a gamepad.
+/// The device's name and a decoder in its current state, if it is a gamepad.
 fn gamepad(file: &File, name: &str) -> io::Result<Option<(String, GamepadDecoder)>> {
     let has: [u8; KEY_BYTES] = ask(file, GET_KEY_BITS)?;
     if !bit(&has, BTN_GAMEPAD) {
@@ -121,7 +121,7 @@ fn range(code: u16, info: &[u8; ABSINFO_BYTES]) -> AbsRange {
     AbsRange { code, value: number(0), min: number(1), max: number(2), flat: number(4) }
 }
 
-/// Asks an event device one of the questions above, whose answer fits into `N` bytes.
+/// Sends an event device one of the requests above, whose answer fits into `N` bytes.
 fn ask<const N: usize>(file: &File, number: u8) -> io::Result<[u8; N]> {
     let mut answer = [0_u8; N];
     let request = rustix::ioctl::opcode::read::<[u8; N]>(b'E', number);

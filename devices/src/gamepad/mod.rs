@@ -1,4 +1,4 @@
-//! Gamepads: what one says, and the reader that finds and reads those of this machine.
+//! Gamepads: their state, and the reader that finds and reads the pads of this machine.
 
 mod decoder;
 #[cfg(target_os = "linux")]
@@ -66,7 +66,7 @@ impl GamepadButton {
     ];
 }
 
-/// What a gamepad says, whatever make it is.
+/// State of a gamepad of any make.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GamepadState {
     /// One bit per button, in the order of [`GamepadButton::ALL`].

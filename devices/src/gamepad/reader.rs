@@ -1,4 +1,5 @@
-//! A thread of ordinary priority that waits for gamepads and what they say, and tells it through a bounded lane.
+//! Gamepad reader: a thread of ordinary priority that finds gamepads, reads their events and passes states through a
+//! bounded queue.
 
 use std::fs::File;
 use std::io::{PipeWriter, Read};
@@ -13,13 +14,13 @@ use super::decoder::{GamepadDecoder, INPUT_EVENT_BYTES};
 use super::evdev::wait;
 use super::{GamepadState, InputFolder};
 
-/// Time between two looks for pads that were plugged in \[ns\].
+/// Period of the scan for newly plugged pads \[ns\].
 pub const RESCAN_NS: u64 = 2_000_000_000;
-/// States that may wait to be taken; when nobody takes them, those between the oldest and the newest are left out.
+/// Capacity of the state queue; when it is full, only the newest further state is kept.
 const LANE: usize = 256;
 /// Most pads at once.
 const PADS_MAX: usize = 8;
-/// How soon a state that found the lane full is offered again \[ns\].
+/// Delay before a state refused by a full queue is offered again \[ns\].
 const OFFER_AGAIN_NS: u64 = 20_000_000;
 /// Bytes that are read at once.
 const READ_BYTES: usize = 64 * INPUT_EVENT_BYTES;
@@ -27,19 +28,19 @@ const READ_BYTES: usize = 64 * INPUT_EVENT_BYTES;
 /// A gamepad that can be read.
 #[derive(Debug)]
 pub struct PluggedGamepad {
-    /// What it is called by its source.
+    /// Its id at its source.
     pub id: String,
-    /// What it calls itself.
+    /// The name that it reports.
     pub name: String,
-    /// Gives `struct input_event`s.
+    /// File that yields `struct input_event`s.
     pub file: File,
-    /// Understands them, and knows in which state the pad is.
+    /// Decodes the events and holds the pad's state.
     pub decoder: GamepadDecoder,
 }
 
-/// Where gamepads come from: the system's folder, or a double.
+/// Source of gamepads: the system's device folder, or a test double.
 pub trait GamepadSource: Send + 'static {
-    /// The pads that are there and not among those that are `open`.
+    /// The available pads that are not in `open`.
     fn scan(&mut self, open: &[&str]) -> Vec<PluggedGamepad>;
 }
 
@@ -66,7 +67,7 @@ impl GamepadReader {
         Self::start_on(InputFolder::default(), RESCAN_NS)
     }
 
-    /// Starts reading the pads of another source, in which it looks for new ones every so often \[ns\].
+    /// Starts reading the pads of another source, scanned for new pads with the period `rescan_ns` \[ns\].
     ///
     /// # Errors
     /// When the system starts no thread.
@@ -87,13 +88,13 @@ impl GamepadReader {
         Ok(Self { states, stop: Some(stop), thread: Some(thread) })
     }
 
-    /// What the pad in use has said next, in order, without waiting: the one that has spoken last. `Some(None)`: it was
-    /// unplugged.
+    /// The next state of the active pad (the one with the latest event), in order, without blocking. `Some(None)`: it
+    /// was unplugged.
     pub fn next(&self) -> Option<Option<GamepadState>> {
         self.states.try_recv().ok()
     }
 
-    /// As [`GamepadReader::next`], but waits for it, at most so long.
+    /// As [`GamepadReader::next`], but waits at most `at_most`.
     pub fn wait(&self, at_most: std::time::Duration) -> Option<Option<GamepadState>> {
         self.states.recv_timeout(at_most).ok()
     }
@@ -103,20 +104,20 @@ impl Drop for GamepadReader {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // A thread that has panicked has told so itself.
+            // A panic of the thread has already been reported.
             let _ = thread.join();
         }
     }
 }
 
-/// What the thread has.
+/// State of the reader thread.
 struct Work {
     source: Box<dyn GamepadSource>,
     pads: Vec<PluggedGamepad>,
     sender: SyncSender<Option<GamepadState>>,
-    /// The newest state, when it found the lane full.
+    /// The newest state, if the queue was full.
     unsent: Option<Option<GamepadState>>,
-    /// The pad that has spoken last.
+    /// The pad with the latest event.
     in_use: Option<String>,
     buffer: Box<[u8; READ_BYTES]>,
 }
@@ -140,7 +141,7 @@ impl Work {
                 return;
             }
             self.offer();
-            // From the end, so that the places of those before stay.
+            // From the end, so that earlier indices stay valid.
             for index in (0..self.pads.len()).rev().filter(|index| ready[index + 1]) {
                 self.read(index);
             }
@@ -172,7 +173,7 @@ impl Work {
                     error.kind(),
                     std::io::ErrorKind::WouldBlock | std::io::ErrorKind::Interrupted
                 ) => {}
-            // Its end, or an error: it is gone.
+            // End of file or an error: the pad was unplugged.
             _ => {
                 let gone = self.pads.remove(index).id;
                 if self.in_use.as_ref() == Some(&gone) {
@@ -188,7 +189,7 @@ impl Work {
         self.offer();
     }
 
-    /// Of states that nobody takes, the newest is kept: no button stays down that was released long ago.
+    /// Offers the newest state when the queue was full, so that no released button stays pressed.
     fn offer(&mut self) {
         if let Some(state) = self.unsent.take()
             && let Err(TrySendError::Full(state)) = self.sender.try_send(state)
@@ -207,7 +208,7 @@ mod tests {
     use std::sync::{Arc, Mutex};
     use std::time::Duration;
 
-    /// Pads whose events a test writes into pipes.
+    /// Test double: pads whose events a test writes into pipes.
     #[derive(Clone, Default)]
     struct Double(Arc<Mutex<Vec<PluggedGamepad>>>);
     impl GamepadSource for Double {
@@ -247,7 +248,7 @@ mod tests {
         let mut first = double.plug("event3");
         let reader = GamepadReader::start_on(double.clone(), 5_000_000).expect("starts");
         assert_eq!(next(&reader), Some(GamepadState::default()));
-        // A press that is shorter than any picture is not lost.
+        // A press shorter than a display frame is not lost.
         first.write_all(&[press(true), press(false)].concat()).expect("written");
         assert!(next(&reader).expect("a pad").is_pressed(GamepadButton::South));
         assert_eq!(next(&reader), Some(GamepadState::default()));

@@ -1,4 +1,4 @@
-//! The collision list: what touches what, contributed by every detector.
+//! The collision list: contacts between primitives, contributed by every detector.
 
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
@@ -28,7 +28,7 @@ pub enum Primitive {
     Shaft,
 }
 
-/// Who found a contact.
+/// Detection method of a contact.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
 )]
@@ -49,7 +49,7 @@ pub enum Detection {
     ZBuffer,
     /// Spheres hashed by direction.
     SphericalHash,
-    /// Motions over a step.
+    /// Continuous detection over a step's motion.
     Continuous,
     /// The proxy of a hand.
     Proxy,
@@ -71,34 +71,34 @@ pub struct Collision {
     pub b: Entity,
     /// Which part of it.
     pub primitive_b: Primitive,
-    /// Where: the nearest or deepest point of each, in world \[m\]; the same one twice when only one is known.
+    /// The nearest or deepest point of each, in world \[m\]; equal if only one is known.
     #[schemars(with = "[[f64; 3]; 2]")]
     pub points_in_world: [Point3<f64>; 2],
     /// Unit direction from `a` to `b`.
     #[schemars(with = "[f64; 3]")]
     pub normal_in_world: Vector3<f64>,
-    /// Penetration depth \[m\]; negative while apart. How far the first point lies beyond the second along the normal.
+    /// Penetration depth \[m\]: distance of the first point beyond the second along the normal; negative while apart.
     pub depth: f64,
     /// Penalty force on `b` \[N\].
     #[schemars(with = "[f64; 3]")]
     pub force_in_world: Vector3<f64>,
     /// Relative normal velocity that a response must reach \[m/s\].
     pub velocity_constraint: f64,
-    /// Who found it.
+    /// Detection method.
     pub method: Detection,
-    /// When: what moved since then has moved away from it.
+    /// Time of detection; bodies that moved since are no longer at these points.
     pub detected_at: SimTime,
 }
 
 impl Collision {
-    /// In the middle of both points, in world \[m\].
+    /// Midpoint of both points, in world \[m\].
     #[must_use]
     pub fn middle_in_world(&self) -> Point3<f64> {
         nalgebra::center(&self.points_in_world[0], &self.points_in_world[1])
     }
 }
 
-/// What one detector found in its last tick; contributed, so that lists of several detectors coexist.
+/// Contacts of one detector's last tick; a contribution, so that lists of several detectors coexist.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CollisionList {

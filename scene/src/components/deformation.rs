@@ -1,4 +1,4 @@
-//! What every deforming body has beside its mesh, whichever method moves it.
+//! Components of deformable bodies besides their mesh, common to all methods.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ pub struct VertexVelocities {
 }
 super::component!(VertexVelocities, "vertex_velocities");
 
-/// Where each vertex would be without any force, in the entity's frame; whoever deforms a body writes it once.
+/// Rest position of each vertex, in the entity's frame; written once by the body's solver.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RestPositions {
@@ -33,49 +33,49 @@ pub struct RestPositions {
 }
 super::component!(RestPositions, "rest_positions");
 
-/// Parts of a deforming body that are held where they are at rest, in the entity's frame: bones and ligaments behind an
-/// organ, clips on a gauze.
+/// Fixed parts of a deformable body (Dirichlet boundary), as regions of the rest shape in the entity's frame: bones and
+/// ligaments behind an organ, clips on a gauze.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Anchors {
-    /// A vertex in any of these is held.
+    /// Regions whose vertices are fixed.
     pub regions: Vec<Region>,
 }
 
-/// A body that its simulator had to stop, at its last good state.
+/// A body stopped by its simulator, at its last valid state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Frozen {
-    /// What the solver found.
+    /// Reason given by the solver.
     pub reason: String,
     /// When.
     pub since: SimTime,
 }
 super::component!(Frozen, "frozen");
 
-/// A body whose simulator goes on, but beyond what its method is right for.
+/// A body simulated outside the range of validity of its method.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutOfValidity {
-    /// What of it is not to be believed, and what to do about that.
+    /// What is inaccurate, and how to fix it.
     pub reason: String,
     /// Since when.
     pub since: SimTime,
 }
 super::component!(OutOfValidity, "doubtful");
 
-/// A body whose heat stands still since its solver had to stop it, while whoever moves the body goes on.
+/// A body whose heat solver has stopped, while its motion is still simulated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HeatFrozen {
-    /// What the solver found.
+    /// Reason given by the solver.
     pub reason: String,
     /// When.
     pub since: SimTime,
 }
 super::component!(HeatFrozen, "heat_frozen");
 
-/// A body whose mesh was mended when it was read.
+/// A body whose mesh was repaired when it was read.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeshRepaired {
@@ -84,7 +84,7 @@ pub struct MeshRepaired {
 }
 super::component!(MeshRepaired, "mesh_repaired");
 
-/// A part of space, borders included.
+/// A closed region of space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Region {
@@ -102,7 +102,7 @@ pub enum Region {
         /// The point \[m\].
         #[schemars(with = "[f64; 3]")]
         center: Point3<f64>,
-        /// How far \[m\].
+        /// Its radius \[m\].
         radius: f64,
     },
 }
@@ -118,7 +118,7 @@ impl Region {
 }
 
 impl Anchors {
-    /// Whether a point of the body at rest is held.
+    /// Whether a point of the rest shape is fixed.
     pub fn hold(&self, point: &Point3<f64>) -> bool {
         self.regions.iter().any(|region| region.contains(point))
     }

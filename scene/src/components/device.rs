@@ -1,4 +1,4 @@
-//! Devices in hands: what they say and what they are told.
+//! Haptic devices and hands: their state and their commands.
 
 use nalgebra::Vector3;
 use schemars::JsonSchema;
@@ -68,7 +68,7 @@ impl Component for Hand {
     }
 }
 
-/// What a device can do; copied into the scene when it is opened.
+/// Capabilities of a device; copied into the scene when it is opened.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceInfo {
@@ -103,9 +103,9 @@ pub struct DeviceState {
     pub gripper: f64,
     /// One bit per button.
     pub buttons: u32,
-    /// Whether the device answers.
+    /// Whether the device is connected.
     pub connected: bool,
-    /// Force that the driver let through, in the device's axes \[N\].
+    /// Force rendered by the driver, in the device's axes \[N\].
     #[schemars(with = "[f64; 3]")]
     pub applied_force: Vector3<f64>,
     /// When it was measured.
@@ -122,7 +122,7 @@ impl Component for DeviceState {
     }
 }
 
-/// The wrench that haptics asks a device for, in the device's axes.
+/// The wrench commanded by haptics, in the device's axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceForce {
@@ -132,18 +132,18 @@ pub struct DeviceForce {
     /// Torque \[N·m\].
     #[schemars(with = "[f64; 3]")]
     pub torque: Vector3<f64>,
-    /// When it was asked for.
+    /// Time of the command.
     pub at: SimTime,
 }
 super::component!(DeviceForce, "device_force");
 
-/// What a virtual trainee intends its hand to do, in the device's frame.
+/// Target of a virtual trainee's hand, in the device's frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HandTarget {
-    /// `device_from_handle` wanted.
+    /// Target of `device_from_handle`.
     pub handle_in_device: Pose,
-    /// Opening of the gripper wanted \[rad\].
+    /// Target opening of the gripper \[rad\].
     pub gripper: f64,
 }
 impl Component for HandTarget {
@@ -157,23 +157,23 @@ impl Component for HandTarget {
     }
 }
 
-/// What a haptics controller must remember, and what it says about itself.
+/// Restart state and status of a haptics controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticStatus {
     /// Energy that the driver observed at the device's port since the start \[J\]; passive while not negative.
     pub energy: f64,
-    /// Smallest value that `energy` ever had \[J\].
+    /// Minimum of `energy` so far \[J\].
     pub energy_min: f64,
-    /// Energy that passivity kept from the hand \[J\].
+    /// Energy withheld from the hand by passivity \[J\].
     pub dissipated: f64,
-    /// Damping to which the force amounts that passivity keeps back now \[N·s/m\].
+    /// Damping equivalent to the force withheld now \[N·s/m\].
     pub injected_damping: f64,
-    /// Power that it keeps back now \[W\]: what passivity costs.
+    /// Power withheld now \[W\].
     pub damping_power: f64,
-    /// Stiffness that the hand feels \[N/m\]; 0 out of contact and while it hardly moves in one.
+    /// Rendered stiffness \[N/m\]; 0 out of contact and while the hand hardly moves.
     pub felt_stiffness: f64,
-    /// Largest force asked for so far \[N\].
+    /// Largest commanded force so far \[N\].
     pub force_max: f64,
     /// Ticks without a fresh device sample.
     pub stale_samples: u64,

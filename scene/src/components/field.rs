@@ -1,4 +1,4 @@
-//! Quantities per vertex that simulators publish for those who look: stress, strain, pressure.
+//! Scalar fields per vertex that simulators publish for viewers: stress, strain, pressure.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,13 +18,13 @@ const NAME_MAX: usize = 64;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ScalarField {
-    /// What it is, such as `stress`.
+    /// Name of the quantity, such as `stress`.
     pub name: String,
     /// Its unit, such as `Pa`; empty for pure numbers.
     pub unit: String,
     /// One value per vertex; vertices beyond the end have none.
     pub values: Arc<Vec<f64>>,
-    /// What a scale shows, from its lower to its upper end; without it what there is at the moment.
+    /// Range of the colour scale; if absent, the current range of values.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
 }

@@ -8,7 +8,7 @@ use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
 use crate::finite;
 
-/// How an entity is called in files and messages.
+/// Name of an entity in files and messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct Name(pub String);

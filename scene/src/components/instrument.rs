@@ -1,4 +1,4 @@
-//! Instruments, the ports they pass, and what they hold.
+//! Instruments, their ports (trocars), and their grasps.
 //!
 //! Instrument frame: the origin (*tip*) is the midpoint between the closed jaw tips; +z runs along the
 //! shaft from the handle to the tip; +x is the closing direction (jaw A lies at +x, jaw B at −x); y is the
@@ -62,7 +62,7 @@ impl InstrumentKind {
     }
 }
 
-/// Build of an instrument. Lengths \[m\], angles \[rad\].
+/// Dimensions and mechanics of an instrument. Lengths \[m\], angles \[rad\].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Instrument {
@@ -90,7 +90,7 @@ pub struct Instrument {
     pub mass: f64,
     /// Whether a grasp constraint may help friction once both jaws oppose each other on one body.
     pub grasp_assist: bool,
-    /// Force at which the grasp constraint lets go \[N\].
+    /// Force at which the grasp constraint breaks \[N\].
     pub grasp_break_force: f64,
     /// Stiffness of the coupling between hand and instrument \[N/m\].
     pub coupling_stiffness: f64,
@@ -170,17 +170,17 @@ impl Default for Port {
 }
 super::component!(Port, "port");
 
-/// Where a hand wants its instrument to be.
+/// Target of an instrument, from its hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentTarget {
-    /// `world_from_instrument` wanted.
+    /// Target of `world_from_instrument`.
     pub tip_in_world: Pose,
     /// Its velocity, for extrapolation between ticks.
     pub velocity_in_world: Velocity,
-    /// Full jaw opening wanted \[rad\].
+    /// Target of the full jaw opening \[rad\].
     pub jaw_angle: f64,
-    /// When the hand was there.
+    /// Time of the hand's sample.
     pub sampled_at: SimTime,
 }
 impl Component for InstrumentTarget {
@@ -194,7 +194,7 @@ impl Component for InstrumentTarget {
     }
 }
 
-/// What the jaws do.
+/// State of the jaws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JawState {
@@ -207,25 +207,25 @@ pub struct JawState {
 }
 super::component!(JawState, "jaw_state");
 
-/// Which of two currents a generator gives.
+/// Mode of an electrosurgical generator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ActivationMode {
-    /// The yellow pedal's: tissue bursts and parts.
+    /// Cut mode (yellow pedal): tissue vaporises and parts.
     Cut,
-    /// The blue pedal's: tissue dries, draws together and chars.
+    /// Coagulation mode (blue pedal): tissue desiccates, shrinks and chars.
     Coagulate,
 }
 
-/// What is switched on at an instrument: by a pedal, a button, or whoever plays the hand.
+/// Activation of an instrument by a pedal, a button or a virtual trainee.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Activation {
     /// Share of full power, 0 to 1.
     pub level: f64,
-    /// Since when it has been at that level.
+    /// Time since when it has had that level.
     pub since: SimTime,
-    /// Which of two currents, of an electrode; none: the one that the instrument is set to.
+    /// Mode of an electrode; none: the instrument's own setting.
     pub mode: Option<ActivationMode>,
 }
 impl Component for Activation {
@@ -253,7 +253,7 @@ pub struct InstrumentForce {
 }
 super::component!(InstrumentForce, "instrument_force");
 
-/// What an instrument holds by opposing contacts of both jaws; absent while it holds nothing.
+/// A grasp by opposing contacts of both jaws; absent while nothing is held.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Grasp {
@@ -273,10 +273,10 @@ super::component!(Grasp, "grasp");
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ContactPlane {
-    /// A point on the plane, for the instrument's tip to stay above, in world \[m\].
+    /// A point on the plane, above which the instrument's tip must stay, in world \[m\].
     #[schemars(with = "[f64; 3]")]
     pub point_in_world: Point3<f64>,
-    /// Unit normal pointing to where the instrument may be.
+    /// Unit normal pointing to the allowed side.
     #[schemars(with = "[f64; 3]")]
     pub normal_in_world: Vector3<f64>,
     /// Stiffness against penetration \[N/m\].
@@ -287,15 +287,15 @@ pub struct ContactPlane {
     pub friction: f64,
 }
 
-/// A time-stamped local model of what an instrument touches, for haptics to evaluate at its own rate.
+/// Time-stamped local contact model of an instrument, which haptics evaluates at its own rate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LocalContactModel {
-    /// Where the simulated tip was at `at`, in world.
+    /// Pose of the simulated tip at `at`, in world.
     pub proxy_in_world: Pose,
     /// Its velocity.
     pub proxy_velocity: Velocity,
-    /// Planes in use come first.
+    /// The planes; used ones come first.
     pub planes: [Option<ContactPlane>; 4],
     /// Force on the hand that the planes do not explain (a held body's weight) \[N\].
     #[schemars(with = "[f64; 3]")]

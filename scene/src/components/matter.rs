@@ -18,11 +18,11 @@ pub enum Motion {
     Static,
     /// Moves under forces.
     Dynamic,
-    /// Follows its written pose, whatever pushes it.
+    /// Follows its written pose, regardless of forces.
     Kinematic,
 }
 
-/// A rigid body; its geometry is the entity's `Shape`, or else its surface: then its contacts are those that detectors find.
+/// A rigid body; its geometry is the entity's `Shape`, or else its surface, with contacts from the collision detectors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigidBody {
@@ -66,29 +66,30 @@ impl Component for RigidBody {
     }
 }
 
-/// A material parameter together with where it comes from.
+/// A material parameter with its source.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Parameter {
     /// The value, in the unit of its field.
     pub value: f64,
-    /// Publication or measurement it was taken from.
+    /// Publication or measurement of the value.
     pub source: String,
 }
 
-/// Where a number comes from.
+/// Source of a value.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Source {
-    /// Publication or measurement it was taken from; or that it is chosen, and why.
+    /// Publication or measurement of the value; or a statement that it is chosen, and why.
     pub from: String,
-    /// Between which values it has been found, in the unit of the number.
+    /// Published range, in the unit of the value.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
 }
 
-/// Where numbers of an entity's components come from, by component and by the name of the number: what no
-/// [`Tissue`] says. In a scenario each has to be of a number that the entity gives there, and one outside its range is told.
+/// Sources of values in an entity's components, by component and parameter name, for values not covered by [`Tissue`].
+/// In a scenario each entry must belong to a value that the entity gives there, and a value outside its range is
+/// reported.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(transparent)]
 pub struct Sources(pub BTreeMap<String, BTreeMap<String, Source>>);
@@ -115,8 +116,8 @@ impl Component for Sources {
     }
 }
 
-/// What an entity is made of, by its name among [`TISSUES`](crate::tissue::TISSUES). In a scenario, what its other components
-/// leave open of the tissue's parameters is what has been measured of it.
+/// Tissue of an entity, by its name among [`TISSUES`](crate::tissue::TISSUES). In a scenario, parameters that its other
+/// components omit take the tissue's measured values.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Tissue(pub String);
 impl Component for Tissue {

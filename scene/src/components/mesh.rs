@@ -1,4 +1,4 @@
-//! Meshes. Topology stands apart from positions, so that a deforming body copies positions only.
+//! Mesh components. Topology is separate from positions, so that a deforming body copies positions only.
 
 use std::sync::Arc;
 
@@ -55,7 +55,7 @@ pub struct TextureCoordinates {
 }
 super::component!(TextureCoordinates, "texture_coordinates");
 
-/// A tree of axis-aligned boxes over an entity's primitives, for whoever wants to reuse or show it.
+/// A tree of axis-aligned boxes over an entity's primitives, for reuse or display.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BoundingVolumeTree {

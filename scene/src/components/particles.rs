@@ -1,4 +1,4 @@
-//! Matter without a mesh: smoke, and fluids such as blood and what wounds are rinsed with.
+//! Particles: smoke, and fluids such as blood and irrigation fluid.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::finite;
 /// Particles that one entity can have.
 pub const PARTICLES_MAX: usize = 65_536;
 
-/// What particles are parts of.
+/// Kind of matter of particles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ParticleKind {
@@ -27,26 +27,26 @@ pub enum ParticleKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Particles {
-    /// What they are parts of.
+    /// Kind of matter.
     pub kind: ParticleKind,
-    /// Their middles \[m\]; at most 65,536.
+    /// Their centres \[m\]; at most 65,536.
     #[schemars(with = "Vec<[f64; 3]>")]
     pub positions: Arc<Vec<Point3<f64>>>,
-    /// Number of the first one; the others count on from there. Whoever takes old ones away from the front counts them
-    /// here, so that a viewer knows which is which and shows them on their way.
+    /// Number of the first one; the others are numbered consecutively. It grows when old particles are removed from the
+    /// front, so that a viewer can identify and interpolate particles.
     pub first: u64,
-    /// Radius of each \[m\]. That of a drop reaches over its neighbours, so that there is one surface; within that of a
-    /// puff is nearly all of a fresh one.
+    /// Radius of each \[m\]. A drop's radius overlaps its neighbours, so that they form one surface; a puff's radius
+    /// holds nearly all matter of a fresh puff.
     pub radius: f64,
-    /// Linear RGB in \[0, 1\]: what comes back of the light that falls on it where it is thick.
+    /// Albedo of thick matter, linear RGB in \[0, 1\].
     pub color: [f64; 3],
-    /// Light that is lost along a way through it, where it is densest \[1/m\].
+    /// Extinction coefficient at the highest density \[1/m\].
     pub extinction: f64,
-    /// How dense each is in \[0, 1\]; 1 where there is none. A diluted drop, a puff that settles.
+    /// Density of each in \[0, 1\]; 1 if the list is shorter. Less than 1 for a diluted drop or a settling puff.
     pub densities: Arc<Vec<f64>>,
-    /// How old each puff of smoke is \[s\]; 0 where there is none.
+    /// Age of each puff of smoke \[s\]; 0 if the list is shorter.
     pub ages: Arc<Vec<f64>>,
-    /// How fast smoke spreads \[1/s\]: the square of a puff's radius grows by this share of what it was at first.
+    /// Spread rate of smoke \[1/s\]: growth of a puff's squared radius, relative to its initial squared radius.
     pub spread: f64,
 }
 
@@ -67,14 +67,14 @@ impl Default for Particles {
 }
 
 impl Particles {
-    /// Where the particle of a number stands in the lists; `None` when it is gone, or has not come yet.
+    /// Index of the particle with this number; `None` if it has been removed or does not exist yet.
     pub fn index_of(&self, number: u64) -> Option<usize> {
         let index = usize::try_from(number.checked_sub(self.first)?).ok()?;
         (index < self.positions.len()).then_some(index)
     }
 
-    /// Radius \[m\] and extinction where it is densest \[1/m\] of the particle of that number. A puff keeps its matter
-    /// while the variance of where it is grows with time (Roberts, "The theoretical scattering of smoke in a turbulent
+    /// Radius \[m\] and extinction coefficient at the highest density \[1/m\] of a particle. A puff keeps its mass
+    /// while its positional variance grows with time (Roberts, "The theoretical scattering of smoke in a turbulent
     /// atmosphere", 1923).
     pub fn particle(&self, index: usize) -> (f64, f64) {
         let density = self.densities.get(index).copied().unwrap_or(1.0);

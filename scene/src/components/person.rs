@@ -1,10 +1,9 @@
-//! A person at a mouse, a keyboard or a gamepad: what it has asked of its two hands, as state.
+//! Manual input by mouse, keyboard or gamepad for two hands, as state.
 //!
-//! Everything that moves is a *total* since the source of the input began, kept per hand and after whatever
-//! changes its meaning (the hand in charge, the clutch, the button that rolls, fine motion) has been taken into
-//! account. So whoever reads it late, twice, or anew after a failure, misses nothing and puts nothing down to the
-//! wrong hand: it takes the difference from the totals that it had seen. No key, button or axis of a device
-//! stands here, only what it means.
+//! Motions are *totals* since the start of the input source, kept per hand, after modifiers (the active hand, the
+//! clutch, the roll button, fine motion) are applied. A reader that is late, reads twice or restarts takes the
+//! difference from the totals that it saw last, so it loses no motion and assigns none to the wrong hand. The component
+//! holds actions, not keys, buttons or axes of a device.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,12 +15,12 @@ use crate::components::instrument::ActivationMode;
 use crate::finite;
 use crate::time::SimTime;
 
-/// Largest total of a motion: days of an unresting hand. A source that reaches it begins anew, under another number.
+/// Largest total of a motion: days of continuous motion. A source that reaches it restarts under a new number.
 pub const PERSON_TOTAL_MAX: f64 = 1e6;
 
 macro_rules! actions {
     ($($variant:ident, $field:ident, $about:literal;)*) => {
-        /// What a person can ask for by holding something down.
+        /// Actions triggered by holding a key or button.
         #[derive(
             Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
         )]
@@ -31,7 +30,7 @@ macro_rules! actions {
         }
 
         impl PersonAction {
-            /// Every action, in the order in which people are told about them.
+            /// Every action, in display order.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
             /// Its name in files.
@@ -44,8 +43,7 @@ macro_rules! actions {
             }
         }
 
-        /// How far each action is asked for: 1 for a key that is down, anything between 0 and 1 for a stick or a
-        /// trigger.
+        /// Amount of each action: 1 for a pressed key, between 0 and 1 for a stick or a trigger.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(default, deny_unknown_fields)]
         pub struct PersonActions {
@@ -53,11 +51,11 @@ macro_rules! actions {
         }
 
         impl PersonActions {
-            /// How far this action is asked for, 0 to 1.
+            /// Amount of this action, 0 to 1.
             pub fn get(&self, action: PersonAction) -> f64 {
                 match action { $(PersonAction::$variant => self.$field,)* }
             }
-            /// Asks for it, as far as `amount` says: 0 to 1.
+            /// Sets the amount of an action, 0 to 1.
             pub fn set(&mut self, action: PersonAction, amount: f64) {
                 match action { $(PersonAction::$variant => self.$field = amount,)* }
             }
@@ -84,24 +82,24 @@ actions! {
     SwitchHand, switch_hand, "puts the other hand in charge; this one stays as it is";
 }
 
-/// What has been asked of one hand.
+/// Input for one hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PersonHand {
-    /// Motion of the tip in the picture, in all: to the right, down, and away from the viewer. One unit across is the
+    /// Total motion of the tip in the image: to the right, down, and away from the viewer. One unit across is the
     /// height of the picture; one unit away multiplies the distance from the eye by *e*.
     pub moved: [f64; 3],
-    /// Turn about the shaft in all, clockwise as its holder sees it \[rad\].
+    /// Total roll about the shaft, clockwise as its holder sees it \[rad\].
     pub rolled: f64,
-    /// How far the jaws shall be open, as a share of their largest opening; none: as they are.
+    /// Target jaw opening, as a share of the largest opening; none: unchanged.
     pub opening: Option<f64>,
-    /// How far the instrument is switched on, 0 to 1: only ever while something is held down.
+    /// Activation of the instrument, 0 to 1; only while a key or button is held.
     pub activation: f64,
-    /// Which of two currents; none: the one that the instrument is set to.
+    /// Electrosurgical mode; none: the instrument's own setting.
     pub mode: Option<ActivationMode>,
 }
 
-/// From where a person looks.
+/// Viewpoint of a person.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PersonView {
@@ -111,24 +109,24 @@ pub struct PersonView {
     pub field_of_view: f64,
 }
 
-/// What a person without a haptic device has asked for, by pointer, keyboard and gamepad.
+/// Input of a person without a haptic device, by pointer, keyboard and gamepad.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PersonInput {
-    /// Whose totals these are. Under a new number they begin at zero again: a window that is opened anew moves
+    /// Number of the input source. Under a new number the totals restart at zero, so that reopening a window moves
     /// nothing.
     pub source: u32,
-    /// The hand in charge.
+    /// The active hand.
     pub in_charge: Side,
-    /// What has been asked of the left hand.
+    /// Input for the left hand.
     pub left: PersonHand,
-    /// What has been asked of the right hand.
+    /// Input for the right hand.
     pub right: PersonHand,
-    /// What is held down now.
+    /// Actions held now.
     pub held: PersonActions,
-    /// From where the person looks; none: as the scene's first camera.
+    /// The person's viewpoint; none: the scene's first camera.
     pub view: Option<PersonView>,
-    /// When this was so.
+    /// Time of the sample.
     pub sampled_at: SimTime,
 }
 
@@ -147,14 +145,14 @@ impl Default for PersonInput {
 }
 
 impl PersonInput {
-    /// What has been asked of that hand.
+    /// Input for a hand.
     pub fn hand(&self, side: Side) -> &PersonHand {
         match side {
             Side::Left => &self.left,
             Side::Right => &self.right,
         }
     }
-    /// What has been asked of that hand, to be changed.
+    /// Mutable input for a hand.
     pub fn hand_mut(&mut self, side: Side) -> &mut PersonHand {
         match side {
             Side::Left => &mut self.left,

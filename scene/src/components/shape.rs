@@ -1,4 +1,4 @@
-//! Analytic shapes: what a body is made of when it is not a mesh.
+//! Analytic shapes, for bodies without a mesh.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

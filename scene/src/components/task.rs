@@ -1,4 +1,4 @@
-//! Exercises: where they stand, what went wrong, how the hands moved.
+//! Exercises: state, errors and motion metrics.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::entity::Entity;
 
-/// Something that counts against the trainee.
+/// An error of the trainee.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskError {
@@ -15,7 +15,7 @@ pub struct TaskError {
     pub kind: String,
     /// When \[s\].
     pub at_secs: f64,
-    /// What it happened to.
+    /// The entity concerned.
     #[schemars(with = "Option<String>")]
     pub entity: Option<Entity>,
 }
@@ -34,7 +34,7 @@ pub struct TaskState {
     pub steps: u32,
     /// Time on the exercise's own clock \[s\].
     pub seconds: f64,
-    /// Whether the exercise has ended, however it went.
+    /// Whether the exercise has ended, for any reason.
     pub over: bool,
     /// Whether everything was done.
     pub completed: bool,
@@ -42,14 +42,14 @@ pub struct TaskState {
     pub cut_off: bool,
     /// Score 0–100, once known. FLS-style; not clinically validated.
     pub score: Option<f64>,
-    /// What went wrong, in order; bounded.
+    /// Errors, in order; bounded.
     pub errors: Vec<TaskError>,
     /// Motion metrics: hand → name → value.
     pub metrics: BTreeMap<String, BTreeMap<String, f64>>,
 }
 super::component!(TaskState, "task_state");
 
-/// What a controller measures of that which it moves: areas, volumes, energies, slips; on the controller's own entity.
+/// Measurements of a controller about its simulation: areas, volumes, energies, slips; on the controller's own entity.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Measured {

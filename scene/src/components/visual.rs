@@ -1,4 +1,4 @@
-//! What a viewer needs: materials with four maps, lights, cameras.
+//! Visual components: materials with four maps, lights, cameras.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
 use crate::finite;
 
-/// An image: a file below the scenario's folder, or one that is computed.
+/// A texture: a file below the scenario's folder, or a procedural one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Texture {
@@ -27,13 +27,13 @@ pub struct VisualMaterial {
     pub roughness: f64,
     /// Metalness in \[0, 1\].
     pub metalness: f64,
-    /// Film of liquid on the surface in \[0, 1\]: how much of it glistens.
+    /// Wetness of the surface in \[0, 1\], for specular highlights of a liquid film.
     pub wetness: f64,
     /// How often the maps repeat over the unit square of texture coordinates; the edit map never does.
     pub tiling: [f64; 2],
-    /// Depth of the relief that the normal map's height stands for \[m\]; 0 leaves the surface flat.
+    /// Depth of the normal map's relief \[m\]; 0 leaves the surface flat.
     pub relief: f64,
-    /// A WGSL file below the scenario's folder whose function `surface` changes what is shaded.
+    /// A WGSL file below the scenario's folder whose function `surface` modifies the shading.
     pub shader: Option<String>,
     /// Colour map.
     pub color_map: Option<Texture>,
@@ -89,7 +89,7 @@ pub struct Light {
     pub intensity: f64,
     /// Half angle of the cone \[rad\]; π for a point light.
     pub cone_angle: f64,
-    /// Whether what it shines on throws a shadow; only a cone of less than a right angle can.
+    /// Whether it casts shadows; only a cone of less than a right angle can.
     pub shadows: bool,
 }
 impl Default for Light {
@@ -125,11 +125,11 @@ super::component!(Camera, "camera");
 pub struct Optics {
     /// Angle between the scope's axis and the line of sight \[rad\]: 0, 30° or 45° are common.
     pub tilt: f64,
-    /// How far the scope is turned about its axis \[rad\]; the tilted line of sight turns with it, the picture does not.
+    /// Rotation of the scope about its axis \[rad\]; the tilted line of sight rotates with it, the image does not.
     pub turn: f64,
     /// Barrel distortion: radial displacement at the picture's corner as a share of its half diagonal.
     pub distortion: f64,
-    /// Loss of light at the picture's corner in \[0, 1\].
+    /// Vignetting at the image's corner in \[0, 1\].
     pub vignette: f64,
 }
 impl Component for Optics {
@@ -145,29 +145,30 @@ impl Component for Optics {
     }
 }
 
-/// Makes a [`Camera`] a window: a real screen, looked at by somebody whose head is tracked, shows what lies behind it as a
-/// pane of glass would ("fish tank virtual reality": Ware, Arthur, Booth 1993).
+/// Makes a [`Camera`] a head-coupled display: for a viewer with a tracked head, the screen shows the scene behind it
+/// like a window pane ("fish tank virtual reality": Ware, Arthur, Booth 1993).
 ///
-/// The camera's entity is the centre of the screen: z into the screen, x to its right, y down. The head is wherever the
-/// pose of [`Self::head`] is, so that whoever writes that pose (a tracker, a controller, a scenario) moves the eye. The
-/// camera's near and far hold; its field of view and [`Optics`] do not.
+/// The camera's entity is the centre of the screen: z into the screen, x to its right, y down. The pose of
+/// [`Self::head`] is the head's, so that its writer (a tracker, a controller, a scenario) moves the eye. The camera's
+/// near and far apply; its field of view and [`Optics`] do not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HeadTracked {
-    /// Whose pose is the head: between the eyes, x to the right eye, y down, z straight ahead. Best below the camera's
-    /// entity ([`Parent`](crate::Parent)), so that it is given in the frame of the screen.
+    /// Entity with the pose of the head: between the eyes, x to the right eye, y down, z straight ahead. Best below the
+    /// camera's entity ([`Parent`](crate::Parent)), so that it is given in the frame of the screen.
     #[schemars(with = "String")]
     pub head: Entity,
     /// Width and height of the screen \[m\].
     pub screen: [f64; 2],
-    /// Between the eyes \[m\].
+    /// Interocular distance \[m\].
     #[serde(default = "interocular")]
     pub interocular: f64,
-    /// Metres of the scene per metre in front of the screen: screen, head and eyes all grow with it.
+    /// Metres in the scene per metre in front of the screen; scales screen, head and eyes.
     #[serde(default = "life_size")]
     pub scale: f64,
 }
-/// The mean of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004) \[m\].
+/// Mean interpupillary distance of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004)
+/// \[m\].
 fn interocular() -> f64 {
     0.063
 }

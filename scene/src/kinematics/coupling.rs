@@ -1,4 +1,4 @@
-//! How a handle moves an instrument: through a port, or freely in six degrees of freedom.
+//! Coupling of handle and instrument: through a port, or free in six degrees of freedom.
 
 use nalgebra::{Isometry3, Vector3};
 
@@ -19,7 +19,7 @@ pub enum InstrumentCoupling {
     Free(Isometry3<f64>),
 }
 
-/// The path at one handle pose: maps motion forwards and load backwards.
+/// The path linearised at one handle pose: maps motion forwards and load backwards.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Transmission {
     /// Through a remote centre.
@@ -58,8 +58,8 @@ impl InstrumentCoupling {
         }
     }
 
-    /// What the path itself does to the handle (seal friction, end stops), in world; it never adds power
-    /// over a closed path.
+    /// Wrench of the path itself on the handle (seal friction, end stops), in world; it never adds power over a closed
+    /// path.
     pub fn passive_wrench(&self, transmission: &Transmission, handle_twist: &Twist) -> Wrench {
         let (Self::Fulcrum(fulcrum), Transmission::Fulcrum(passage)) = (self, transmission) else {
             return Wrench::ZERO;

@@ -1,10 +1,9 @@
-//! The remote centre of a minimally invasive instrument: a shaft that passes a fixed port.
+//! Fulcrum (remote centre of motion) of a minimally invasive instrument: a shaft through a fixed port.
 //!
-//! With handle point `h`, port point `p` and shaft length `L`, the shaft direction is
-//! `u = (p − h)/|p − h|` and the tip `h + L u`: moving the handle sideways swings the tip the other way by
-//! the lever ratio `(L − r)/r`, `r = |p − h|`. Forces come back by virtual work with the transpose of the
-//! same map (Basdogan, De, Kim, Muniyandi, Kim & Srinivasan 2004, "Haptics in minimally invasive surgical
-//! simulation and training", describe the effect).
+//! With handle point `h`, port point `p` and shaft length `L`, the shaft direction is `u = (p − h)/|p − h|` and the tip
+//! `h + L u`: moving the handle sideways swings the tip the other way by the lever ratio `(L − r)/r`, `r = |p − h|`.
+//! Forces are mapped back by virtual work, with the transpose of the same map (Basdogan, De, Kim, Muniyandi, Kim &
+//! Srinivasan 2004, "Haptics in minimally invasive surgical simulation and training", describe the effect).
 //!
 //! Roll: the handle's orientation is swung by the least rotation that brings its own z axis onto the shaft,
 //! so only its roll is left. With `a` the handle's axis and `c = a·u`, the instrument's spin is
@@ -18,7 +17,7 @@ use super::spatial::{Twist, Wrench, finite, minimal_rotation};
 
 /// Distance between handle and port below which the lever no longer grows \[m\].
 pub const RADIUS_SINGULAR: f64 = 0.005;
-/// Least `1 + a·u`: bounds the spin of a handle that is held back to front.
+/// Least `1 + a·u`: bounds the spin of a handle held in reverse.
 const ROLL_SINGULAR: f64 = 0.05;
 
 /// Why a fulcrum was refused.
@@ -52,8 +51,8 @@ pub enum FulcrumError {
 
 /// Friction of the seal in the port.
 ///
-/// Coulomb friction is smoothed as `s/√(1 + s²)`, `s = v/stick_speed`: it reaches 71 % at `stick_speed`, since
-/// a sampled force that switches sign with the velocity chatters. (`tanh` is not the same on every machine.)
+/// Coulomb friction is smoothed as `s/√(1 + s²)`, `s = v/stick_speed`: it reaches 71 % at `stick_speed`, since a
+/// sampled force that switches sign with the velocity chatters. (`tanh` is not bit-identical on every machine.)
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PortFriction {
     /// Viscous, along the shaft \[N·s/m\].
@@ -82,7 +81,7 @@ pub struct Fulcrum {
     friction: PortFriction,
 }
 
-/// Where the shaft is, and the map between handle and tip there.
+/// Pose of the shaft, and the map between handle and tip at that pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Passage {
     /// `world_from_tip`.
@@ -158,9 +157,9 @@ impl Fulcrum {
 
     /// Passes the handle pose on to the tip.
     ///
-    /// `axis_before` is the shaft's direction in the tick before. It only matters while the handle is
-    /// within [`RADIUS_SINGULAR`] of the port, where the handle itself no longer says where the shaft
-    /// points: the direction is then blended into `axis_before`, so the answer is finite everywhere.
+    /// `axis_before` is the shaft's direction in the tick before. It only matters while the handle is within
+    /// [`RADIUS_SINGULAR`] of the port, where the handle no longer determines the shaft's direction: the direction is
+    /// then blended into `axis_before`, so the result is finite everywhere.
     pub fn pass(&self, handle_in_world: &Isometry3<f64>, axis_before: &Vector3<f64>) -> Passage {
         let to_port = self.port_in_world - handle_in_world.translation.vector;
         let radius = to_port.norm();
@@ -202,8 +201,8 @@ impl Fulcrum {
         Isometry3::from_parts(handle.into(), minimal_rotation(&tip_axis, &axis) * tip_in_world.rotation)
     }
 
-    /// Friction of the seal on the *instrument* (at the tip, in world) while the handle moves with
-    /// `handle_twist`; it always takes power out.
+    /// Friction of the seal on the *instrument* (at the tip, in world) while the handle moves with `handle_twist`; it
+    /// always dissipates.
     pub fn friction(&self, passage: &Passage, handle_twist: &Twist) -> Wrench {
         let friction = &self.friction;
         let axis = &passage.axis_in_world;
@@ -227,8 +226,8 @@ impl Passage {
         Twist::new(axis * (self.gain * along) + sideways * self.lever, axis.cross(&axis_rate) + axis * spin)
     }
 
-    /// What the hand feels at the handle when `tip_wrench` acts at the tip: the transpose of
-    /// [`Passage::tip_twist`], so both deliver the same power.
+    /// Wrench at the handle when `tip_wrench` acts at the tip: the transpose of [`Passage::tip_twist`], so both deliver
+    /// the same power.
     pub fn handle_wrench(&self, tip_wrench: &Wrench) -> Wrench {
         let axis = &self.axis_in_world;
         let along = axis.dot(&tip_wrench.force);

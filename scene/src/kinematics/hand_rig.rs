@@ -1,5 +1,5 @@
-//! From the scene's own data to the map between a device and a tip: what haptics evaluates in every tick,
-//! and a virtual trainee inverts to know where to put its hand.
+//! Hand rig: the map between device and instrument tip, built from the scene. Haptics evaluates it in every tick, and a
+//! virtual trainee inverts it to find its hand pose.
 
 use nalgebra::{Isometry3, Vector3};
 use thiserror::Error;
@@ -25,7 +25,7 @@ pub enum HandRigError {
         /// Name of the component.
         component: &'static str,
     },
-    /// The hand's registration is senseless.
+    /// The hand's registration is invalid.
     #[error("hand {entity}: {error}")]
     Registration {
         /// The hand.
@@ -98,8 +98,7 @@ impl HandRig {
         })
     }
 
-    /// Where the tip is when the handle is there: `world_from_tip` of `device_from_handle`. `axis_before` as
-    /// in [`Fulcrum::pass`].
+    /// Tip pose `world_from_tip` for a handle pose `device_from_handle`. `axis_before` as in [`Fulcrum::pass`].
     pub fn tip_in_world(
         &self,
         handle_in_device: &Isometry3<f64>,
@@ -109,7 +108,7 @@ impl HandRig {
         *self.coupling.transmit(&handle_in_world, axis_before).tip_in_world()
     }
 
-    /// Where the handle has to be to put the tip there: `device_from_handle` of `world_from_tip`.
+    /// Handle pose `device_from_handle` for a tip pose `world_from_tip`.
     pub fn handle_in_device(&self, tip_in_world: &Isometry3<f64>) -> Isometry3<f64> {
         self.registration.pose_to_device(&self.coupling.handle_for_tip(tip_in_world))
     }

@@ -1,5 +1,5 @@
-//! How a hand's motion becomes an instrument's: registration device → world, the port's fulcrum, and the
-//! wrenches that come back by virtual work. Pure functions, shared by haptics and virtual trainees.
+//! Kinematics from a hand to its instrument: registration device → world, the port's fulcrum, and the wrenches mapped
+//! back by virtual work. Pure functions, shared by haptics and virtual trainees.
 
 pub mod coupling;
 pub mod fulcrum;

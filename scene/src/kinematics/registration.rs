@@ -1,8 +1,8 @@
 //! Registration of a device's frame in the world: a pose and one scale.
 //!
-//! Motion is scaled by `scale`; the wrench that goes back is the transpose of that map, so that the power
-//! at the hand equals the power at the instrument. (Scaling force by a gain of its own, as some simulators
-//! do, makes a passive scene look active to the hand whenever the gain exceeds the scale.)
+//! Motion is scaled by `scale`; the wrench is mapped back by the transpose, so that the power at the hand equals the
+//! power at the instrument. (A separate force gain, as in some simulators, makes a passive scene active at the hand
+//! whenever the gain exceeds the scale.)
 
 use nalgebra::{Isometry3, Translation3};
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use super::spatial::{Twist, Wrench, valid_pose};
 /// Why a registration was refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RegistrationError {
-    /// The scale is outside of what any device needs.
+    /// The scale is out of range.
     #[error("registration scale {0} is out of range (valid: 0.01 to 100)")]
     Scale(f64),
     /// The pose holds NaN, infinity or a rotation that is not normalised.
@@ -38,7 +38,7 @@ impl Registration {
     /// From the pose of the device's frame in the world and the world's metres per device metre.
     ///
     /// # Errors
-    /// [`RegistrationError`] for a scale outside 0.01–100 or a pose that is not one.
+    /// [`RegistrationError`] for a scale outside 0.01–100 or an invalid pose.
     pub fn new(world_from_device: Isometry3<f64>, scale: f64) -> Result<Self, RegistrationError> {
         if !(0.01..=100.0).contains(&scale) {
             return Err(RegistrationError::Scale(scale));
@@ -88,7 +88,7 @@ impl Registration {
         )
     }
 
-    /// A wrench on the handle in the world, as the device has to exert it: same power.
+    /// A wrench on the handle in the world, in the device's frame: same power.
     pub fn wrench_to_device(&self, wrench_in_world: &Wrench) -> Wrench {
         let rotation = &self.world_from_device.rotation;
         Wrench::new(

@@ -1,4 +1,4 @@
-//! Twists and wrenches: the two halves of mechanical power.
+//! Twists and wrenches, which are dual: their product is mechanical power.
 
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
 
@@ -111,8 +111,8 @@ pub fn valid_pose(pose: &Isometry3<f64>) -> bool {
         && (pose.rotation.coords.norm_squared() - 1.0).abs() < 1e-6
 }
 
-/// Twice the vector part of a rotation's quaternion: its rotation vector \[rad\] for small angles, bounded by 2
-/// for large ones. Unlike the exact one it takes no arc tangent, so it is the same on every machine.
+/// Twice the vector part of a rotation's quaternion: its rotation vector \[rad\] for small angles, bounded by 2 for
+/// large ones. Unlike the exact one it takes no arc tangent, so it is bit-identical on every machine.
 pub fn small_rotation_vector(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     let coords = rotation.coords;
     Vector3::new(coords.x, coords.y, coords.z) * if coords.w < 0.0 { -2.0 } else { 2.0 }

@@ -1,4 +1,4 @@
-//! A position in a file's bytes: tokens and lines of text, numbers in binary, and errors that say where.
+//! Cursor over a file's bytes: tokens and lines of text, binary numbers, and errors with their position.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -17,7 +17,7 @@ pub(super) enum Order {
     Big,
 }
 
-/// A place that is turned into a line number only when a message needs it (lines are counted from the start).
+/// A position, converted to a line number only when a message needs it (lines are counted from the start).
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Where {
     Place(Place),
@@ -158,8 +158,8 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Checks a declared count against the caller's limit and against what is left of the file, given the least
-    /// number of bytes that one of them takes.
+    /// Checks a declared count against the caller's limit and the rest of the file, given the minimum number of bytes
+    /// per item.
     pub fn count(
         &self,
         at: Where,
@@ -225,7 +225,7 @@ impl<'a> Cursor<'a> {
     }
 }
 
-/// A piece of the file as it may stand in a message: short, and nothing that a terminal would act on.
+/// Quotes a part of the file for a message: short, and without control characters.
 pub(super) fn quoted(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4 * QUOTED)]);
     let shown: String = text.chars().take(QUOTED).flat_map(char::escape_default).collect();

@@ -17,7 +17,7 @@ pub struct SurfaceData {
     pub uvs: Option<Vec<[[f64; 2]; 3]>>,
 }
 
-/// A surface with one vertex for every distinct position, normal and texture coordinate, as renderers want it.
+/// A surface with one vertex for every distinct position, normal and texture coordinate, as renderers need it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplitSurface {
     /// Vertices \[m\].
@@ -32,7 +32,7 @@ pub struct SplitSurface {
     pub sources: Vec<u32>,
 }
 
-/// A line, or several.
+/// One or several polylines.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LineData {
     /// Vertices \[m\].
@@ -51,7 +51,7 @@ impl LineData {
         self
     }
 
-    /// Leaves out vertices that no piece has; the others keep their order.
+    /// Removes vertices without a segment; the others keep their order.
     pub fn compact(&mut self) {
         let mut numbers = vec![u32::MAX; self.positions.len()];
         self.segments.iter().flatten().for_each(|&vertex| numbers[vertex as usize] = 0);

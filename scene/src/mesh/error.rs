@@ -1,4 +1,4 @@
-//! Why a mesh file is refused: the file, the place in it, and the reason.
+//! Errors of mesh files: the file, the place in it, and the reason.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -35,15 +35,15 @@ pub enum MeshError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// More than the caller allows.
+    /// More than the caller's limit.
     #[error("{}{place}: {count} {what} are more than the limit of {limit}", file.display())]
     TooLarge {
         /// The file.
         file: PathBuf,
-        /// Where the number stands.
+        /// Place of the number.
         place: Place,
         /// What is counted: bytes, vertices, elements.
         what: &'static str,
@@ -57,7 +57,7 @@ pub enum MeshError {
     Truncated {
         /// The file.
         file: PathBuf,
-        /// Where the number stands.
+        /// Place of the number.
         place: Place,
         /// What is counted.
         what: &'static str,
@@ -66,7 +66,7 @@ pub enum MeshError {
         /// How many could be there.
         possible: u64,
     },
-    /// Not what the format says.
+    /// The file violates the format.
     #[error("{}{place}: {reason}", file.display())]
     Malformed {
         /// The file.
@@ -76,7 +76,7 @@ pub enum MeshError {
         /// What was found and what was expected.
         reason: String,
     },
-    /// Valid, but more than this reader does.
+    /// Valid, but not supported by this reader.
     #[error("{}{place}: {what} is not supported; supported: {supported}", file.display())]
     Unsupported {
         /// The file.
@@ -85,7 +85,7 @@ pub enum MeshError {
         place: Place,
         /// What was found.
         what: String,
-        /// What would do.
+        /// What is supported.
         supported: &'static str,
     },
     /// An element refers to a vertex that does not exist.

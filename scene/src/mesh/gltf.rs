@@ -22,10 +22,10 @@ use super::limits::Limits;
 
 /// Deepest tree of nodes.
 const DEPTH_MAX: usize = 64;
-/// Largest number of visits to nodes: a node reached twice is an error in glTF, but not an endless one.
+/// Largest number of visits to nodes: a node reached twice is an error in glTF, and must not cause an endless loop.
 const NODES_MAX: usize = 65_536;
 
-/// Reads a glTF or GLB surface. External buffers are looked for below the folder of `file`.
+/// Reads a glTF or GLB surface. External buffers are searched below the folder of `file`.
 ///
 /// # Errors
 /// Names the part of the document and the reason.
@@ -247,7 +247,7 @@ fn local_transform(node: &json::Node) -> Matrix4<f64> {
         * Matrix4::new_nonuniform_scaling(&scale)
 }
 
-/// Triangles of a list, a strip or a fan; turned round when the transform mirrors.
+/// Triangles of a list, a strip or a fan; reversed when the transform mirrors.
 fn triangles(mode: Mode, indices: &[u32], mirrored: bool) -> Vec<[u32; 3]> {
     let turn = |[a, b, c]: [u32; 3], odd: bool| if odd != mirrored { [b, a, c] } else { [a, b, c] };
     match mode {

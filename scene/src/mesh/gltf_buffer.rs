@@ -1,4 +1,4 @@
-//! Buffers and accessors of glTF: numbers out of bytes, every access checked.
+//! Buffers and accessors of glTF: decoding of numbers with every access checked.
 
 use std::borrow::Cow;
 

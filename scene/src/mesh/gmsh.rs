@@ -2,8 +2,8 @@
 //! (C. Geuzaine and J.-F. Remacle, "Gmsh: a 3-D finite element mesh generator", 2009; reference manual, chapter
 //! "MSH file format").
 //!
-//! Points, surface elements, and lines unless it is lines that are read, are skipped. Other volume elements are refused: a volume with holes where
-//! its hexahedra were would look valid. Nodes are numbered in the order of the file.
+//! Points, surface elements and (when reading volumes) lines are skipped. Other volume elements are refused: without
+//! its hexahedra a volume would have holes and still look valid. Nodes are numbered in the order of the file.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -19,14 +19,14 @@ use super::{gmsh_v2, gmsh_v4};
 const SUPPORTED_VERSIONS: &str = "2.2 and 4.1";
 const SUPPORTED_VOLUMES: &str = "first-order tetrahedra (type 4)";
 
-/// How numbers stand in a section.
+/// Encoding of numbers in a section.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Ascii,
     Binary(Order),
 }
 
-/// What has been read so far.
+/// Data read so far.
 #[derive(Default)]
 pub(super) struct Volume {
     pub positions: Vec<Point3<f64>>,
@@ -36,7 +36,7 @@ pub(super) struct Volume {
     pub elements_read: bool,
     pub tets: Vec<[u32; 4]>,
     pub tags: Vec<i32>,
-    /// Lines of two nodes, where it is lines that are read: then nothing else is.
+    /// Lines of two nodes, when lines are read; then nothing else is read.
     pub lines: Option<Vec<[u32; 2]>>,
 }
 
@@ -223,7 +223,7 @@ impl Volume {
         Ok(())
     }
 
-    /// A line of two nodes, if lines are what is read.
+    /// Adds a line of two nodes, when lines are read.
     pub fn add_line(&mut self, cursor: &Cursor, place: Where, nodes: [u64; 2]) -> Result<(), MeshError> {
         let Some(lines) = &self.lines else { return Ok(()) };
         let ends = self.vertices(cursor, place, ("line", lines.len()), nodes)?;
@@ -251,11 +251,11 @@ impl Volume {
     }
 }
 
-/// What to do with an element type.
+/// Handling of an element type.
 pub(super) enum ElementKind {
     Tetrahedron,
     Line,
-    /// Skipped; so many nodes.
+    /// Skipped; with this number of nodes.
     Lower(usize),
 }
 

@@ -1,4 +1,4 @@
-//! How much a mesh file may hold, and reading no more than that.
+//! Size limits of mesh files, and bounded reading.
 
 use std::fs::File;
 use std::io::Read;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::error::{MeshError, Place};
 
-/// How much a mesh file may hold.
+/// Size limits of a mesh file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Size of a file \[bytes\], and of everything it refers to.
@@ -23,7 +23,7 @@ impl Default for Limits {
     }
 }
 
-/// The whole file, unless it is larger than the limit (also when it grows while it is read).
+/// Reads the whole file, unless it exceeds the limit (even if it grows while it is read).
 pub(super) fn read_bytes(file: &Path, limits: &Limits) -> Result<Vec<u8>, MeshError> {
     let io = |source| MeshError::Io { file: file.into(), source };
     let too_large = |count| MeshError::TooLarge {

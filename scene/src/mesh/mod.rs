@@ -1,15 +1,15 @@
-//! Meshes as plain data, the files they come from, and what is wrong with them.
+//! Meshes as plain data: file readers, validation and repair.
 //!
-//! A surface keeps one vertex per *point*, and hangs normals and texture coordinates on the corners of its
-//! triangles, so that a closed body is closed by its indices even where its edges are sharp. What a renderer
-//! needs (one vertex per distinct combination) comes from [`SurfaceData::split`].
+//! A surface keeps one vertex per *point*, and hangs normals and texture coordinates on the corners of its triangles,
+//! so that a closed body is closed by its indices even where its edges are sharp. [`SurfaceData::split`] converts to a
+//! renderer's format (one vertex per distinct combination).
 //!
-//! Readers take bytes, not paths, apart from [`read_surface`] and [`read_tets`]. Every size that a file declares
-//! is compared with the bytes that are there before anything is allocated. What a reader accepts is well
-//! formed (finite numbers, indices in range); whether it is also *good* (closed, manifold, not inverted) is
-//! reported by [`validate_surface`] and [`validate_tets`], and whether that matters is the caller's decision
-//! ([`SurfacePolicy`], [`TetPolicy`]). Meshes of other people come with bad elements: [`tet_defects`] lists all of them with
-//! their numbers, [`repaired_tets`] mends what can be mended and says what it did.
+//! Readers take bytes, not paths, apart from [`read_surface`] and [`read_tets`]. Every size declared by a file is
+//! checked against its actual length before allocation. Accepted meshes are well formed (finite numbers, indices in
+//! range); whether it is also *good* (closed, manifold, not inverted) is reported by [`validate_surface`] and
+//! [`validate_tets`], and the caller decides what to refuse ([`SurfacePolicy`], [`TetPolicy`]). Third-party meshes
+//! often have bad elements: [`tet_defects`] lists all of them with their indices, [`repaired_tets`] repairs what it can
+//! and reports the repairs.
 
 mod cursor;
 mod data;

@@ -1,9 +1,9 @@
 //! Wavefront OBJ surfaces and lines (B. Martin, "Object Files (.obj)", Wavefront Technologies 1995: the polygonal part).
 //!
-//! A parser of our own because physics needs what loaders for graphics give up: the vertices in the order of the
-//! file, shared across groups (a vertex that two groups use must stay one vertex, or the surface falls apart),
-//! double precision, and the line of an error. Polygons become fans. Points, groups, materials and smoothing groups are
-//! skipped, and so are polylines (`l`) unless it is a line that is read; free-form curves and surfaces are refused.
+//! Physics needs properties that graphics loaders discard, hence our own parser: vertices in the order of the file and
+//! shared across groups (duplicated vertices would tear the surface), double precision, and line numbers in errors.
+//! Polygons become fans. Points, groups, materials and smoothing groups are skipped, and so are polylines (`l`) when
+//! reading surfaces; free-form curves and surfaces are refused.
 
 use std::path::Path;
 
@@ -203,7 +203,7 @@ fn corner(cursor: &Cursor, place: Where, word: &[u8], parsed: &Parsed) -> Result
         let written: i64 =
             std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(bad)?;
         let resolved = if written > 0 { written - 1 } else { written.saturating_add(have as i64) };
-        // 0 is no index at all: it would resolve to one past the end.
+        // 0 is not a valid index: it would resolve to one past the end.
         if resolved < 0 || resolved >= have as i64 {
             let triangle = parsed.triangles.len();
             return Err(cursor.out_of_range(place, "face with triangle", triangle, written, have));

@@ -14,7 +14,7 @@ pub const SURFACE_EXTENSIONS: &str = "obj, stl, gltf, glb";
 /// Extensions of volume files that [`read_tets`] knows.
 pub const TET_EXTENSIONS: &str = "msh, vtk";
 
-/// Reads an OBJ, STL, glTF or GLB surface; the extension says which.
+/// Reads an OBJ, STL, glTF or GLB surface; the extension selects the format.
 ///
 /// # Errors
 /// Names the file, the place in it and the reason.
@@ -30,8 +30,9 @@ pub fn read_surface(file: &Path, limits: &Limits) -> Result<SurfaceData, MeshErr
 /// Extensions of files of lines that [`read_line`] knows.
 pub const LINE_EXTENSIONS: &str = "obj, msh, vtk";
 
-/// Reads the polylines of an OBJ file, the lines of two nodes of a Gmsh one (2.2, 4.1), or the lines and polylines of a legacy
-/// VTK one; the extension says which. Vertices that no piece uses stay ([`LineData::compact`] drops them).
+/// Reads the polylines of an OBJ file, the lines of two nodes of a Gmsh one (2.2, 4.1), or the lines and polylines of a
+/// legacy VTK one; the extension selects the format. Vertices that no piece uses stay ([`LineData::compact`] drops
+/// them).
 ///
 /// # Errors
 /// Names the file, the place in it and the reason.
@@ -44,7 +45,7 @@ pub fn read_line(file: &Path, limits: &Limits) -> Result<LineData, MeshError> {
     }
 }
 
-/// Reads a Gmsh (2.2, 4.1) or legacy VTK volume of tetrahedra; the extension says which.
+/// Reads a Gmsh (2.2, 4.1) or legacy VTK volume of tetrahedra; the extension selects the format.
 ///
 /// # Errors
 /// Names the file, the place in it and the reason.

@@ -1,8 +1,8 @@
 //! STL surfaces, ASCII and binary (3D Systems, "StereoLithography Interface Specification", 1989).
 //!
 //! A binary file is recognised by its length, not by its header: many exporters begin binary files with the word
-//! "solid" too. Corners with equal coordinates become one vertex. The facets' normals are redundant (the order
-//! of the corners says where outside is) and often wrong, so they are dropped.
+//! "solid" too. Corners with equal coordinates become one vertex. The facets' normals are redundant (the order of the
+//! corners defines the outside) and often wrong, so they are dropped.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use super::limits::Limits;
 const HEADER: usize = 80;
 const FACET: usize = 50;
 
-/// Reads an STL surface. `file` is for messages only. The unit of the file is the caller's to know.
+/// Reads an STL surface. `file` is for messages only. The caller must know the unit of the file.
 ///
 /// # Errors
 /// Names the line or byte and the reason.
@@ -102,7 +102,7 @@ fn ascii(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
             }
             expect(&mut cursor, "normal")?;
             for name in ["nx", "ny", "nz"] {
-                // Parsed to keep step, not used: NaN is common here in files with degenerate facets.
+                // Parsed to advance the cursor, not used: NaN is common here in files with degenerate facets.
                 cursor.parse::<f64>(name)?;
             }
             expect(&mut cursor, "outer")?;

@@ -1,4 +1,4 @@
-//! What can be wrong with a tetrahedral mesh: everything is listed, not the first only.
+//! Defects of tetrahedral meshes: all of them are listed, not only the first.
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 
@@ -10,13 +10,13 @@ use thiserror::Error;
 
 use super::tet_faces::faces;
 
-/// What counts as a bad element.
+/// Criteria for bad elements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeshRules {
     /// The least mean ratio of an element, in (0, 1]: 12 (3 V)^(2/3) over the sum of its squared edges, 1 for a regular
     /// tetrahedron (Liu, Joe 1994). Below it an element is called a sliver.
     pub mean_ratio_min: f64,
-    /// Nodes nearer to each other than this are called the same \[m\]; `None` where a cut may have doubled them.
+    /// Nodes closer than this count as coincident \[m\]; `None` where a cut may have duplicated them.
     pub coincident_within: Option<f64>,
 }
 
@@ -26,13 +26,13 @@ impl Default for MeshRules {
     }
 }
 
-/// One thing that is wrong with a mesh. Nodes and elements by their numbers in what was given.
+/// One defect of a mesh, with nodes and elements by their indices in the input.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum Defect {
-    /// Nothing to simulate.
+    /// The mesh is empty.
     #[error("there are no tetrahedra")]
     Empty,
-    /// More than an index can tell apart.
+    /// Too many nodes or elements for the index type.
     #[error("{nodes} nodes and {tets} tetrahedra are more than {} can be told apart", u32::MAX / 4)]
     TooMany {
         /// Nodes.
@@ -43,61 +43,61 @@ pub enum Defect {
     /// A coordinate is NaN or infinite.
     #[error("node {node} has a coordinate that is not a finite number")]
     NotFinite {
-        /// Which node.
+        /// The node.
         node: u32,
     },
-    /// An element names a node that there is none of.
+    /// An element refers to a node that does not exist.
     #[error("tetrahedron {tet} names node {node}, but there are {nodes}: 0 to {nodes} - 1 are valid")]
     NoNode {
-        /// Which element.
+        /// The element.
         tet: u32,
-        /// What it names.
+        /// The index it refers to.
         node: u32,
-        /// How many there are.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// An element names a node twice.
+    /// An element refers to a node twice.
     #[error("tetrahedron {tet} names node {node} more than once")]
     RepeatedCorner {
-        /// Which element.
+        /// The element.
         tet: u32,
         /// The node.
         node: u32,
     },
-    /// An element is turned inside out.
+    /// An element is inverted.
     #[error("tetrahedron {tet} is inverted: its volume is {volume:e} m³")]
     Inverted {
-        /// Which element.
+        /// The element.
         tet: u32,
         /// Its volume \[m³\].
         volume: f64,
     },
-    /// An element has no volume, for the size of its edges.
+    /// An element has no volume, relative to its edges.
     #[error("tetrahedron {tet} is flat: its volume is {volume:e} m³")]
     Flat {
-        /// Which element.
+        /// The element.
         tet: u32,
         /// Its volume \[m³\].
         volume: f64,
     },
-    /// An element is too badly shaped.
+    /// An element is too badly shaped (a sliver).
     #[error(
         "tetrahedron {tet} is a sliver: its mean ratio is {mean_ratio:.2e}, at least {least} is asked for"
     )]
     Sliver {
-        /// Which element.
+        /// The element.
         tet: u32,
         /// Its mean ratio.
         mean_ratio: f64,
-        /// What the rules ask for.
+        /// The required minimum.
         least: f64,
     },
     /// Two elements have the same four corners.
     #[error("tetrahedra {first} and {second} have the same corners")]
     SameCorners {
-        /// The one.
+        /// The first element.
         first: u32,
-        /// The other.
+        /// The second element.
         second: u32,
     },
     /// More than two elements share a face.
@@ -119,9 +119,9 @@ pub enum Defect {
     Overlap {
         /// Corners of the face, ascending.
         corners: [u32; 3],
-        /// The one.
+        /// The first element.
         first: u32,
-        /// The other.
+        /// The second element.
         second: u32,
     },
     /// Two nodes at the same place.
@@ -135,12 +135,12 @@ pub enum Defect {
     /// A node without any element.
     #[error("node {node} belongs to no tetrahedron")]
     Unreferenced {
-        /// Which node.
+        /// The node.
         node: u32,
     },
 }
 
-/// A mesh that cannot be used, and all that is wrong with it.
+/// Error for an unusable mesh, with all its defects.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BadTets {
     /// Every defect: of nodes, of elements, of faces.
@@ -151,7 +151,7 @@ pub struct BadTets {
 const SHOWN: usize = 4;
 
 impl fmt::Display for BadTets {
-    /// Some of every kind, so that the many of one do not hide the few of another.
+    /// Shows some of every kind, so that frequent kinds do not hide rare ones.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "the tetrahedral mesh has {} defects", self.defects.len())?;
         let mut told = Vec::new();
@@ -177,11 +177,11 @@ impl fmt::Display for BadTets {
 
 impl std::error::Error for BadTets {}
 
-/// Volume over the cube of the longest edge below which a tetrahedron counts as flat: its orientation is rounding.
+/// Volume over the cube of the longest edge below which a tetrahedron counts as flat, because its orientation depends
+/// on rounding.
 const FLAT: f64 = 1e-12;
 
-/// Everything that is wrong: of nodes, then of elements, then of faces. Elements that name no real node are left out of
-/// the later tests.
+/// All defects: of nodes, then of elements, then of faces. Elements with invalid nodes are left out of the later tests.
 #[must_use]
 pub fn tet_defects(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -> Vec<Defect> {
     let most = (u32::MAX / 4) as usize;
@@ -208,7 +208,8 @@ pub fn tet_defects(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -
     for (index, tet) in tets.iter().enumerate() {
         let before = found.len();
         element(rest, &finite, index as u32, tet, rules, &mut found);
-        // An inverted element may still be turned: its faces count, but not as those of its sound neighbours do.
+        // An inverted element may still be repaired: its faces count, but with separate orientation from its valid
+        // neighbours.
         if found.len() == before {
             sound.push((index as u32, *tet));
         }
@@ -217,7 +218,7 @@ pub fn tet_defects(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -
     found
 }
 
-/// One element by itself.
+/// Tests of a single element.
 fn element(
     rest: &[Point3<f64>],
     finite: &[bool],
@@ -254,7 +255,7 @@ fn element(
     }
 }
 
-/// Elements among each other: the same corners, faces that too many share.
+/// Tests between elements: equal corners, faces shared by too many.
 fn between(sound: &[(u32, [u32; 4])], found: &mut Vec<Defect>) {
     let mut by_corners: Vec<_> = sound
         .iter()
@@ -314,7 +315,7 @@ pub(super) fn pairs_within(rest: &[Point3<f64>], within: f64) -> Vec<[u32; 2]> {
         }
     } else {
         for (at, &one) in order.iter().enumerate() {
-            // Along x only those within the distance come into question.
+            // Along x only nodes within the distance are candidates.
             let near = order[at + 1..].iter().take_while(|&&other| key(other).x - key(one).x <= within);
             let same = near.filter(|&&other| (key(other) - key(one)).norm() <= within);
             pairs.extend(same.map(|&other| [one.min(other), one.max(other)]));

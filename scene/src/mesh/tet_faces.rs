@@ -1,9 +1,9 @@
-//! Faces of tetrahedra: who shares which, and those that nobody shares.
+//! Faces of tetrahedra: shared faces and boundary faces.
 
 /// Corners of the face opposite to each corner, counter-clockwise seen from outside a positive element.
 pub const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
-/// A face of an element: its corners in ascending order, and as they run.
+/// A face of an element: its corners in ascending order, and in their own order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Face {
     /// Its corners, ascending.

@@ -1,4 +1,4 @@
-//! Mending a mesh: what was done is said, what cannot be done is refused.
+//! Repair of tetrahedral meshes: reports all repairs, and refuses meshes that cannot be repaired.
 
 use std::fmt;
 
@@ -6,25 +6,25 @@ use nalgebra::Point3;
 
 use super::tet_defects::{BadTets, Defect, MeshRules, pairs_within, tet_defects};
 
-/// What was mended, by the numbers of the mesh that came.
+/// Repairs, by the indices of the input mesh.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Repairs {
     /// Inverted elements that were turned by swapping their last two corners.
     pub turned_tets: Vec<u32>,
-    /// Elements that were dropped: flat, slivers, with a corner twice, or there already.
+    /// Elements that were dropped: flat, slivers, with a repeated corner, or duplicates.
     pub dropped_tets: Vec<u32>,
-    /// Nodes that were merged into one of a smaller number: (which, into which).
+    /// Nodes merged into one of a smaller index: (node, target).
     pub merged_nodes: Vec<(u32, u32)>,
-    /// Nodes that no element uses, and that were dropped; without those merged.
+    /// Unused nodes that were dropped, without the merged ones.
     pub dropped_nodes: Vec<u32>,
-    /// The old number of each node that is left.
+    /// The old index of each remaining node.
     pub kept_nodes: Vec<u32>,
-    /// The old number of each element that is left.
+    /// The old index of each remaining element.
     pub kept_tets: Vec<u32>,
 }
 
 impl Repairs {
-    /// Whether there was nothing to mend.
+    /// Whether nothing was repaired.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.turned_tets.is_empty()
@@ -34,11 +34,11 @@ impl Repairs {
     }
 }
 
-/// Numbers of each kind that a message shows; the rest are counted.
+/// Indices of each kind shown in a message; the rest are counted.
 const SHOWN: usize = 8;
 
 impl fmt::Display for Repairs {
-    /// What was done, with the numbers of the first few of each kind.
+    /// Formats the repairs, with the first few indices of each kind.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let merged: Vec<u32> = self.merged_nodes.iter().map(|(which, _)| *which).collect();
         let done = [
@@ -61,14 +61,14 @@ impl fmt::Display for Repairs {
     }
 }
 
-/// Nodes, elements, and what was done to them.
+/// Nodes, elements, and the repairs.
 pub type RepairedTets = (Vec<Point3<f64>>, Vec<[u32; 4]>, Repairs);
 
-/// Mends what can be mended: inverted elements are turned, coincident nodes merged, elements without volume, slivers and
-/// repeated elements dropped, as are nodes that no element uses. The numbering of what stays follows the old.
+/// Repairs a mesh: inverted elements are flipped, coincident nodes merged; elements without volume, slivers, duplicate
+/// elements and unused nodes are dropped. The rest keeps its order.
 ///
 /// # Errors
-/// [`BadTets`] with the defects that cannot be mended: coordinates that are no numbers, corners that do not exist, faces of
+/// [`BadTets`] with the defects that cannot be repaired: non-finite coordinates, corners that do not exist, faces of
 /// more than two elements, elements that overlap, or nothing left.
 pub fn repaired_tets(
     rest: &[Point3<f64>],
@@ -96,7 +96,7 @@ pub fn repaired_tets(
         }
     }
     let mut mended: Vec<[u32; 4]> = tets.iter().map(|tet| tet.map(|node| into[node as usize])).collect();
-    // Those of single elements first: whether neighbours overlap can be said of sound elements only.
+    // Single elements first: overlap of neighbours is defined for valid elements only.
     let unmerged = MeshRules { coincident_within: None, ..*rules };
     let mut dropped = vec![false; tets.len()];
     for defect in tet_defects(rest, &mended, &unmerged) {
@@ -152,7 +152,7 @@ pub fn repaired_tets(
     if left.is_empty() {
         return Ok((nodes, elements, repairs));
     }
-    // By the numbers that the caller knows.
+    // In the caller's indices.
     let tet_of = |tet: u32| repairs.kept_tets[tet as usize];
     let corners_of = |corners: [u32; 3]| corners.map(|node| repairs.kept_nodes[node as usize]);
     let defects = left

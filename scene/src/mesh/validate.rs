@@ -1,5 +1,4 @@
-//! What is wrong with a surface: open and non-manifold edges, wrong orientation, degenerate and duplicate
-//! triangles.
+//! Validation of surfaces: open and non-manifold edges, wrong orientation, degenerate and duplicate triangles.
 //!
 //! Works on sorted half-edges (Campagna, Kobbelt, Seidel, "Directed edges", 1998), in the order of the indices,
 //! so that the first finding is the same on every run.
@@ -13,7 +12,7 @@ use super::error::MeshError;
 /// Sine of the smallest angle below which a triangle counts as degenerate.
 pub(super) const DEGENERATE: f64 = 1e-9;
 
-/// How often something was found, and where first.
+/// Number of occurrences of a defect, and the first one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Finding<T> {
     /// How often.
@@ -39,7 +38,7 @@ impl<T: Copy + fmt::Debug> Finding<T> {
     }
 }
 
-/// Everything that [`validate_surface`] found. Edges are pairs of vertices, the smaller first.
+/// Findings of [`validate_surface`]. Edges are pairs of vertices, the smaller first.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SurfaceReport {
     /// Number of vertices.
@@ -48,7 +47,7 @@ pub struct SurfaceReport {
     pub triangles: usize,
     /// Number of distinct edges.
     pub edges: usize,
-    /// Bodies: sets of triangles that hang together by edges.
+    /// Bodies: sets of triangles connected by edges.
     pub components: usize,
     /// Vertices that no triangle uses.
     pub unreferenced: Finding<u32>,
@@ -62,7 +61,7 @@ pub struct SurfaceReport {
     pub non_manifold_edges: Finding<[u32; 2]>,
     /// Edges that both of their triangles run through in the same direction.
     pub misoriented_edges: Finding<[u32; 2]>,
-    /// Vertices where two fans of triangles touch in nothing but the vertex.
+    /// Vertices where two fans of triangles touch only at the vertex.
     pub non_manifold_vertices: Finding<u32>,
 }
 
@@ -75,7 +74,7 @@ impl SurfaceReport {
     pub fn is_manifold(&self) -> bool {
         self.non_manifold_edges.count == 0 && self.non_manifold_vertices.count == 0
     }
-    /// Whether neighbouring triangles agree about the outside.
+    /// Whether neighbouring triangles are consistently oriented.
     pub fn is_oriented(&self) -> bool {
         self.misoriented_edges.count == 0
     }
@@ -105,7 +104,7 @@ impl fmt::Display for SurfaceReport {
     }
 }
 
-/// What a caller refuses.
+/// Defects that a caller refuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SurfacePolicy {
     /// Refuse holes.
@@ -119,7 +118,7 @@ pub struct SurfacePolicy {
 }
 
 impl SurfacePolicy {
-    /// Anything goes.
+    /// Accepts everything.
     pub const ANY: Self = Self { closed: false, manifold: false, oriented: false, no_degenerate: false };
     /// A proper body: closed, manifold, oriented, without degenerate triangles.
     pub const SOLID: Self = Self { closed: true, manifold: true, oriented: true, no_degenerate: true };
@@ -148,7 +147,7 @@ impl SurfacePolicy {
     }
 }
 
-/// Looks for everything that is wrong with a surface whose indices are in range.
+/// Finds all defects of a surface whose indices are in range.
 ///
 /// # Panics
 /// When an index is out of range; no reader of this module returns such a surface.

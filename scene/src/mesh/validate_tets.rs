@@ -1,4 +1,4 @@
-//! What is wrong with a volume: inverted, degenerate and overlapping tetrahedra, faces with more than two.
+//! Validation of tetrahedral volumes: inverted, degenerate and duplicate tetrahedra, non-manifold faces.
 
 use std::fmt;
 use std::path::Path;
@@ -10,14 +10,14 @@ use super::validate::{DisjointSets, Finding};
 /// Six volumes over the longest edge cubed, below which a tetrahedron counts as degenerate.
 const DEGENERATE: f64 = 1e-9;
 
-/// Everything that [`validate_tets`] found.
+/// Findings of [`validate_tets`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TetReport {
     /// Number of vertices.
     pub vertices: usize,
     /// Number of tetrahedra.
     pub tets: usize,
-    /// Bodies: sets of tetrahedra that hang together by faces.
+    /// Bodies: sets of tetrahedra connected by faces.
     pub components: usize,
     /// Sum of the signed volumes \[m³\].
     pub volume: f64,
@@ -54,7 +54,7 @@ impl fmt::Display for TetReport {
     }
 }
 
-/// What a caller refuses.
+/// Defects that a caller refuses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TetPolicy {
     /// Refuse tetrahedra of negative volume.
@@ -66,9 +66,9 @@ pub struct TetPolicy {
 }
 
 impl TetPolicy {
-    /// Anything goes.
+    /// Accepts everything.
     pub const ANY: Self = Self { no_inverted: false, no_degenerate: false, manifold: false };
-    /// What a finite-element method needs.
+    /// Requirements of a finite-element method.
     pub const SOLID: Self = Self { no_inverted: true, no_degenerate: true, manifold: true };
 
     /// Applies the policy to a report.
@@ -91,7 +91,7 @@ impl TetPolicy {
     }
 }
 
-/// Looks for everything that is wrong with a volume whose indices are in range.
+/// Finds all defects of a volume whose indices are in range.
 ///
 /// # Panics
 /// When an index is out of range; no reader of this module returns such a volume.

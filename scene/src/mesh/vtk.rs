@@ -1,8 +1,8 @@
 //! Legacy VTK files with an unstructured grid of tetrahedra, or with lines in such a grid or in poly data, ASCII and binary, versions 1 to 5
 //! ("VTK File Formats", Kitware: the simple legacy formats; binary numbers are big-endian).
 //!
-//! Vertices, surface cells, and lines unless it is lines that are read, are skipped; other volume cells are refused. Data on points and cells is
-//! not read, so all tags are 0.
+//! Vertices, surface cells and (when reading volumes) lines are skipped; other volume cells are refused. Data on points
+//! and cells is not read, so all tags are 0.
 
 use std::path::Path;
 
@@ -48,7 +48,7 @@ impl Kind {
             "unsigned_short" => Kind::U16,
             "int" => Kind::I32,
             "unsigned_int" => Kind::U32,
-            // VTK writes `long` with 8 bytes on every platform that still matters.
+            // VTK writes `long` with 8 bytes on all current platforms.
             "long" | "vtktypeint64" | "vtkidtype" => Kind::I64,
             "unsigned_long" => Kind::U64,
             "float" => Kind::F32,
@@ -94,12 +94,12 @@ pub fn read_vtk_line(file: &Path, bytes: &[u8], limits: &Limits) -> Result<LineD
     sections.lines()
 }
 
-/// What a file holds.
+/// Sections of a file.
 struct Sections<'a> {
     cursor: Cursor<'a>,
     is_poly: bool,
     points: Option<Vec<Point3<f64>>>,
-    /// Of a grid its cells, of poly data its lines.
+    /// The cells of a grid, or the lines of poly data.
     cells: Option<Cells>,
     types: Option<Vec<i64>>,
 }
@@ -146,7 +146,7 @@ fn read<'a>(
             (Some("CELLS" | "CELL_TYPES"), _) if !is_poly => return Err(reader.twice(place, line)),
             (Some("FIELD"), [_, count]) => reader.skip_field(place, count)?,
             (Some("METADATA"), _) => reader.skip_paragraph(),
-            // Nothing after the geometry is needed.
+            // The rest of the file after the geometry is not needed.
             (Some("POINT_DATA" | "CELL_DATA"), _) => break,
             _ => {
                 let keywords = if is_poly { POLY_KEYWORDS } else { KEYWORDS };
@@ -211,7 +211,7 @@ fn header(cursor: &mut Cursor, takes_poly: bool) -> Result<(bool, bool), MeshErr
 
 /// Cells as ranges of one list of vertices.
 struct Cells {
-    /// Where each cell begins, and where the last one ends.
+    /// Start of each cell, and end of the last one.
     offsets: Vec<usize>,
     vertices: Vec<i64>,
 }
@@ -307,7 +307,7 @@ impl Reader<'_> {
 
     fn cells(&mut self, place: Where, count: &str, size: &str) -> Result<Cells, MeshError> {
         let limit = self.cursor.limits.elements;
-        // Version 5 has a list of offsets here; it says so in the next word, which may follow a line of its own.
+        // Version 5 has a list of offsets here, marked by the next word, possibly on a line of its own.
         let mut ahead = self.cursor.clone();
         if ahead.token().eq_ignore_ascii_case(b"OFFSETS") {
             let offsets = self.count(place, "offsets of cells", count, 2, 4, limit.saturating_add(1))?;

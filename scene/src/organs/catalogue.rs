@@ -1,4 +1,4 @@
-//! The organs there are. Sizes are those of an adult in round numbers (Netter, Atlas of Human Anatomy; Standring, Gray's
+//! Catalogue of organs. Sizes are those of an adult in round numbers (Netter, Atlas of Human Anatomy; Standring, Gray's
 //! Anatomy); shapes are for training scenes, not for measuring. Every organ has its middle at the origin, x to the
 //! patient's left, y to the back, z to the head.
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::implicit::{Implicit, Part};
 
-/// An organ that is made, not read from a file.
+/// A procedurally generated organ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Organ {
@@ -27,11 +27,11 @@ pub enum Organ {
 }
 
 impl Organ {
-    /// Every one.
+    /// Every organ.
     pub const ALL: [Self; 6] =
         [Self::Liver, Self::Stomach, Self::Gallbladder, Self::Kidney, Self::Spleen, Self::Fundus];
 
-    /// Its function.
+    /// Its implicit function.
     pub fn implicit(self) -> Implicit {
         match self {
             Self::Liver => liver(),

@@ -50,7 +50,7 @@ pub fn sheet(size: [f64; 2], cells: [usize; 2]) -> Result<SurfaceData, OrganErro
     for j in 0..ny {
         for i in 0..nx {
             let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
-            // One direction of diagonals would make the sheet stiffer along it.
+            // Diagonals in one direction would make the sheet stiffer along it.
             let pair = if (i + j) % 2 == 0 { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
             data.triangles.extend(pair);
         }
@@ -72,7 +72,7 @@ pub fn tube(radius: f64, length: f64, around: usize, along: usize) -> Result<Sur
     let mut data = SurfaceData::default();
     for j in 0..=along {
         for i in 0..around {
-            // Each ring is turned by half a cell against the one below: triangles of one kind, none favoured.
+            // Each ring is rotated by half a cell against the one below, so that all triangles are alike.
             let angle = std::f64::consts::TAU * (i as f64 + 0.5 * (j % 2) as f64) / around as f64;
             let z = (j as f64 / along as f64 - 0.5) * length;
             data.positions.push(Point3::new(radius * angle.cos(), radius * angle.sin(), z));

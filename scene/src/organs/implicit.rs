@@ -1,12 +1,12 @@
-//! Bodies as functions of space: positive inside, zero on the surface, about the distance to it nearby. Soft parts blend
-//! into each other (Quilez 2013: polynomial smooth minimum), as organs do.
+//! Implicit bodies: functions that are positive inside, zero on the surface, and about the distance to it nearby. Parts
+//! blend smoothly into each other (Quilez 2013: polynomial smooth minimum).
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 /// A part of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Part {
-    /// A ball that is stretched along its own axes.
+    /// An ellipsoid with its own axes.
     Ellipsoid {
         /// `body_from_part`.
         pose: Isometry3<f64>,
@@ -31,14 +31,14 @@ pub enum Part {
     },
 }
 
-/// A body of blended parts, less what planes and parts cut away.
+/// A body of blended parts, minus half spaces and hollows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Implicit {
-    /// What it is made of.
+    /// Its parts.
     pub parts: Vec<Part>,
-    /// Half spaces that are cut away: what lies on the side of the normal from the point on.
+    /// Half spaces that are cut away, each by a point and the normal towards the removed side.
     pub cuts: Vec<(Point3<f64>, Vector3<f64>)>,
-    /// What is hollowed out.
+    /// Parts that are hollowed out.
     pub hollows: Vec<Part>,
     /// Length over which parts blend \[m\]; 0 for sharp seams.
     pub blend: f64,
@@ -85,7 +85,7 @@ impl Part {
 }
 
 fn around(pose: &Isometry3<f64>, half: &Vector3<f64>) -> [Point3<f64>; 2] {
-    // Of a box turned any way; wider than need be around an ellipsoid.
+    // Bounds of a rotated box; larger than necessary for an ellipsoid.
     let reach = pose.rotation.to_rotation_matrix().matrix().abs() * half;
     let middle = Point3::from(pose.translation.vector);
     [middle - reach, middle + reach]
@@ -120,7 +120,7 @@ impl Implicit {
     }
 }
 
-/// The larger of two, rounded off where they are alike.
+/// Smooth maximum of two values.
 fn smooth_max(a: f64, b: f64, blend: f64) -> f64 {
     let apart = (a - b).abs();
     let larger = a.max(b);

@@ -1,4 +1,4 @@
-//! The lattice that bodies are cut from: body-centred cubic at the surface, coarser inside.
+//! Background lattice for isosurface stuffing: body-centred cubic at the surface, coarser inside.
 //!
 //! Cubes of an octree whose neighbours differ by one level at most, also over edges. Tetrahedra lie around what two
 //! cubes of one size share, between their middles, and as half pyramids where a cube meets a larger one
@@ -22,11 +22,11 @@ pub(super) struct Lattice {
     pub vertices: Vec<Point3<f64>>,
     /// Depth of each vertex in the body \[m\].
     pub depths: Vec<f64>,
-    /// Places of the vertices in half cubes: of the middle of a cube of the finest size they are odd.
+    /// Lattice coordinates of the vertices in half cubes; odd for centres of the finest cubes.
     pub places: Vec<[i32; 3]>,
 }
 
-/// Cubes, the finest ones in a box; each knows the level of the cube that it is part of.
+/// Cubes, the finest ones in a box; each stores the level of the cube that contains it.
 struct Cubes {
     count: [i32; 3],
     level: Vec<u8>,
@@ -40,12 +40,12 @@ impl Cubes {
         inside.then(|| ((at[2] * self.count[1] + at[1]) * self.count[0] + at[0]) as usize)
     }
 
-    /// Level of the cube at a place, if there is one.
+    /// Level of the cube at a lattice position, if there is one.
     fn level(&self, at: [i32; 3]) -> Option<u8> {
         self.index(at).filter(|&index| self.used[index]).map(|index| self.level[index])
     }
 
-    /// Every cube by its first place and its level.
+    /// Every cube by its first position and its level.
     fn leaves(&self) -> impl Iterator<Item = ([i32; 3], u8)> + '_ {
         let [nx, ny, nz] = self.count;
         let places = (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
@@ -115,7 +115,8 @@ impl Lattice {
     }
 }
 
-/// Finest cubes where the surface crosses an edge of the lattice, coarser ones inside, none outside. `inside` tells of a place in half cubes.
+/// Finest cubes where the surface crosses an edge of the lattice, coarser ones inside, none outside. `inside` takes a
+/// position in half cubes.
 fn divide(count: &[i32; 3], levels: u8, inside: &dyn Fn([i32; 3]) -> bool) -> Cubes {
     let total = count.iter().product::<i32>() as usize;
     let mut cubes = Cubes { count: *count, level: vec![0; total], used: vec![false; total] };
@@ -161,7 +162,7 @@ fn merge(cubes: &mut Cubes, near: &[bool], level: u8) {
         let first = block.map(|x| x * size);
         let own = || boxed(first, plus(first, [size; 3]));
         let large = |index: usize| cubes.used[index] && cubes.level[index] >= level - 1;
-        // What touches it, half its size deep.
+        // Its neighbourhood, half its size deep.
         let around = boxed(plus(first, [-size / 2; 3]), plus(first, [size + size / 2; 3]));
         let fits = own().all(|at| cubes.index(at).is_some_and(|index| large(index) && !near[index]))
             && around.into_iter().all(|at| cubes.index(at).is_some_and(large));
@@ -181,7 +182,7 @@ fn boxed(low: [i32; 3], high: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
         .flat_map(move |z| (low[1]..high[1]).flat_map(move |y| (low[0]..high[0]).map(move |x| [x, y, z])))
 }
 
-/// The tetrahedra between a cube and what is beyond one of its faces, in half cubes.
+/// The tetrahedra between a cube and its neighbour across one face, in half cubes.
 fn join(cubes: &Cubes, at: [i32; 3], level: u8, axis: usize, side: i32, tets: &mut Vec<[[i32; 3]; 4]>) {
     let size = 1 << level;
     let beyond = plus(at, along(axis, if side == 1 { size } else { -1 }));

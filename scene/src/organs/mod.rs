@@ -1,5 +1,5 @@
-//! Organs and other soft things without files: a function of space each, made into graded tetrahedra; sheets, tubes and
-//! threads as grids.
+//! Procedural organs and soft bodies: implicit functions meshed with graded tetrahedra; sheets, tubes and threads as
+//! grids.
 
 mod catalogue;
 mod grids;
@@ -31,7 +31,7 @@ pub enum OrganError {
         /// Most that are allowed.
         most: usize,
     },
-    /// The lattice is too coarse to hold any of it.
+    /// The lattice is too coarse: no element is left.
     #[error("nothing of it is left with edges of {edge} m: make them shorter")]
     Lost {
         /// Length of an edge \[m\].

@@ -1,4 +1,4 @@
-//! Tetrahedra of a body from its function (Labelle, Shewchuk 2007, "Isosurface stuffing: fast tetrahedral meshes with
+//! Tetrahedral meshing of an implicit body (Labelle, Shewchuk 2007, "Isosurface stuffing: fast tetrahedral meshes with
 //! good dihedral angles"): a lattice, whose vertices are moved onto the surface where it passes close by, and whose
 //! tetrahedra are clipped where it does not.
 
@@ -9,11 +9,11 @@ use super::implicit::Implicit;
 use super::lattice::Lattice;
 use crate::mesh::TetData;
 
-/// A vertex takes the surface over from within this share of an edge along an axis, and of one along a diagonal. The
-/// paper's choice for the best angles.
+/// A vertex is moved onto the surface if it is within this share of an edge, along an axis or a diagonal. The paper's
+/// choice for the best angles.
 const WARP_LONG: f64 = 0.249_99;
 const WARP_SHORT: f64 = 0.411_89;
-/// Halvings that find the surface on an edge.
+/// Bisection steps to find the surface on an edge.
 const BISECTIONS: usize = 48;
 
 /// The tetrahedra of a body, `edge` \[m\] long where they are at its surface, up to `2^levels` times that inside.
@@ -45,7 +45,7 @@ struct Crossing {
     place: Point3<f64>,
     /// Share of the edge from the inner end.
     share: f64,
-    /// From within which share an end takes it over.
+    /// Share within which an end vertex is moved onto the surface.
     warp: f64,
 }
 
@@ -81,8 +81,7 @@ fn crossings(lattice: &Lattice, body: &Implicit) -> Vec<Crossing> {
         .collect()
 }
 
-/// Moves vertices onto the surface where it is close; the crossings that are left are those of edges between vertices
-/// that stayed.
+/// Moves vertices onto the surface where it is close; returns the crossings of edges between unmoved vertices.
 fn warp(lattice: &mut Lattice, crossings: Vec<Crossing>) -> Vec<([u32; 2], Point3<f64>)> {
     let mut by_end: Vec<(u32, usize)> = Vec::with_capacity(2 * crossings.len());
     for (k, crossing) in crossings.iter().enumerate() {
@@ -94,7 +93,7 @@ fn warp(lattice: &mut Lattice, crossings: Vec<Crossing>) -> Vec<([u32; 2], Point
         let closest = of_one
             .iter()
             .map(|&(_, k)| &crossings[k])
-            // An edge whose other end moved already is none that is crossed.
+            // An edge whose other end was moved is no longer crossed.
             .filter(|crossing| crossing.ends.iter().all(|&end| lattice.depths[end as usize] != 0.0))
             .map(|crossing| {
                 let share = if crossing.ends[0] == vertex { crossing.share } else { 1.0 - crossing.share };
@@ -124,7 +123,8 @@ fn warp(lattice: &mut Lattice, crossings: Vec<Crossing>) -> Vec<([u32; 2], Point
 /// Clips tetrahedra by the surface.
 struct Cutter {
     vertices: Vec<Point3<f64>>,
-    /// Crossed edges, sorted, and where; their vertices are numbered on from `vertices`, in this order.
+    /// Crossed edges, sorted, with their crossing points; the new vertices are numbered from `vertices` on, in this
+    /// order.
     left: Vec<([u32; 2], Point3<f64>)>,
     tets: Vec<[u32; 4]>,
 }
@@ -282,7 +282,7 @@ mod tests {
     fn what_cannot_be_made_is_told() {
         assert_eq!(tetrahedra(&Implicit::default(), 0.01, 0), Err(OrganError::Empty));
         assert!(matches!(tetrahedra(&ball(0.5), 1e-4, 0), Err(OrganError::TooFine { .. })));
-        // A wall that no vertex of the lattice lies in.
+        // A wall that contains no lattice vertex.
         let leaf = Implicit { wall: Some(1e-7), ..ball(0.05) };
         assert!(matches!(tetrahedra(&leaf, 0.03, 0), Err(OrganError::Lost { .. })));
     }

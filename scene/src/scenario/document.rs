@@ -1,4 +1,4 @@
-//! A TOML document with the place of everything in it: typed access that knows where it is.
+//! A TOML document with source positions: typed access whose errors give the position.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 use super::error::ScenarioError;
 use crate::entity::{Entity, with_entity_names};
 
-/// The text of a scenario and where it came from.
+/// The text of a scenario and its origin.
 #[derive(Debug)]
 pub(super) struct Source {
     pub file: PathBuf,
@@ -56,7 +56,7 @@ impl Source {
 #[derive(Clone, Copy)]
 pub(super) struct Table<'a> {
     pub source: &'a Source,
-    /// How the table is called in messages.
+    /// Name of the table in messages.
     pub key: &'a str,
     pub span: (usize, usize),
     pub table: &'a DeTable<'a>,
@@ -154,13 +154,13 @@ pub(super) fn join(outer: &str, inner: &str) -> String {
     }
 }
 
-/// Text from the file as it may stand in a message: short, and nothing that a terminal would act on.
+/// Quotes text from the file for a message: short, and without control characters.
 pub(super) fn shown(text: &str) -> String {
     let dots = if text.chars().count() > 60 { "…" } else { "" };
     text.chars().take(60).flat_map(char::escape_default).chain(dots.chars()).collect()
 }
 
-/// A table of free parameters for someone else to interpret, which still knows its place in the file.
+/// A table of uninterpreted parameters, with its position in the file.
 #[derive(Clone, Debug)]
 pub struct Params {
     source: Option<Arc<Source>>,
@@ -186,12 +186,12 @@ impl Params {
         Self { source: Some(source.clone()), path, owner, names: names.clone() }
     }
 
-    /// No parameters, for something that no file describes.
+    /// No parameters, for an owner without a file.
     pub fn none(owner: impl Into<String>) -> Self {
         Self { source: None, path: Vec::new(), owner: owner.into(), names: Arc::default() }
     }
 
-    /// Whose parameters they are, as in messages.
+    /// Owner of the parameters, for messages.
     pub fn owner(&self) -> &str {
         &self.owner
     }
@@ -200,7 +200,7 @@ impl Params {
     /// is interpreted, so that defaults apply.
     ///
     /// # Errors
-    /// Names the place and the key of what does not fit.
+    /// Names the position and the invalid key.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ScenarioError> {
         let value = match &self.source {
             None => None,
@@ -210,7 +210,7 @@ impl Params {
         let span = value.span();
         with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
             .map_err(|error| match (&self.source, error.span()) {
-                // Of an empty table that nobody wrote, the owner's place is the best there is.
+                // An absent table has no position: the owner's is used.
                 (Some(source), Some(at)) if span != (0..0) => {
                     source.error(at, self.owner.clone(), error.message().trim())
                 }
@@ -218,7 +218,7 @@ impl Params {
             })
     }
 
-    /// The parameters' table; if nothing is written there, where the owner stands.
+    /// The parameters' table, or if absent, the owner's position.
     fn find<'i>(&self, document: Spanned<DeTable<'i>>) -> Result<Spanned<DeValue<'i>>, Range<usize>> {
         let mut value = Spanned::new(document.span(), DeValue::Table(document.into_inner()));
         for step in &self.path {
@@ -231,7 +231,7 @@ impl Params {
         Ok(value)
     }
 
-    /// An error about these parameters that [`Params::parse`] cannot know of, such as a range.
+    /// An error about these parameters that [`Params::parse`] does not check, such as a range.
     pub fn error(&self, reason: impl Into<String>) -> ScenarioError {
         match &self.source {
             Some(source) => source.error(self.span(), self.owner.clone(), reason),

@@ -1,4 +1,4 @@
-//! Why a scenario is refused: file, line, column, key and reason.
+//! Errors of scenarios: file, line, column, key and reason.
 
 use std::path::PathBuf;
 
@@ -15,10 +15,10 @@ pub enum ScenarioError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// Something in the text is wrong.
+    /// The text is invalid.
     #[error("{}:{line}:{column}: {}{reason}", file.display(), if key.is_empty() { String::new() } else { format!("{key}: ") })]
     Invalid {
         /// The file.

@@ -85,7 +85,7 @@ pub(super) fn parse(file: &Path, text: String, registry: &Arc<Registry>) -> Resu
     })
 }
 
-/// First, so that a file of another version is not judged by the keys of this one.
+/// Checked first, so that a file of another version is not checked against the keys of this one.
 fn schema_version(root: &Table) -> Result<(), ScenarioError> {
     let value = root.require("schema")?;
     match root.value::<i64>("schema")? {
@@ -127,7 +127,7 @@ fn gravity(root: &Table) -> Result<Vector3<f64>, ScenarioError> {
     Err(root.error(span, "gravity", format!("{gravity:?} is out of range (-100 to 100 m/s² on each axis)")))
 }
 
-/// Strings under a key `file`, wherever they stand, are paths below the folder of the scenario.
+/// Strings under a key `file`, at any depth, are paths below the folder of the scenario.
 fn check_files(source: &Source, folder: &Path, key: &str, table: &DeTable) -> Result<(), ScenarioError> {
     for (name, value) in table {
         let here = join(key, name.get_ref());
@@ -190,7 +190,7 @@ fn check_parents(root: &Table) -> Result<(), ScenarioError> {
             parents.insert(name, (of, parent.span()));
         }
     }
-    // Names from which the chain is known to end, so that every link is followed once.
+    // Names whose chain is known to end, so that every link is followed only once.
     let mut ends = BTreeSet::new();
     for start in parents.keys() {
         let mut chain = BTreeSet::new();
@@ -270,7 +270,7 @@ fn put_entity(
     let key = format!("entity '{name}'");
     let table = Table { key: &key, ..*table };
     let tissue = table.string(Tissue::NAME)?.and_then(|(name, _)| tissue(name));
-    // One that cannot be read is refused where it is put.
+    // An unreadable parent is refused later, when it is put.
     let sources = table.value::<Sources>(Sources::NAME).ok().flatten().unwrap_or_default();
     let given = |name: &String| table.get(name).is_some();
     let sources_span = || table.get(Sources::NAME).map_or(table.span(), Spanned::span);

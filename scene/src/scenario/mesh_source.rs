@@ -1,5 +1,5 @@
 //! `mesh = { file = … }` or `mesh = { shape = … }` at an entity: a mesh file, or the surface of a shape, as components;
-//! what is made otherwise is in [`procedural_mesh`].
+//! other generated meshes are in [`procedural_mesh`].
 
 use std::path::Path;
 use std::sync::Arc;
@@ -29,7 +29,7 @@ pub(super) const KEYS: [&str; 5] = ["file", "scale", "repair", "require", "radiu
 pub(super) const SHAPE_KEYS: [&str; 2] = ["shape", "segments"];
 /// Values of `require`.
 pub(super) const REQUIREMENTS: [&str; 3] = ["solid", "manifold", "any"];
-/// Components that a mesh file provides, and that may therefore not stand beside it.
+/// Components provided by a mesh file, which the entity must therefore not declare itself.
 pub(super) const PROVIDED: [&str; 5] =
     ["surface_mesh", "tet_mesh", "line_mesh", "vertex_positions", "texture_coordinates"];
 
@@ -41,7 +41,7 @@ pub(super) struct LoadedMesh {
     pub tets: Option<TetMesh>,
     pub line: Option<LineMesh>,
     pub uv: Option<TextureCoordinates>,
-    /// What was mended, where that was asked for and something had to be.
+    /// Repairs, if they were requested and necessary.
     pub repaired: Option<MeshRepaired>,
 }
 
@@ -66,7 +66,7 @@ impl LoadedMesh {
     }
 }
 
-/// The surface of a shape, divided as finely as asked for: bodies that detectors see as surfaces need no file.
+/// The surface of a shape with the requested tessellation, so that bodies with surface-based detection need no file.
 fn shaped(table: &Table, value: &Spanned<DeValue>) -> Result<LoadedMesh, ScenarioError> {
     table.only(&SHAPE_KEYS)?;
     let span = table.get("shape").map_or(value.span(), Spanned::span);
@@ -87,7 +87,7 @@ fn shaped(table: &Table, value: &Spanned<DeValue>) -> Result<LoadedMesh, Scenari
     Ok(from_surface(surface))
 }
 
-/// Makes what an entity's `mesh` table names. `table` is that table, `value` where it stands.
+/// Loads the mesh of an entity's `mesh` table. `table` is that table, `value` its position.
 pub(super) fn load(
     folder: &Path,
     table: &Table,
@@ -123,7 +123,7 @@ pub(super) fn load(
     let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let listed = |list: &str| list.split(", ").any(|known| known == extension);
     let limits = Limits::default();
-    // Whoever gives a radius wants the lines of the file.
+    // A given radius selects the lines of the file.
     if let Some(radius) = table.number("radius", 1e-6..=1.0, "1e-6 to 1 m")? {
         for other in ["repair", "require"] {
             if let Some(given) = table.get(other) {
@@ -187,7 +187,7 @@ pub(super) fn load(
     }
 }
 
-/// A volume without what simulators refuse, and what that took.
+/// A repaired volume, with the repairs.
 fn mended(volume: TetData) -> Result<(TetData, Repairs), BadTets> {
     let (positions, tets, repairs) = repaired_tets(&volume.positions, &volume.tets, &MeshRules::default())?;
     let kept = repairs.kept_tets.iter();
@@ -195,7 +195,7 @@ fn mended(volume: TetData) -> Result<(TetData, Repairs), BadTets> {
     Ok((TetData { positions, tets, tags }, repairs))
 }
 
-/// What is wrong with a volume, and what to do about it. Points that no element uses are gone by now.
+/// Message with a volume's defects and advice. Unused points have already been removed.
 fn listed_defects(volume: &TetData) -> String {
     let defects = tet_defects(&volume.positions, &volume.tets, &MeshRules::default());
     format!("In all {}. 'repair = true' turns, merges and drops what can be", BadTets { defects })
@@ -225,7 +225,7 @@ pub(super) fn from_surface(surface: SurfaceData) -> LoadedMesh {
     }
 }
 
-/// One texture coordinate per vertex; of a vertex on a seam the first that its triangles give.
+/// One texture coordinate per vertex; for a vertex on a seam the first one of its triangles.
 fn vertex_uvs(surface: &SurfaceData) -> Option<Vec<Vector2<f64>>> {
     let corners = surface.uvs.as_ref()?;
     let mut uv: Vec<Option<Vector2<f64>>> = vec![None; surface.positions.len()];

@@ -20,10 +20,9 @@
 //! device = "virtual"
 //! ```
 //!
-//! Unknown keys are refused everywhere, so that a slip of the pen is an error rather than a default. Whatever a
-//! table called `params` (and the table `task`) means is known to the code it is for: [`Params::parse`]
-//! interprets it there, and its errors still name the line. Strings under a key `file` are paths; they must stay
-//! below the folder of the scenario.
+//! Unknown keys are refused everywhere, so that a typing mistake is an error rather than a default. Tables called
+//! `params` (and the table `task`) are interpreted by the code they belong to, with [`Params::parse`], and its errors
+//! still name the line. Strings under a key `file` are paths; they must stay below the folder of the scenario.
 
 mod document;
 mod error;
@@ -72,7 +71,7 @@ pub struct Scenario {
     pub file: PathBuf,
     /// Short name.
     pub name: String,
-    /// One line for people.
+    /// One-line title for display.
     pub title: String,
     /// What it is about.
     pub description: String,
@@ -89,12 +88,12 @@ pub struct Scenario {
     meshes: BTreeMap<Entity, LoadedMesh>,
 }
 
-/// A controller that a scenario asks for.
+/// A controller of a scenario.
 #[derive(Clone, Debug)]
 pub struct ControllerEntry {
     /// Name of the writer, such as `haptics.left`.
     pub name: String,
-    /// What it is: a name that the program's table of kinds knows.
+    /// Its kind: a name in the program's table of kinds.
     pub kind: String,
     /// Ticks per second \[Hz\].
     pub rate_hz: f64,
@@ -102,7 +101,7 @@ pub struct ControllerEntry {
     pub params: Params,
 }
 
-/// A hand that a scenario asks for.
+/// A hand of a scenario.
 #[derive(Clone, Debug)]
 pub struct HandEntry {
     /// Name, such as `left`: what `--hand NAME=SPEC` refers to.
@@ -126,7 +125,7 @@ impl Scenario {
         load::load(file, registry)
     }
 
-    /// Reads and checks a scenario that is in memory already; `file` says where it would lie.
+    /// Reads and checks a scenario in memory; `file` gives its nominal path.
     ///
     /// # Errors
     /// Names file, line, column, key and valid choices.
@@ -134,7 +133,7 @@ impl Scenario {
         load::parse(file, text.to_owned(), registry)
     }
 
-    /// The folder below which the files lie that it refers to.
+    /// The folder that contains the files it refers to.
     pub fn folder(&self) -> &Path {
         self.source.file.parent().unwrap_or(Path::new(""))
     }
@@ -158,7 +157,7 @@ impl Scenario {
     /// file was checked against.
     ///
     /// # Errors
-    /// When the registry is another one and refuses something.
+    /// When a different registry refuses a value.
     pub fn commands(&self, registry: &Arc<Registry>) -> Result<Commands, ScenarioError> {
         let document = self.source.parse()?;
         load::commands(&self.source, &document, registry, &self.names, &self.meshes)
@@ -167,7 +166,7 @@ impl Scenario {
     /// A scene with the scenario's entities, at time zero and revision 1.
     ///
     /// # Errors
-    /// When the registry is another one and refuses something.
+    /// When a different registry refuses a value.
     pub fn spawn(&self, registry: &Arc<Registry>) -> Result<Store, ScenarioError> {
         let mut store = Store::new(registry.clone());
         let mut commands = self.commands(registry)?;
@@ -176,8 +175,8 @@ impl Scenario {
         Ok(store)
     }
 
-    /// An error about something in this file that only a later stage can know, such as an unknown kind of
-    /// controller. `key` is a table's name, `index` its number in the array.
+    /// An error in this file found by a later stage, such as an unknown kind of controller. `key` is a table's name,
+    /// `index` its number in the array.
     pub fn error_at(&self, key: &str, index: usize, reason: impl Into<String>) -> ScenarioError {
         let span = self.source.parse().ok().and_then(|document| {
             let item = document.get_ref().get(key)?.get_ref().get(index)?;

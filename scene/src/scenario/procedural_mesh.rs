@@ -1,5 +1,5 @@
-//! `mesh = { organ = … }`, `{ sheet = … }`, `{ tube = … }`, `{ block = … }` and `{ line = … }` at an entity: meshes that
-//! are made, so that a scenario of soft things needs no file.
+//! `mesh = { organ = … }`, `{ sheet = … }`, `{ tube = … }`, `{ block = … }` and `{ line = … }` at an entity: generated
+//! meshes, so that a scenario of soft bodies needs no file.
 
 use std::ops::RangeInclusive;
 use std::sync::Arc;
@@ -15,9 +15,9 @@ use super::mesh_source::{LoadedMesh, from_surface, from_tets};
 use crate::components::{LineMesh, VertexPositions};
 use crate::organs::{self, Organ};
 
-/// Keys of which a table has one.
+/// Keys, exactly one of which a table has.
 pub(super) const MADE: [&str; 5] = ["organ", "sheet", "tube", "block", "line"];
-/// What may stand beside `organ`.
+/// Keys allowed with `organ`.
 pub(super) const ORGAN_KEYS: [&str; 5] = ["organ", "edge", "levels", "wall", "scale"];
 /// Range and default of the length of an organ's edges \[m\], and of the levels by which they grow inside.
 pub(super) const EDGE: (RangeInclusive<f64>, f64) = (1e-4..=0.1, 0.01);
@@ -46,7 +46,7 @@ pub(super) struct Tube {
     /// Thickness of its wall \[m\]; without, it is a surface.
     #[serde(default)]
     wall: Option<f64>,
-    /// Cells across the wall; 2 unless told.
+    /// Cells across the wall; default 2.
     #[serde(default)]
     layers: Option<u32>,
 }
@@ -73,7 +73,7 @@ pub(super) struct Line {
     radius: f64,
 }
 
-/// Makes what the table names by `key`, one of [`MADE`].
+/// Generates the mesh of the table with the key `key`, one of [`MADE`].
 pub(super) fn load(table: &Table, key: &str, value: &Spanned<DeValue>) -> Result<LoadedMesh, ScenarioError> {
     let span = table.get(key).map_or(value.span(), Spanned::span);
     let refused = |error: organs::OrganError| table.error(span.clone(), key, error.to_string());

@@ -1,5 +1,5 @@
-//! What a table `sources` does at an entity: each of its names has to be of a number that a component gives, and what lies
-//! outside of the range is told.
+//! The table `sources` of an entity: each name must refer to a number that a component gives, and values outside the
+//! range are reported.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -8,10 +8,10 @@ use toml::de::{DeValue, ValueDeserializer};
 
 use crate::components::{Source, Sources};
 
-/// What of a component lies outside of where it is from, one sentence.
+/// Values of a component outside their sources' ranges, in one sentence.
 ///
 /// # Errors
-/// A name of which the component gives no number.
+/// A name for which the component gives no number.
 pub(super) fn doubt(
     sources: &Sources,
     component: &str,
@@ -36,7 +36,7 @@ pub(super) fn doubt(
     Ok(doubt)
 }
 
-/// All numbers of a name, however deep.
+/// All numbers with a name, at any depth.
 fn numbers(value: &Value, name: &str, found: &mut Vec<f64>) {
     for (key, value) in value.as_object().into_iter().flatten() {
         found.extend(value.as_f64().filter(|_| key == name));

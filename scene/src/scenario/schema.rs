@@ -116,7 +116,7 @@ fn hand() -> Value {
     })
 }
 
-/// Where a mesh may come from.
+/// Possible sources of a mesh.
 const MESHES: [&str; 7] = ["file", "shape", "organ", "sheet", "tube", "block", "line"];
 
 fn mesh_file() -> Value {
@@ -192,7 +192,7 @@ fn mesh_organ() -> Value {
     })
 }
 
-/// A mesh that is made from one table of numbers.
+/// A mesh generated from one table of numbers.
 fn mesh_grid(key: &str, of: Value, description: &str) -> Value {
     json!({
         "description": description,
@@ -215,7 +215,7 @@ fn identifier() -> Value {
     json!({ "type": "string", "pattern": "^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$" })
 }
 
-/// Puts a component's schema, and the definitions that it brings along, at the top level.
+/// Moves a component's schema and its definitions to the top level.
 fn hoist(component: &str, mut schema: Value, definitions: &mut Map<String, Value>) {
     rewrite(component, &mut schema);
     if let Value::Object(object) = &mut schema {

@@ -1,5 +1,5 @@
-//! What a line `tissue = "liver"` does at an entity: components that have a parameter of it and leave it open get what has
-//! been measured, and what lies outside of the range is told.
+//! Tissue defaults (`tissue = "liver"` at an entity): components that omit a parameter of the tissue get the measured
+//! value, and values outside the published range are reported.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -8,11 +8,11 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 use crate::tissue::{TissueEntry, TissueParameter};
 
-/// The matter of a body that components tell by a table of this name; its parameters have no place in their schema. Sheets
-/// and lines have parameters of the same names by area and by length, which are no tissue's.
+/// Table of components with the material of a volume; its parameters are not listed in their schema. Sheets and lines
+/// have parameters of the same names per area and per length, which tissues do not define.
 const VOLUME: &str = "volume";
 
-/// The value of a component with what it leaves open. `text` is where that stands meanwhile.
+/// The value of a component with its omitted parameters filled in; `text` is a scratch buffer.
 pub(super) fn completed<'a>(
     tissue: &TissueEntry,
     schema: Option<&Value>,
@@ -47,7 +47,7 @@ fn fill<'a>(table: &mut DeTable<'a>, known: &DeTable<'a>, has: &dyn Fn(&str) -> 
     }
 }
 
-/// What of a component lies outside of what has been measured, one sentence.
+/// Values of a component outside the measured ranges, in one sentence.
 pub(super) fn doubt(tissue: &TissueEntry, component: &str, value: &Spanned<DeValue<'_>>) -> Option<String> {
     let value = Value::deserialize(ValueDeserializer::from(value.clone())).ok()?;
     let volumes = || value.as_object().into_iter().flatten().flat_map(|(_, inner)| inner.get(VOLUME));

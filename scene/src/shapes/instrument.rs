@@ -18,7 +18,7 @@ const CREASE: f64 = 0.7;
 /// The parts of an instrument, each a closed body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InstrumentSurface {
-    /// The shaft, with what is beyond it and no jaw, in the instrument's frame.
+    /// The shaft with any working end that is no jaw, in the instrument's frame.
     pub shaft: SurfaceData,
     /// Jaw A, closed, in the hinge's frame: origin at the hinge, z towards the tip, the pad in the plane x = 0, the
     /// blade at x ≥ 0. `None` for an instrument with fewer jaws.
@@ -30,12 +30,12 @@ pub struct InstrumentSurface {
 }
 
 impl InstrumentSurface {
-    /// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) when the jaws are open by `jaw_angle` \[rad\] in all.
+    /// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) at a full jaw opening of `jaw_angle` \[rad\].
     pub fn instrument_from_jaw(&self, side: f64, jaw_angle: f64) -> Isometry3<f64> {
         instrument_from_hinge(self.jaw_length, side, jaw_angle)
     }
 
-    /// All parts in the instrument's frame with the jaws open by `jaw_angle` \[rad\] in all: one body each.
+    /// All parts in the instrument's frame at a full jaw opening of `jaw_angle` \[rad\]: one body each.
     pub fn assembled(&self, jaw_angle: f64) -> SurfaceData {
         let mut whole = self.shaft.clone();
         for (side, jaw) in [(1.0, &self.jaw_a), (-1.0, &self.jaw_b)] {
@@ -48,7 +48,7 @@ impl InstrumentSurface {
 }
 
 /// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) of an instrument whose jaws are `jaw_length` \[m\] long
-/// and open by `jaw_angle` \[rad\] in all.
+/// and fully open by `jaw_angle` \[rad\].
 pub fn instrument_from_hinge(jaw_length: f64, side: f64, jaw_angle: f64) -> Isometry3<f64> {
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), side.signum() * 0.5 * jaw_angle);
     Isometry3::from_parts(Translation3::new(0.0, 0.0, -jaw_length), rotation)

@@ -59,7 +59,7 @@ pub enum ShapeError {
     Refused(String),
 }
 
-/// How finely curves are divided.
+/// Tessellation detail of curves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Detail {
     /// Segments of a full circle.
@@ -74,7 +74,7 @@ impl Default for Detail {
     }
 }
 
-/// The surface of a shape, as viewers and mesh-based collision detection want it.
+/// The surface of a shape, for viewers and mesh-based collision detection.
 ///
 /// # Errors
 /// When the shape's own check refuses it, or its detail is out of range.
@@ -101,7 +101,7 @@ pub fn surface_of(shape: &Shape, detail: &Detail) -> Result<SurfaceData, ShapeEr
     }
 }
 
-/// `Ok` for a length that is positive and not absurd.
+/// Checks that a length is positive and within limits.
 fn length(field: &'static str, value: f64) -> Result<(), ShapeError> {
     if value > 0.0 && value <= 1e6 {
         return Ok(());

@@ -19,7 +19,7 @@ pub(super) fn triangulate(outer: &[Point2<f64>], holes: &[Vec<Point2<f64>>]) -> 
         hole_loops.push((first..first + hole.len()).collect());
         first += hole.len();
     }
-    // From right to left, so that each hole sees the outer polygon or a hole that is joined to it already.
+    // From right to left, so that each hole sees the outer polygon or a hole already joined to it.
     let rightmost =
         |hole: &[usize]| (0..hole.len()).max_by(|&a, &b| points[hole[a]].x.total_cmp(&points[hole[b]].x));
     let mut ordered: Vec<(usize, Vec<usize>)> =
@@ -72,7 +72,7 @@ fn visible(points: &[Point2<f64>], loop_: &[usize], from: Point2<f64>) -> Option
     let candidate = if at(a).x > at(b).x { a } else { b };
     let tip = at(candidate);
     let triangle = if tip.y > from.y { [from, hit, tip] } else { [from, tip, hit] };
-    // A vertex inside that triangle hides the candidate; of several the one with the smallest angle is seen.
+    // A vertex inside that triangle hides the candidate; of several, the one with the smallest angle is visible.
     let best = (0..loop_.len())
         .filter(|&k| at(k) != tip && at(k).x >= from.x && inside(at(k), triangle))
         .min_by(|&p, &q| {
@@ -86,7 +86,7 @@ fn visible(points: &[Point2<f64>], loop_: &[usize], from: Point2<f64>) -> Option
     Some(clearest_copy(points, loop_, best, from))
 }
 
-/// Bridges leave a vertex several times in the loop; the copy is chosen whose inner angle contains `from`.
+/// Bridges duplicate vertices in the loop; chooses the copy whose inner angle contains `from`.
 fn clearest_copy(points: &[Point2<f64>], loop_: &[usize], chosen: usize, from: Point2<f64>) -> usize {
     let n = loop_.len();
     let at = |k: usize| points[loop_[k % n]];
@@ -113,7 +113,7 @@ fn clip_ears(points: &[Point2<f64>], mut loop_: Vec<usize>) -> Option<Vec<[u32; 
                     p == a || p == b || p == c || !inside(p, [a, b, c])
                 })
         };
-        // Fat ears first: flipping has less to do.
+        // Fat ears first, so that fewer flips are needed.
         let quality = |k: usize| {
             let [a, b, c] = shape(k);
             let longest = (b - a).norm_squared().max((c - b).norm_squared()).max((a - c).norm_squared());

@@ -1,6 +1,7 @@
-//! The ends of instruments that have no jaws: hooks, bent rods, prongs, each a rod along a line in the instrument's frame.
+//! Working ends of instruments without jaws: hooks, bent rods, prongs, each a rod along a polyline in the instrument's
+//! frame.
 //!
-//! The same lines are drawn and met by simulators. They begin at the front of the shaft, z = −`jaw_length`, and none of
+//! Viewers and simulators use the same polylines. They begin at the front of the shaft, z = −`jaw_length`, and none of
 //! them reaches beyond z = 0.
 
 use nalgebra::{Point3, Vector3};
@@ -17,17 +18,17 @@ const CREASE: f64 = 0.7;
 /// A rod along a line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BentRod {
-    /// Places of its axis, from the shaft to its end, in the instrument's frame \[m\].
+    /// Points of its axis, from the shaft to its end, in the instrument's frame \[m\].
     pub axis: Vec<Point3<f64>>,
     /// Radius \[m\].
     pub radius: f64,
 }
 
-/// The rods beyond the shaft of an instrument; none of one whose shaft reaches its tip, or that has jaws there.
+/// The rods beyond the shaft of an instrument; none if its shaft reaches its tip or it has jaws.
 pub fn working_end(instrument: &Instrument) -> Vec<BentRod> {
     let (long, wire) = (instrument.jaw_length, 0.5 * instrument.jaw_thickness);
     let rod = (0.5 * instrument.jaw_width).min(instrument.shaft_radius);
-    // Sideways by `aside` shares of its length, at so large a share of the way.
+    // Sideways offset as a share `aside` of its length, at a given share along it.
     let arc = |radius: f64, aside: &dyn Fn(f64) -> f64| {
         let place = |piece: usize| {
             let share = piece as f64 / PIECES as f64;
@@ -36,17 +37,17 @@ pub fn working_end(instrument: &Instrument) -> Vec<BentRod> {
         BentRod { axis: (0..=PIECES).map(place).collect(), radius }
     };
     match instrument.kind {
-        // Along the shaft and then at a right angle to it; what burns is its heel.
+        // Along the shaft and then at a right angle to it; the heel is the active electrode.
         InstrumentKind::HookCautery => {
             let heel = Point3::new(0.0, 0.0, -wire);
             let toe = heel + Vector3::x() * (0.45 * long).max(2.0 * wire);
             vec![BentRod { axis: vec![Point3::new(0.0, 0.0, -long), heel, toe], radius: wire }]
         }
-        // Out to one side and back: the organ lies in the bow.
+        // Bends to one side and back: the organ lies in the bow.
         InstrumentKind::Retractor => vec![arc(rod, &|share| 0.35 * (std::f64::consts::PI * share).sin())],
-        // More and more to one side, to come out again behind an organ.
+        // Curves increasingly to one side, to emerge behind an organ.
         InstrumentKind::BandPasser => vec![arc(rod, &|share| 0.4 * share * share)],
-        // A thin tube, out of which the loop comes.
+        // A thin tube from which the loop emerges.
         InstrumentKind::LoopApplier => vec![arc(0.5 * rod, &|_| 0.0)],
         // Two prongs, with the thread between them.
         InstrumentKind::KnotPusher => [1.0, -1.0]
@@ -80,7 +81,7 @@ impl BentRod {
                 (towards(at.saturating_sub(1), at.max(1)), towards(at.min(last - 1), (at + 1).min(last)));
             let along = (before + after).normalize();
             let across = self.normal();
-            // In the mitre of a bend a section is longer, so that the rod keeps its thickness.
+            // Sections at a mitred bend are stretched, so that the rod keeps its thickness.
             let in_plane = along.cross(&across) / along.dot(&after);
             let section = (0..segments).map(|k| {
                 let share = k as f64 / segments as f64;
@@ -110,7 +111,7 @@ impl BentRod {
         surface
     }
 
-    /// Unit direction at a right angle to the plane that it is bent in.
+    /// Unit normal of its bending plane.
     fn normal(&self) -> Vector3<f64> {
         let bent = self.axis.windows(3).map(|w| (w[1] - w[0]).cross(&(w[2] - w[1])));
         bent.max_by(|a, b| a.norm().total_cmp(&b.norm()))

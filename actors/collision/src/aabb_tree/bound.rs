@@ -1,15 +1,15 @@
-//! Boxes in `f32` that hold what they should, and how near at least a point or a segment is to four of them at once.
+//! Conservative `f32` boxes, and lower bounds of the distance from a point or a segment to four of them at once.
 //!
-//! Every bound is rounded towards zero by more than its arithmetic can err: 2⁻²⁰ of the largest coordinate.
+//! Every bound is rounded towards zero by more than its arithmetic error: 2⁻²⁰ of the largest coordinate.
 
 use nalgebra::Point3;
 
 use super::{LANES, Node};
 use crate::primitive::Segment;
 
-/// Largest distance that a bound tells \[m\]: its square fits an `f32`.
+/// Largest distance of a bound \[m\]: its square fits an `f32`.
 const FAR: f32 = 1e18;
-/// What `f32` arithmetic errs at most, of the largest coordinate in it: sixteen roundings.
+/// Largest error of the `f32` arithmetic, relative to the largest coordinate: sixteen roundings.
 const ROUNDING: f32 = 1.0 / (1 << 20) as f32;
 
 /// An axis-aligned box \[m\].
@@ -21,19 +21,19 @@ pub struct Aabb {
     pub max: Point3<f64>,
 }
 
-/// Largest `f32` that is not above.
+/// Largest `f32` not above `value`.
 fn down(value: f64) -> f32 {
     let nearest = value as f32;
     if f64::from(nearest) > value { nearest.next_down() } else { nearest }
 }
 
-/// Smallest `f32` that is not below.
+/// Smallest `f32` not below `value`.
 pub(super) fn up(value: f64) -> f32 {
     let nearest = value as f32;
     if f64::from(nearest) < value { nearest.next_up() } else { nearest }
 }
 
-/// More than a number may have been rounded by.
+/// Upper bound of a number's rounding error.
 #[inline]
 fn widening(rounded: f32) -> f32 {
     rounded.abs() * f32::EPSILON + f32::MIN_POSITIVE
@@ -45,7 +45,7 @@ pub(super) fn rounded(vertex: &Point3<f64>) -> [f32; 4] {
     [vertex.x as f32, vertex.y as f32, vertex.z as f32, 0.0]
 }
 
-/// The box of three vertices that were rounded.
+/// The box of three rounded vertices.
 #[inline]
 pub(super) fn triangle(corners: &[u32; 3], rounded: &[[f32; 4]]) -> ([f32; 3], [f32; 3]) {
     let [a, b, c] = corners.map(|corner| rounded[corner as usize]);
@@ -59,21 +59,21 @@ pub(super) fn triangle(corners: &[u32; 3], rounded: &[[f32; 4]]) -> ([f32; 3], [
     ([low[0], low[1], low[2]], [high[0], high[1], high[2]])
 }
 
-/// The larger one, the second if the first is not a number: one instruction for four lanes, as `f32::max` is not.
+/// The larger one, the second if the first is NaN: one instruction for four lanes, unlike `f32::max`.
 #[inline]
 pub(super) fn larger(first: f32, second: f32) -> f32 {
     if first > second { first } else { second }
 }
 
-/// The smaller one, the second if the first is not a number.
+/// The smaller one, the second if the first is NaN.
 #[inline]
 pub(super) fn smaller(first: f32, second: f32) -> f32 {
     if first < second { first } else { second }
 }
 
-/// Something whose distance from boxes has a lower bound.
+/// A query object with a lower bound of its distance from boxes.
 pub(super) trait Near {
-    /// Not more than its distance from each of the four boxes \[m\]; anything for a lane without a child.
+    /// Lower bound of its distance from each of the four boxes \[m\]; undefined for a lane without a child.
     fn lower(&self, node: &Node) -> [f32; LANES];
 }
 
@@ -91,7 +91,7 @@ fn gaps(node: &Node, low: &[f32; 3], high: &[f32; 3]) -> [f32; LANES] {
     squares.map(|square: f32| square.sqrt())
 }
 
-/// A box; of no extent, a point.
+/// A box, or a point as a box without extent.
 pub(super) struct NearBox {
     low: [f32; 3],
     high: [f32; 3],
@@ -124,7 +124,7 @@ pub(super) struct NearSegment {
     start: [f32; 3],
     end: [f32; 3],
     along: [f32; 3],
-    /// One over the squared length, or 0.
+    /// Inverse squared length, or 0.
     inverse: f32,
     slack: f32,
 }
@@ -146,9 +146,9 @@ impl NearSegment {
 }
 
 impl Near for NearSegment {
-    /// The larger of two: how far its own box is, and how far apart it and the box are along the direction from its
-    /// point nearest to the middle of the box towards that middle. Any direction gives a valid bound; the support of the
-    /// segment is taken at both ends, so that an error of the direction does not grow with its length.
+    /// The larger of two bounds: the distance of its own box, and its gap to the box along the direction from its point
+    /// nearest to the box's centre towards that centre. Any direction gives a valid bound; the support of the segment
+    /// is taken at both ends, so that an error of the direction does not grow with its length.
     #[inline]
     fn lower(&self, node: &Node) -> [f32; LANES] {
         let boxes = gaps(node, &self.low, &self.high);
@@ -181,7 +181,7 @@ impl Near for NearSegment {
         let mut lower = [0.0; LANES];
         for lane in 0..LANES {
             let apart = smaller(from_start[lane], from_end[lane]) - support[lane];
-            // Without a direction it is no number, and the boxes decide.
+            // Without a direction the gap is NaN, and the first bound decides.
             let apart = larger(apart / length[lane].sqrt(), boxes[lane]);
             lower[lane] = larger(smaller(apart, FAR) - self.slack, 0.0);
         }
@@ -189,7 +189,7 @@ impl Near for NearSegment {
     }
 }
 
-/// A sphere that goes along a segment: how far its start is, for boxes that are near enough to the way.
+/// A sphere moving along a segment: distance of its start, for boxes near enough to its path.
 pub(super) struct NearWay {
     start: NearBox,
     way: NearSegment,

@@ -1,9 +1,9 @@
-//! The order of the tree: triangles halved at the median of their middles, along the longest side.
+//! Construction of the AABB tree: triangles are split at the median of their centroids, along the longest side.
 
 use super::{LANES, Node};
 use crate::Surface;
 
-/// A range of triangles, and the lane that waits for it.
+/// A range of triangles, and the lane to store its node in.
 struct Task {
     from: usize,
     to: usize,
@@ -11,7 +11,7 @@ struct Task {
     lane: usize,
 }
 
-/// Fills `nodes` with children only; a fit gives them boxes.
+/// Fills `nodes` with children only; a refit computes the boxes.
 pub(super) fn build(nodes: &mut Vec<Node>, surface: &Surface) {
     let count = surface.triangles().len();
     nodes.clear();
@@ -34,7 +34,7 @@ pub(super) fn build(nodes: &mut Vec<Node>, surface: &Surface) {
     }
 }
 
-/// A new node for a range: a triangle each for up to four, else a quarter of them for each lane.
+/// Creates a node for a range: one triangle per lane for up to four, else a quarter of the range per lane.
 fn divide(
     nodes: &mut Vec<Node>,
     tasks: &mut Vec<Task>,
@@ -68,7 +68,7 @@ fn divide(
     nodes.push(node);
 }
 
-/// Where the second half begins: after a whole number of fours, so that the lowest nodes are full.
+/// Splits a range; the first half is a multiple of four, so that the lowest nodes are full.
 fn halve(order: &mut [u32], middles: &[[f32; 3]], from: usize, to: usize) -> usize {
     if to - from <= LANES {
         return to;
@@ -89,7 +89,7 @@ fn halve(order: &mut [u32], middles: &[[f32; 3]], from: usize, to: usize) -> usi
             longest = axis;
         }
     }
-    // Of equal middles the number decides: the same tree whatever the sort does.
+    // Equal centroids are ordered by index, so that the tree does not depend on the sort.
     range.select_nth_unstable_by(cut, |&first, &second| {
         let (a, b) = (middles[first as usize][longest], middles[second as usize][longest]);
         a.total_cmp(&b).then(first.cmp(&second))

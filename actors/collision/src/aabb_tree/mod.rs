@@ -2,9 +2,9 @@
 //! (van den Bergen, *Efficient collision detection of complex deformable models using AABB trees*, 1997; nodes of four
 //! boxes side by side: Wald, Benthin and Boulos, *Getting rid of packets*, 2008).
 //!
-//! The boxes are `f32`, rounded outwards: they decide only what need not be looked at; what is answered comes from the
-//! exact primitives on the `f64` vertices. The triangles are halved at their median, so that the depth is bounded by the
-//! logarithm of their number whatever they look like, and so is every walk. Coordinates beyond 1e18 m may lose triangles.
+//! The boxes are `f32`, rounded outwards: they are only used for culling; results come from the exact primitives on the
+//! `f64` vertices. The triangles are split at their median, so that the depth of the tree and of every traversal is
+//! bounded by the logarithm of their number for any mesh. Coordinates beyond 1e18 m may lose triangles.
 
 mod bound;
 mod build;
@@ -77,15 +77,15 @@ impl Node {
     }
 }
 
-/// The tree; it knows triangles by their number and is asked together with the surface that it was last fitted to.
+/// The tree; it stores triangle indices and is queried together with the surface that it was last fitted to.
 #[derive(Clone, Debug)]
 pub struct AabbTree {
     /// Parents before their children, the root first.
     nodes: Vec<Node>,
     triangles: usize,
-    /// Largest coordinate, by which `f32` arithmetic on boxes errs \[m\].
+    /// Largest coordinate, which scales the error of `f32` arithmetic on boxes \[m\].
     scale: f32,
-    /// Vertices rounded, kept from one refit to the next.
+    /// Rounded vertices; buffer reused between refits.
     rounded: Vec<[f32; 4]>,
 }
 
@@ -100,10 +100,10 @@ impl AabbTree {
         tree
     }
 
-    /// Follows the vertices of the same triangles to where they are now, in O(n), without allocating.
+    /// Refits the boxes to new vertex positions of the same triangles, in O(n), without allocating.
     ///
     /// # Errors
-    /// [`SurfaceError::OtherTriangles`]: another number of triangles, so that the tree must be built anew.
+    /// [`SurfaceError::OtherTriangles`]: the number of triangles differs, so that the tree must be rebuilt.
     pub fn refit(&mut self, surface: &Surface) -> Result<(), SurfaceError> {
         let found = surface.triangles().len();
         if found != self.triangles {
@@ -113,20 +113,20 @@ impl AabbTree {
         Ok(())
     }
 
-    /// How many triangles it holds.
+    /// Number of triangles.
     #[must_use]
     pub fn triangles(&self) -> usize {
         self.triangles
     }
 
-    /// What encloses everything; `None` without triangles.
+    /// The bounding box; `None` without triangles.
     #[must_use]
     pub fn bounds(&self) -> Option<Aabb> {
         let (low, high) = self.nodes.first()?.whole();
         Some(Aabb { min: point(low), max: point(high) })
     }
 
-    /// Its boxes as a binary tree, as the scene holds and the viewer shows it; every leaf is one triangle.
+    /// Its boxes as a binary tree, for the scene and the viewer; every leaf is one triangle.
     #[must_use]
     pub fn to_component(&self) -> BoundingVolumeTree {
         let mut boxes = vec![];
@@ -134,7 +134,7 @@ impl AabbTree {
             boxes.push(Part { node: 0, lanes: self.occupied(0) });
         }
         let mut nodes = Vec::new();
-        // Breadth first: the two parts of a box come to lie side by side, in the order in which they were found.
+        // Breadth first: the two parts of a box are adjacent, in the order in which they were found.
         let mut next = 0;
         while next < boxes.len() {
             let mut part = boxes[next];
@@ -149,7 +149,7 @@ impl AabbTree {
                     nodes.push(node);
                     continue;
                 }
-                // A box around one node is that node.
+                // A box with a single node is that node.
                 part = Part { node: child as usize, lanes: self.occupied(child as usize) };
             }
             node.first = boxes.len() as u32;
@@ -168,7 +168,7 @@ impl AabbTree {
         self.rounded.extend(surface.vertices().iter().map(bound::rounded));
         let triangles = surface.triangles();
         for index in (0..self.nodes.len()).rev() {
-            // Children stand behind their parents.
+            // Children come after their parents.
             let (front, behind) = self.nodes.split_at_mut(index + 1);
             let node = &mut front[index];
             for lane in 0..LANES {
@@ -203,8 +203,8 @@ impl Part {
         (0..LANES).filter(move |&lane| self.lanes[lane])
     }
 
-    /// The first half of its lanes and the second. There are two at least: a node with one child is made for a surface
-    /// of one triangle only, and that is a leaf.
+    /// The first and the second half of its lanes. There are at least two: only a surface of one triangle has a node
+    /// with one child, and that is a leaf.
     fn halves(self) -> [Self; 2] {
         let first = self.lanes().count().div_ceil(2);
         let mut halves = [Self { node: self.node, lanes: [false; LANES] }; 2];

@@ -1,4 +1,4 @@
-//! What is asked of the tree: the nearest triangle, and all triangles that something may touch.
+//! Queries of the AABB tree: the nearest triangle, and all triangles near an object.
 
 use nalgebra::Point3;
 
@@ -9,10 +9,10 @@ use crate::primitive::{
 };
 use crate::{Surface, SurfaceError};
 
-/// Nodes that wait at most: three of each level, of which a `u32` of triangles has 16 or 17.
+/// Largest stack of nodes: three per level, and a `u32` of triangles has 16 or 17 levels.
 const WAITING: usize = 64;
 
-/// What a query looked at.
+/// Number of nodes and triangles visited by a query.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct QueryCost {
     /// Nodes of four boxes.
@@ -24,7 +24,7 @@ pub struct QueryCost {
 /// The nearest triangle to a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearestToPoint {
-    /// Which triangle.
+    /// Its index.
     pub triangle: u32,
     /// Its nearest point.
     pub nearest: PointTriangle,
@@ -35,7 +35,7 @@ pub struct NearestToPoint {
 /// The nearest triangle to a segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NearestToSegment {
-    /// Which triangle.
+    /// Its index.
     pub triangle: u32,
     /// The nearest points.
     pub nearest: SegmentTriangle,
@@ -43,7 +43,7 @@ pub struct NearestToSegment {
     pub distance: f64,
 }
 
-/// A node that waits, with a lower bound of its distance.
+/// A pending node, with a lower bound of its distance.
 #[derive(Clone, Copy)]
 struct Waiting {
     lower: f32,
@@ -51,11 +51,10 @@ struct Waiting {
 }
 
 impl AabbTree {
-    /// The triangle nearest to `point` that is not further than `radius` \[m\]; of several as near the one of the lowest
-    /// number.
+    /// The triangle nearest to `point` within `radius` \[m\]; of equally near ones the one with the lowest index.
     ///
     /// # Errors
-    /// [`SurfaceError::OtherTriangles`] for another surface than the tree was fitted to.
+    /// [`SurfaceError::OtherTriangles`] for a surface other than the one fitted.
     pub fn nearest_to_point(
         &self,
         surface: &Surface,
@@ -65,8 +64,8 @@ impl AabbTree {
         self.nearest_to_point_from(surface, point, radius, None)
     }
 
-    /// The same, the sooner the nearer the triangle `first` is: it is looked at before any other. One that there is none
-    /// of is passed over.
+    /// The same, warm-started with the triangle `first`, which is tested first: the nearer it is, the faster the query.
+    /// An invalid index is ignored.
     ///
     /// # Errors
     /// As [`nearest_to_point`](Self::nearest_to_point).
@@ -104,10 +103,10 @@ impl AabbTree {
         Ok(best)
     }
 
-    /// The triangle nearest to `segment` that is not further than `radius` \[m\].
+    /// The triangle nearest to `segment` within `radius` \[m\].
     ///
     /// # Errors
-    /// [`SurfaceError::OtherTriangles`] for another surface than the tree was fitted to.
+    /// [`SurfaceError::OtherTriangles`] for a surface other than the one fitted.
     pub fn nearest_to_segment(
         &self,
         surface: &Surface,
@@ -129,8 +128,8 @@ impl AabbTree {
         Ok(best)
     }
 
-    /// Triangles whose box reaches into `bounds`, appended to `found` in an order of the tree's own. None is missing;
-    /// some may be a rounding outside.
+    /// Triangles whose box overlaps `bounds`, appended to `found` in the tree's order. None is missing; some may be
+    /// outside by a rounding error.
     pub fn overlapping(&self, bounds: &Aabb, found: &mut Vec<u32>) -> QueryCost {
         self.within(&NearBox::new(bounds, self.scale), 0.0, |triangle, _| found.push(triangle))
     }
@@ -141,15 +140,15 @@ impl AabbTree {
         self.within(&near, radius, |triangle, lower| found.push((triangle, lower)))
     }
 
-    /// Triangles whose box may be nearer than `radius` \[m\] to `segment`, which is what a sphere of that radius meets
-    /// along it, appended with a lower bound of their distance.
+    /// Triangles whose box may be nearer than `radius` \[m\] to `segment`, which a sphere of that radius may hit along
+    /// it, appended with a lower bound of their distance.
     pub fn around_segment(&self, segment: &Segment, radius: f64, found: &mut Vec<(u32, f32)>) -> QueryCost {
         let near = NearSegment::new(segment, self.scale);
         self.within(&near, radius, |triangle, lower| found.push((triangle, lower)))
     }
 
-    /// Triangles near `segment`, nearer boxes first, for whom `visit` takes a triangle and the lower bound of its
-    /// distance, and says from which distance on there is nothing to find any more.
+    /// Visits triangles near `segment`, nearer boxes first. `visit` takes a triangle and the lower bound of its
+    /// distance, and returns the distance from which on triangles can be skipped.
     pub(crate) fn nearest_to_segment_first(
         &self,
         segment: &Segment,
@@ -159,7 +158,7 @@ impl AabbTree {
         self.nearest_first(&NearSegment::new(segment, self.scale), limit, visit)
     }
 
-    /// The same near a point.
+    /// The same for a point.
     pub(crate) fn nearest_to_point_first(
         &self,
         point: &Point3<f64>,
@@ -169,8 +168,8 @@ impl AabbTree {
         self.nearest_first(&NearBox::point(point, self.scale), limit, visit)
     }
 
-    /// The triangles that a sphere may meet on its way along `segment`, those near to its start first. `visit` says how much
-    /// of the way, 0 to 1, is left to look at.
+    /// Visits the triangles that a sphere may hit along `segment`, those near its start first. `visit` returns the
+    /// share of the path, 0 to 1, that is still to be searched.
     pub(crate) fn along_way_first(
         &self,
         segment: &Segment,
@@ -191,7 +190,7 @@ impl AabbTree {
         }
     }
 
-    /// All of them, in no order.
+    /// Visits all of them, in no particular order.
     #[inline]
     fn within(&self, near: &impl Near, radius: f64, mut visit: impl FnMut(u32, f32)) -> QueryCost {
         let mut cost = QueryCost::default();
@@ -219,7 +218,7 @@ impl AabbTree {
         cost
     }
 
-    /// The nearest nodes first, and all the triangles of a node before the next node.
+    /// Visits the nearest nodes first, and all triangles of a node before the next node.
     #[inline]
     fn nearest_first(
         &self,
@@ -250,7 +249,7 @@ impl AabbTree {
                     limit = up(visit(node.child[lane], lower));
                     continue;
                 }
-                // The nearest comes to lie on top.
+                // The nearest is pushed last, on top of the stack.
                 let mut place = height;
                 while place > floor && stack[place - 1].lower < lower {
                     stack[place] = stack[place - 1];

@@ -5,7 +5,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-/// Two states of one thing: at the beginning and at the end of a step. In between each of its points moves in a
+/// Linear motion of an object over a step: its states at the beginning and at the end. In between each point moves in a
 /// straight line at constant speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sweep<T> {
@@ -15,35 +15,35 @@ pub struct Sweep<T> {
     pub to: T,
 }
 
-/// When and where two things first come within a separation of each other.
+/// Time and geometry of the first contact of two objects within a separation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Impact {
-    /// When, as a fraction of the step in \[0, 1\]; never after the first contact. 0 where they were in contact at the
+    /// Time, as a fraction of the step in \[0, 1\]; never after the first contact. 0 where they were in contact at the
     /// beginning.
     pub time: f64,
     /// The nearest points of the first and of the second at that time \[m\].
     pub points: [Point3<f64>; 2],
     /// The weights of those points on the corners of the first and of the second, in the order in which they were
-    /// given; 0 for corners that there are none of.
+    /// given; 0 for missing corners.
     pub weights: [[f64; 3]; 2],
-    /// Unit direction from the first to the second at that time. Where they have a point in common, a normal of theirs
-    /// that faces the motion.
+    /// Unit direction from the first to the second at that time. If they intersect, one of their normals, facing the
+    /// motion.
     pub normal: Vector3<f64>,
-    /// How far they are apart at that time \[m\]; 0 where they cross.
+    /// Their distance at that time \[m\]; 0 if they intersect.
     pub distance: f64,
-    /// How fast the two points approach each other along the normal, per step \[m\]; negative where they part.
+    /// Approach of the two points along the normal, per step \[m\]; negative if they separate.
     pub approach: f64,
 }
 
-/// What is nearer than `separation` by this times the size of what is tested (its extent and its relative motion,
-/// together with the separation) counts as a contact. Far above the rounding of the gap along a plane, far below what
-/// a simulation resolves: 0.1 nm for a metre.
+/// Contact tolerance beyond `separation`, relative to the pair's size (its extent and its relative motion, together
+/// with the separation). Far above the rounding of the gap along a plane, far below a simulation's resolution: 0.1 nm
+/// for a metre.
 pub const RESOLUTION: f64 = 1e-10;
 
-/// Planes after which a pair that is neither in contact nor apart is called an impact at the time reached. Two or three
-/// are usual; more than 64 are needed once in a hundred pairs made to graze.
+/// Number of planes after which an undecided pair counts as an impact at the time reached. Two or three are usual; more
+/// than 64 are needed for one in a hundred pairs constructed to graze.
 const PLANES_MAX: usize = 256;
-/// How many of them stand still: most pairs are decided by one or two.
+/// Number of fixed planes among them: most pairs are decided by one or two.
 const FIXED_PLANES: usize = 4;
 
 /// Nearest points: the weights on the corners of each.
@@ -52,8 +52,8 @@ pub(super) struct Nearest<const M: usize, const N: usize> {
     pub weights: ([f64; M], [f64; N]),
 }
 
-/// The pair in a frame that begins in the first corner of the first hull and moves with it, so that rounding is
-/// relative to the size of the pair and not to where it is.
+/// The pair in a frame that moves with the first corner of the first hull, so that rounding is relative to the size of
+/// the pair and not to its position.
 struct Pair<const M: usize, const N: usize> {
     first: [Point3<f64>; M],
     first_motion: [Vector3<f64>; M],
@@ -65,7 +65,7 @@ impl<const M: usize, const N: usize> Pair<M, N> {
     fn new(first: &Sweep<[Point3<f64>; M]>, second: &Sweep<[Point3<f64>; N]>) -> Self {
         let (origin, moved) = (first.from[0], first.to[0]);
         let relative = |point: &Point3<f64>| Point3::from(point - origin);
-        // Two differences within the pair: those of positions at either end.
+        // Differences within the pair, at both ends of the step.
         let motion = |from: &Point3<f64>, to: &Point3<f64>| (to - moved) - (from - origin);
         Self {
             first: first.from.each_ref().map(relative),
@@ -90,8 +90,8 @@ impl<const M: usize, const N: usize> Pair<M, N> {
         )
     }
 
-    /// The first time from `time` on at which the gap across `plane` may be as small as `gap`; nothing if it already
-    /// is. A plane that turns is a proof until its `end` only.
+    /// The first time from `time` on at which the gap across `plane` may be as small as `gap`; `None` if it already is.
+    /// A rotating plane is a proof only until its `end`.
     fn clear_until(&self, plane: &Plane, time: f64, gap: f64) -> Option<f64> {
         let first: [_; M] =
             std::array::from_fn(|i| plane.course(&self.first[i], &self.first_motion[i], time));
@@ -117,8 +117,8 @@ impl<const M: usize, const N: usize> Pair<M, N> {
     }
 }
 
-/// The direction from the nearest point of the first hull to that of the second, normal to what both lie on. The
-/// difference of two points that nearly coincide is mostly rounding; the corners of what they lie on are not.
+/// The direction from the nearest point of the first hull to that of the second, normal to the features that they lie
+/// on. The difference of two nearly coincident points is mostly rounding; the corners of their features are accurate.
 fn direction<const M: usize, const N: usize>(
     first: &[Point3<f64>; M],
     second: &[Point3<f64>; N],
@@ -143,14 +143,14 @@ fn direction<const M: usize, const N: usize>(
             across - along * along.dot(&across)
         }
         2 => spanned[0].cross(&spanned[1]),
-        // A face with the inside of an edge: they cross.
+        // A face and the interior of an edge: they cross.
         _ => return None,
     };
     let normal = normal.try_normalize(0.0)?;
     Some(if normal.dot(&between) < 0.0 { -normal } else { normal })
 }
 
-/// Directions within what a point with these weights lies on: nothing for a corner, an edge, two edges of a face.
+/// Directions that span the feature of a point with these weights: none for a corner, the edge, or two edges of a face.
 fn span<const K: usize>(corners: &[Point3<f64>; K], weights: &[f64; K]) -> [Option<Vector3<f64>>; 2] {
     let mut spanned = [None; 2];
     let mut carried =
@@ -163,8 +163,8 @@ fn span<const K: usize>(corners: &[Point3<f64>; K], weights: &[f64; K]) -> [Opti
     spanned
 }
 
-/// A plane through which to tell two hulls apart: its normal at one time, how fast that turns, and for how long the
-/// turning normal is no longer than 1 (then the gap along it is not more than the distance).
+/// A separating plane of two hulls: its normal at one time, the normal's rate of change, and how long the changing
+/// normal is at most 1 long (then the gap along it is at most the distance).
 struct Plane {
     normal: Vector3<f64>,
     turn: Vector3<f64>,
@@ -176,12 +176,12 @@ impl Plane {
         Self { normal, turn: Vector3::zeros(), end: f64::INFINITY }
     }
 
-    /// Between two unit normals runs a chord of the unit sphere.
+    /// A normal that moves along the chord between two unit normals.
     fn turning(normal: Vector3<f64>, later: &Vector3<f64>, end: f64) -> Self {
         Self { normal, turn: (later - normal) / end, end }
     }
 
-    /// Where a corner is along the normal, as coefficients of the time since `time`.
+    /// Position of a corner along the normal, as coefficients of the time since `time`.
     fn course(&self, point: &Point3<f64>, motion: &Vector3<f64>, time: f64) -> [f64; 3] {
         let point = point.coords + motion * time;
         [self.normal.dot(&point), self.normal.dot(motion) + self.turn.dot(&point), self.turn.dot(motion)]
@@ -193,7 +193,7 @@ fn larger(a: f64, b: f64) -> f64 {
     if a > b || a.is_nan() { a } else { b }
 }
 
-/// When `first` and `second` come within `separation`; `nearest` gives the nearest points of two hulls.
+/// The first time that `first` and `second` are within `separation`; `nearest` gives the nearest points of two hulls.
 pub(super) fn advance<const M: usize, const N: usize>(
     first: &Sweep<[Point3<f64>; M]>,
     second: &Sweep<[Point3<f64>; N]>,
@@ -215,13 +215,14 @@ pub(super) fn advance<const M: usize, const N: usize>(
         }
         let direct = between / distance;
         let across = direction(&a, &b, &found).unwrap_or(direct);
-        // Of thin triangles and nearly parallel edges the normal is the less certain one.
+        // For thin triangles and nearly parallel edges the normal is less accurate.
         let clear = |normal| pair.clear_until(&Plane::fixed(normal), time, gap);
         let (normal, fixed) =
             clear(across).map_or_else(|| (direct, clear(direct)), |until| (across, Some(until)));
         let mut until = fixed.unwrap_or(time);
         if plane >= FIXED_PLANES && until <= 1.0 {
-            // Things that turn past each other closely leave every fixed plane soon: one that turns with them lasts.
+            // Objects that rotate past each other closely soon violate every fixed plane: a plane that rotates with
+            // them lasts longer.
             let ahead = (2.0 * stride).min(1.0 - time);
             let (a, b) = pair.at(time + ahead);
             if let Some(later) = direction(&a, &b, &nearest(&a, &b))
@@ -271,7 +272,7 @@ fn impact<const M: usize, const N: usize>(
     }
 }
 
-/// A normal of what has a point in common: of the triangle, else of the two edges.
+/// A normal of two intersecting primitives: of the triangle, else of the two edges.
 fn crossing_normal<const M: usize, const N: usize>(
     first: &[Point3<f64>; M],
     second: &[Point3<f64>; N],

@@ -1,5 +1,4 @@
-//! All impacts of whole lines and surfaces within a step: boxes around what each part sweeps over, in a grid, then the
-//! tests of pairs.
+//! Impact finder: all impacts of whole lines and surfaces within a step, by a grid of swept boxes, then pair tests.
 
 use nalgebra::Point3;
 
@@ -9,24 +8,23 @@ use super::swept::{Features, SweptLine, SweptSurface, edge, face, vertex};
 use crate::part::Part;
 use crate::uniform_grid::{Box3, BoxGrid};
 
-/// An impact and what takes part in it.
+/// An impact with its parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundImpact {
-    /// Which part of the first body: a vertex, an edge of a surface, a segment of a line, a triangle.
+    /// Part of the first body: a vertex, an edge of a surface, a segment of a line, a triangle.
     pub first: Part,
-    /// Which part of the second body; the same body in a search for self-impacts.
+    /// Part of the second body; the same body in a search for self-impacts.
     pub second: Part,
-    /// When and where; the weights are on the corners of the parts in the order in which the body names them (those of
-    /// a [`Part::Edge`]: as it names them).
+    /// Time and geometry; the weights are on the corners of the parts in the order in which the body names them (those
+    /// of a [`Part::Edge`]: as it names them).
     pub impact: Impact,
 }
 
-/// Lists impacts, and keeps its buffers: a search like one before does not allocate.
+/// Lists impacts, and reuses its buffers: searches of similar size do not allocate.
 ///
 /// Two bodies first come within a separation of each other at a vertex of one and a face of the other, or at an edge of
-/// either: these pairs are listed, each with its first time, in the order of their times. What is already through at
-/// the beginning of the step (a thread that has been sewn) does not come in again, and is not listed; what is within
-/// the separation is listed with time 0.
+/// either: these pairs are listed, each with its first time, in the order of their times. Parts already through at the
+/// beginning of the step (a sewn thread) are not listed; parts within the separation are listed with time 0.
 #[derive(Clone, Debug, Default)]
 pub struct ImpactFinder {
     features: [Features; 2],
@@ -35,11 +33,11 @@ pub struct ImpactFinder {
     found: Vec<FoundImpact>,
 }
 
-/// A body as the search sees it.
+/// A body in the search.
 struct Body<'a> {
     vertices: Sweep<&'a [Point3<f64>]>,
     triangles: &'a [[u32; 3]],
-    /// Of a line: its segments, in their order. Of a surface: its edges.
+    /// Segments of a line, in their order, or edges of a surface.
     edges: &'a [[u32; 2]],
     used: &'a [u32],
     is_line: bool,
@@ -70,7 +68,7 @@ impl<'a> Body<'a> {
         self
     }
 
-    /// What a part with these corners sweeps over: a hull of the hulls at both ends.
+    /// Swept box of a part with these corners: around its states at both ends.
     fn swept(&self, corners: &[u32]) -> Box3 {
         corners.iter().fold(Box3::EMPTY, |bounds, &corner| {
             let moving = vertex(&self.vertices, corner);
@@ -78,7 +76,7 @@ impl<'a> Body<'a> {
         })
     }
 
-    /// For each vertex a bit for each side of a box on which it stays throughout.
+    /// For each vertex one bit per side of a box that it stays beyond during the step.
     fn sides(&self, of: &Box3, sides: &mut Vec<u8>) {
         sides.clear();
         sides.resize(self.vertices.from.len(), 0);
@@ -97,8 +95,8 @@ impl<'a> Body<'a> {
     }
 }
 
-/// What a box is grown by beyond the separation, as a share of the largest coordinate: the rounding of a place in the
-/// middle of its path, and what a test of a pair calls a contact.
+/// Growth of a box beyond the separation, relative to the largest coordinate: covers the rounding of intermediate
+/// positions, and the contact tolerance of pair tests.
 const BOX_SLACK: f64 = 4e-10;
 
 fn slack(bounds: &Box3, separation: f64) -> f64 {
@@ -107,7 +105,7 @@ fn slack(bounds: &Box3, separation: f64) -> f64 {
 }
 
 impl ImpactFinder {
-    /// With empty buffers.
+    /// A finder with empty buffers.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
@@ -172,10 +170,10 @@ impl ImpactFinder {
         self.sorted()
     }
 
-    /// Impacts of a surface with itself: vertices with triangles that they are no corner of, edges without a common
+    /// Impacts of a surface with itself: vertices with triangles of which they are not a corner, edges without a common
     /// vertex. With a `separation` \[m\] above the length of its edges, neighbours count.
     pub fn surface_self(&mut self, surface: &SweptSurface<'_>, separation: f64) -> &[FoundImpact] {
-        // The place of the surface in a search with a line, so that a step with both keeps its edges.
+        // The surface uses the same slot as in a search with a line, so that its edges are kept when a step does both.
         let Self { features: [_, features], sides, grid, found } = self;
         features.update(surface.triangles());
         let body = Body::surface(surface, features);
@@ -187,7 +185,7 @@ impl ImpactFinder {
     }
 
     /// Impacts of a line with itself: segments without a common vertex that come within two radii and `separation`
-    /// \[m\] of each other. With segments shorter than that, neighbours but one count.
+    /// \[m\] of each other. With segments shorter than that, second neighbours count.
     pub fn line_self(&mut self, line: &SweptLine<'_>, separation: f64) -> &[FoundImpact] {
         let separation = separation + 2.0 * line.radius();
         let Self { features: [features, _], sides, grid, found } = self;
@@ -198,7 +196,7 @@ impl ImpactFinder {
         self.sorted()
     }
 
-    /// In the order of their times, then of their parts.
+    /// Sorts by time, then by parts.
     fn sorted(&mut self) -> &[FoundImpact] {
         self.found.sort_unstable_by(|a, b| {
             let times = a.impact.time.total_cmp(&b.impact.time);
@@ -209,7 +207,7 @@ impl ImpactFinder {
 }
 
 impl FoundImpact {
-    /// The same, seen from the other body.
+    /// The same with the bodies swapped.
     #[must_use]
     pub fn swapped(&self) -> Self {
         let Impact { points: [p, q], weights: [u, v], normal, .. } = self.impact;
@@ -218,13 +216,13 @@ impl FoundImpact {
     }
 }
 
-/// Two bodies within reach of each other.
+/// Two bodies near each other.
 struct Search<'a> {
     bodies: [&'a Body<'a>; 2],
     separation: f64,
     is_self: bool,
     reach: f64,
-    /// On which sides of the other body's bounds each vertex of each body stays.
+    /// The sides of the other body's bounds beyond which each vertex stays.
     sides: [&'a [u8]; 2],
 }
 
@@ -241,7 +239,7 @@ impl<'a> Search<'a> {
         Self { bodies: [first, second], separation, is_self, reach, sides: [sides, other_sides] }
     }
 
-    /// Vertices of the first body with faces of the second.
+    /// Tests vertices of the first body with faces of the second.
     fn vertices_faces(&self, grid: &mut BoxGrid, mut found: impl FnMut(FoundImpact)) {
         let [first, second] = self.bodies;
         let vertices = self.swept(0, first.used.iter().map(|&index| ([index], index)));
@@ -259,7 +257,7 @@ impl<'a> Search<'a> {
         });
     }
 
-    /// Edges of the first body with edges of the second.
+    /// Tests edges of the first body with edges of the second.
     fn edges_edges(&self, grid: &mut BoxGrid, found: &mut Vec<FoundImpact>) {
         let [first, second] = self.bodies;
         let edges = self.swept(0, first.edges.iter().copied().zip(0..));
@@ -280,8 +278,8 @@ impl<'a> Search<'a> {
         });
     }
 
-    /// What the parts of one body sweep over, of those that come near the other: all corners of the others stay on one
-    /// side of it. The boxes of the first are those that are grown by the reach.
+    /// Swept boxes of the parts of one body that may come near the other; parts whose corners all stay beyond one side
+    /// are skipped. Only the first body's boxes are grown by the reach.
     fn swept<const K: usize>(
         &self,
         which: usize,
@@ -297,7 +295,8 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Names each pair of boxes that overlap. The fewer of them go into the grid: to ask it costs less than to fill it.
+/// Visits each pair of overlapping boxes. The smaller set is put into the grid, because a query costs less than an
+/// insertion.
 fn overlapping(
     grid: &mut BoxGrid,
     boxes: impl Iterator<Item = (Box3, u32)>,

@@ -1,4 +1,4 @@
-//! First times of contact of the primitives that surfaces and lines are made of.
+//! First times of contact of primitive pairs.
 
 use nalgebra::Point3;
 
@@ -7,8 +7,8 @@ use crate::primitive::{
     Segment, Triangle, closest_on_segment, closest_on_triangle, closest_segment_triangle, closest_segments,
 };
 
-/// When a point, or a sphere of radius `separation` \[m\], meets a triangle. Degenerate triangles are their longest
-/// edge, or a point.
+/// First contact of a point, or a sphere of radius `separation` \[m\], with a triangle. Degenerate triangles are their
+/// longest edge, or a point.
 #[must_use]
 pub fn vertex_face(vertex: &Sweep<Point3<f64>>, face: &Sweep<Triangle>, separation: f64) -> Option<Impact> {
     advance(&single(vertex), face, separation, |[vertex], face| {
@@ -17,7 +17,8 @@ pub fn vertex_face(vertex: &Sweep<Point3<f64>>, face: &Sweep<Triangle>, separati
     })
 }
 
-/// When two edges, or two capsules whose radii add up to `separation` \[m\], meet. Edges without length are points.
+/// First contact of two edges, or two capsules whose radii add up to `separation` \[m\]. Edges without length are
+/// points.
 #[must_use]
 pub fn edge_edge(first: &Sweep<Segment>, second: &Sweep<Segment>, separation: f64) -> Option<Impact> {
     advance(first, second, separation, |first, second| {
@@ -26,7 +27,7 @@ pub fn edge_edge(first: &Sweep<Segment>, second: &Sweep<Segment>, separation: f6
     })
 }
 
-/// When a point and an edge come within `separation` \[m\]: a sphere and a capsule whose radii add up to it.
+/// First time that a point and an edge are within `separation` \[m\]: a sphere and a capsule whose radii add up to it.
 #[must_use]
 pub fn vertex_edge(vertex: &Sweep<Point3<f64>>, edge: &Sweep<Segment>, separation: f64) -> Option<Impact> {
     advance(&single(vertex), edge, separation, |[vertex], edge| {
@@ -35,7 +36,7 @@ pub fn vertex_edge(vertex: &Sweep<Point3<f64>>, edge: &Sweep<Segment>, separatio
     })
 }
 
-/// When two points come within `separation` \[m\]: two spheres whose radii add up to it.
+/// First time that two points are within `separation` \[m\]: two spheres whose radii add up to it.
 #[must_use]
 pub fn vertex_vertex(
     first: &Sweep<Point3<f64>>,
@@ -48,8 +49,9 @@ pub fn vertex_vertex(
     })
 }
 
-/// When a whole segment, or a capsule of radius `separation` \[m\], meets a whole triangle: by an end, by its side on an
-/// edge, or by a corner of the triangle. A segment that crosses the triangle at the beginning is reported at time 0.
+/// First contact of a whole segment, or a capsule of radius `separation` \[m\], with a whole triangle: by an end, by
+/// its side on an edge, or by a corner of the triangle. A segment that crosses the triangle at the beginning is
+/// reported at time 0.
 #[must_use]
 pub fn segment_face(segment: &Sweep<Segment>, face: &Sweep<Triangle>, separation: f64) -> Option<Impact> {
     advance(segment, face, separation, |segment, face| {

@@ -1,4 +1,4 @@
-//! Surfaces and lines that move within a step, checked once.
+//! Swept surfaces and lines: their motion within a step, checked once.
 
 use nalgebra::Point3;
 
@@ -15,10 +15,10 @@ pub struct SweptLine<'a> {
 }
 
 impl<'a> SweptLine<'a> {
-    /// Takes the line at the beginning of the step and the positions at its end.
+    /// A sweep from the line at the beginning of the step and the positions at its end.
     ///
     /// # Errors
-    /// Another number of positions, or one that is not finite.
+    /// For another number of positions, or a non-finite one.
     pub fn new(from: Line<'a>, to: &'a [Point3<f64>]) -> Result<Self, LineError> {
         let (expected, found) = (from.vertices().len(), to.len());
         if expected != found {
@@ -59,10 +59,10 @@ pub struct SweptSurface<'a> {
 }
 
 impl<'a> SweptSurface<'a> {
-    /// Takes the surface at the beginning of the step and the positions at its end.
+    /// A sweep from the surface at the beginning of the step and the positions at its end.
     ///
     /// # Errors
-    /// Another number of positions, or one that is not finite.
+    /// For another number of positions, or a non-finite one.
     pub fn new(from: Surface<'a>, to: &'a [Point3<f64>]) -> Result<Self, SurfaceError> {
         let (expected, found) = (from.vertices().len(), to.len());
         if expected != found {
@@ -110,8 +110,8 @@ pub(super) fn face(of: &Sweep<&[Point3<f64>]>, corners: [u32; 3]) -> Sweep<Trian
     }
 }
 
-/// The vertices and edges that a list of triangles has, each once. Made when the triangles change, which a comparison
-/// tells at a hundredth of the cost.
+/// The unique vertices and edges of a list of triangles. Rebuilt only when the triangles change; the comparison costs a
+/// hundredth of that.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Features {
     triangles: Vec<[u32; 3]>,
@@ -132,7 +132,7 @@ impl Features {
         self.edges.clear();
         for &[a, b, c] in triangles {
             self.vertices.extend([a, b, c]);
-            // Also an edge from a vertex to itself: a triangle that is a point has no other.
+            // Includes edges from a vertex to itself, the only ones of a triangle that is a point.
             self.edges.extend([[a, b], [b, c], [c, a]].map(|[from, to]| [from.min(to), from.max(to)]));
         }
         self.edges.sort_unstable();
@@ -140,7 +140,7 @@ impl Features {
         self.sort_vertices();
     }
 
-    /// The vertices that a list of segments has.
+    /// The unique vertices of a list of segments.
     pub fn update_line(&mut self, segments: &[[u32; 2]]) {
         if self.segments == segments && self.triangles.is_empty() {
             return;

@@ -1,4 +1,4 @@
-//! Bodies of the scene as methods take them: each is looked through where it changes, and waited for where it is gone.
+//! Bodies of the scene as input of methods: checked when they change, and awaited while absent.
 
 use std::sync::Arc;
 
@@ -10,10 +10,10 @@ use trocar_scene::{Access, BuildContext, Commands, ControllerError, Entity, SimT
 
 use crate::{Line, Surface};
 
-/// Largest coordinate of a vertex in its body's frame \[m\]: what is further away would spoil what else is in one tree.
+/// Largest coordinate of a vertex in its body's frame \[m\]: larger ones would reduce the accuracy of a whole tree.
 const COORDINATE_MAX: f64 = 1e6;
 
-/// What every detector reads and contributes.
+/// Access of every detector.
 pub fn access() -> Access {
     Access::new()
         .reads::<SurfaceMesh>()
@@ -23,20 +23,20 @@ pub fn access() -> Access {
         .contributes::<CollisionList>()
 }
 
-/// What became of a body since it was last read.
+/// Change of a body since it was last read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// Nothing.
+    /// No change.
     None,
-    /// The same triangles or segments, their vertices elsewhere.
+    /// The same triangles or segments, with moved vertices.
     Deformed,
     /// Other triangles or segments.
     Remeshed,
-    /// It is gone, or cannot be used: it has nothing until it is back, and is remeshed then.
+    /// Absent or invalid: it is empty until it is back, and then counts as remeshed.
     Absent,
 }
 
-/// What a body may be made of.
+/// Required geometry of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wanted {
     /// Triangles.
@@ -103,7 +103,7 @@ impl Parts {
 /// A body with a surface, or a line. Data is shared with the scene, never copied.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Whose it is.
+    /// Its entity.
     pub entity: Entity,
     /// `world_from_body`.
     pub pose: Isometry3<f64>,
@@ -111,17 +111,17 @@ pub struct Body {
     wanted: Wanted,
     vertices: Arc<Vec<Point3<f64>>>,
     parts: Parts,
-    /// Whether what was read last can be used.
+    /// Whether the last read data is valid.
     is_present: bool,
-    /// Whether the scene was told that it is present.
+    /// Whether its presence was reported to the scene.
     told: bool,
 }
 
 impl Body {
-    /// The body of that name. One that is gone when a later life begins is waited for.
+    /// The body of that name. In a later life of the controller an absent one is awaited.
     ///
     /// # Errors
-    /// There is none of that name, or it has not what is wanted, or that cannot be used.
+    /// There is none of that name, or its geometry is missing or invalid.
     pub fn named(context: &BuildContext<'_>, name: &str, wanted: Wanted) -> Result<Self, ControllerError> {
         let scene = context.scene;
         let found = find(scene, name, &|entity| wanted.is(scene, entity), wanted.words());
@@ -143,7 +143,7 @@ impl Body {
         }
     }
 
-    /// Reads it anew, and tells the scene by an event when it becomes unusable, and when it is back.
+    /// Reads it again, and emits an event when it becomes invalid, and when it is valid again.
     pub fn follow(&mut self, scene: &Snapshot, out: &mut Commands) -> Change {
         let change = self.read(scene).unwrap_or(Change::Absent);
         if self.told != self.is_present {
@@ -186,7 +186,7 @@ impl Body {
         Err(reason)
     }
 
-    /// Its surface; an empty one while it has none.
+    /// Its surface; empty while absent.
     pub fn surface(&self) -> Surface<'_> {
         match &self.parts {
             Parts::Triangles(triangles) if self.is_present => Surface::trusted(&self.vertices, triangles),
@@ -194,7 +194,7 @@ impl Body {
         }
     }
 
-    /// Its segments and the radius about them, where it is a line \[m\].
+    /// Its segments and their radius \[m\], if it is a line.
     pub fn segments(&self) -> Option<(&[[u32; 2]], f64)> {
         match &self.parts {
             Parts::Segments(segments, radius) if self.is_present => Some((segments, *radius)),
@@ -208,12 +208,12 @@ impl Body {
     }
 }
 
-/// Whether this is the beginning of a session, in which everything must be there: later on it may have gone.
+/// Whether this is the controller's first life, in which all bodies must exist; later they may be absent.
 fn is_first_life(context: &BuildContext<'_>) -> bool {
     context.epoch <= 1 && context.time == SimTime::ZERO
 }
 
-/// Instruments by their names. One that is gone when a later life begins is passed over.
+/// Instruments by their names. In a later life absent ones are skipped.
 ///
 /// # Errors
 /// There is none of that name.
@@ -226,10 +226,10 @@ pub fn instruments(context: &BuildContext<'_>, names: &[String]) -> Result<Vec<E
     names.iter().map(one).collect()
 }
 
-/// Makes each body that pairs of names mention once, and tells the pairs by their numbers.
+/// Creates each body in pairs of names once, and returns the pairs by index.
 ///
 /// # Errors
-/// The first that cannot be made.
+/// For the first body that cannot be created.
 pub fn pairs<T>(
     names: &[[String; 2]],
     mut make: impl FnMut(&str) -> Result<T, ControllerError>,
@@ -250,10 +250,10 @@ pub fn pairs<T>(
     Ok((made, numbers))
 }
 
-/// Refuses a body beside itself.
+/// Refuses pairs of a body with itself.
 ///
 /// # Errors
-/// With the name.
+/// Names the body.
 pub fn refuse_twins(names: &[[String; 2]], what: &str) -> Result<(), ControllerError> {
     match names.iter().find(|[first, second]| first == second) {
         Some([name, _]) => {
@@ -264,7 +264,7 @@ pub fn refuse_twins(names: &[[String; 2]], what: &str) -> Result<(), ControllerE
     }
 }
 
-/// The entity of that name, if it is what is wanted.
+/// The entity of that name, if it has the required data.
 fn find(
     scene: &Snapshot,
     name: &str,

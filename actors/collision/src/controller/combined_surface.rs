@@ -1,4 +1,4 @@
-//! Several bodies as the one surface that a proxy feels.
+//! Combined surface: several bodies as one surface for a proxy.
 
 use nalgebra::{Isometry3, Point3};
 use trocar_scene::{BuildContext, Commands, ControllerError, Entity, Snapshot};
@@ -7,10 +7,10 @@ use super::bodies::{Body, Change, Wanted};
 use crate::Surface;
 use crate::moving_surface::MovingSurface;
 
-/// Bodies in the frame of the first of them: where that goes as a whole, nothing moves.
+/// Bodies in the frame of the first one, so that common rigid motion causes no change.
 pub struct Felt {
     bodies: Vec<Body>,
-    /// Where each is in that frame.
+    /// Pose of each in that frame.
     places: Vec<Isometry3<f64>>,
     /// Number of triangles of each.
     sizes: Vec<usize>,
@@ -21,10 +21,10 @@ pub struct Felt {
 }
 
 impl Felt {
-    /// Of those names.
+    /// The bodies of these names.
     ///
     /// # Errors
-    /// A body that there is none of, or that cannot be used.
+    /// A body does not exist or is invalid.
     pub fn named(context: &BuildContext<'_>, names: &[String]) -> Result<Self, ControllerError> {
         let bodies = names.iter().map(|name| Body::named(context, name, Wanted::Surface));
         let bodies: Vec<Body> = bodies.collect::<Result<_, _>>()?;
@@ -46,10 +46,10 @@ impl Felt {
         Ok(felt)
     }
 
-    /// Reads all of them anew, `period_secs` after the last time.
+    /// Reads all of them again, `period_secs` after the last time.
     ///
     /// # Errors
-    /// A time that cannot have passed.
+    /// The period is invalid.
     pub fn follow(
         &mut self,
         scene: &Snapshot,
@@ -61,7 +61,7 @@ impl Felt {
             changed |= match body.follow(scene, out) {
                 Change::None => false,
                 Change::Deformed | Change::Remeshed => true,
-                // Once it has nothing any more, nothing goes.
+                // An empty surface has no motion.
                 Change::Absent => *triangles > 0,
             };
         }
@@ -75,9 +75,9 @@ impl Felt {
         Ok(())
     }
 
-    /// Whether one of them is elsewhere in the frame of the first.
+    /// Updates the poses; returns whether one of them has moved relative to the first.
     fn take_places(&mut self) -> bool {
-        // While the first is away, its frame stays where it was.
+        // While the first is absent, its last frame is kept.
         self.world_from_surface = self.bodies[0].pose;
         let surface_from_world = self.world_from_surface.inverse();
         let mut changed = false;
@@ -104,7 +104,7 @@ impl Felt {
         Surface::trusted(&self.vertices, &self.triangles)
     }
 
-    /// All of them, in the frame of the first.
+    /// The combined surface, in the frame of the first.
     pub fn moving(&self) -> &MovingSurface {
         &self.moving
     }
@@ -114,7 +114,7 @@ impl Felt {
         &self.world_from_surface
     }
 
-    /// Whose triangle it is, and which one of that body.
+    /// The body of a triangle, and its index in that body.
     pub fn owner(&self, triangle: u32) -> (Entity, u32) {
         let mut number = triangle as usize;
         for (body, triangles) in self.bodies.iter().zip(&self.sizes) {

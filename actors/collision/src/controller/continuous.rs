@@ -1,8 +1,9 @@
-//! Surfaces and lines by what they sweep over between two ticks: nothing fast passes through something thin unseen.
+//! Controller of continuous collision detection: surfaces and lines swept between two ticks, so that fast objects do
+//! not tunnel through thin ones.
 //!
-//! An impact is an event: the next step begins on the other side, where nothing meets any more. So what has met is *held*
-//! until the two parts are back on their sides, with the depth that it has meanwhile. What is held is written into the
-//! scene: another life of the controller goes on holding it. What moves while no controller looks is not swept.
+//! An impact is instantaneous: the next step begins on the other side, without contact. So an impact is *held* as a
+//! contact until the two parts are back on their sides, with its current depth. Held impacts are written into the
+//! scene, so that the controller's next life continues them. Motion while no controller runs is not swept.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -16,29 +17,29 @@ use super::report::{self, Found, Report, primitive};
 use crate::continuous::{FoundImpact, ImpactFinder, SweptLine, SweptSurface};
 use crate::{Line, Part, Surface};
 
-/// Impacts that are held at most; later ones are not.
+/// Most held impacts; later ones are dropped.
 const HELD_MAX: usize = 256;
 
-/// Which bodies are watched.
+/// Configuration: pairs of bodies and stiffness.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContinuousConfig {
-    /// Names of two bodies each; the first one may be a line: a needle, a thread, a band. The same one twice is a surface
-    /// against itself.
+    /// Names of two bodies each; the first one may be a line: a needle, a thread, a band. The same name twice means
+    /// self-collision.
     pub pairs: Vec<[String; 2]>,
-    /// Stiffness of a pair of bodies, whatever the number of its contacts \[N/m\].
+    /// Total stiffness of a pair of bodies, shared by its contacts \[N/m\].
     #[serde(default = "report::stiffness")]
     pub stiffness: f64,
 }
 
-/// Two parts that have met, and are not yet back on their sides.
+/// A held impact: two parts that have met, and are not yet back on their sides.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HeldImpact {
-    /// Which pair of bodies.
+    /// Index of the pair of bodies.
     pub pair: u32,
     /// The parts.
     pub parts: [Primitive; 2],
-    /// The vertices of each; one that comes twice has no weight the second time.
+    /// The vertices of each; the second of a repeated vertex has no weight.
     pub corners: [[u32; 3]; 2],
     /// Weights of the points that met.
     pub weights: [[f64; 3]; 2],
@@ -46,7 +47,7 @@ pub struct HeldImpact {
     pub normal_in_world: Vector3<f64>,
 }
 
-/// What a controller of continuous detection holds; on its own entity.
+/// Held impacts of a controller of continuous detection; on its own entity.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HeldImpacts {
     /// In the order in which they met.
@@ -56,7 +57,7 @@ impl Component for HeldImpacts {
     const NAME: &'static str = "held_impacts";
 }
 
-/// A body, and where its vertices were at the last tick and are now, in world.
+/// A body with its vertices at the last tick and now, in world.
 struct Moved {
     body: Body,
     before: Vec<Point3<f64>>,
@@ -78,7 +79,7 @@ impl Moved {
         self.now.extend(self.body.vertices().iter().map(|vertex| pose * vertex));
     }
 
-    /// Reads it anew; whether it is another one, so that nothing is known of how it came here.
+    /// Reads it again; returns whether it was replaced, so that its motion is unknown.
     fn follow(&mut self, scene: &Snapshot, out: &mut Commands) -> bool {
         std::mem::swap(&mut self.before, &mut self.now);
         let change = self.body.follow(scene, out);
@@ -90,13 +91,13 @@ impl Moved {
         other
     }
 
-    /// Its triangles, on their way.
+    /// Its swept triangles.
     fn surface(&self) -> Option<SweptSurface<'_>> {
         let before = Surface::new(&self.before, self.body.surface().triangles()).ok()?;
         SweptSurface::new(before, &self.now).ok()
     }
 
-    /// The point of some corners with some weights, as it is now.
+    /// The current point of some corners with some weights.
     fn point(&self, corners: &[u32; 3], weights: &[f64; 3]) -> Option<Point3<f64>> {
         let mut point = Vector3::zeros();
         for (corner, weight) in corners.iter().zip(weights) {
@@ -107,13 +108,13 @@ impl Moved {
 }
 
 struct Pair {
-    /// The same one twice where it is a surface against itself.
+    /// Both are the same for self-collision.
     bodies: [Moved; 2],
     is_self: bool,
 }
 
 impl Pair {
-    /// What has met since the last tick.
+    /// Impacts since the last tick.
     fn look<'a>(&self, finder: &'a mut ImpactFinder) -> &'a [FoundImpact] {
         let [first, second] = &self.bodies;
         let Some(surface) = second.surface() else { return &[] };
@@ -143,7 +144,7 @@ impl Pair {
     }
 }
 
-/// Finds what has gone into or through something between two ticks.
+/// Finds impacts and crossings between two ticks.
 pub struct ContinuousController {
     pairs: Vec<Pair>,
     finder: ImpactFinder,
@@ -152,10 +153,10 @@ pub struct ContinuousController {
 }
 
 impl ContinuousController {
-    /// Finds the bodies, and goes on holding what an earlier life held.
+    /// Finds the bodies, and continues an earlier life's held impacts.
     ///
     /// # Errors
-    /// A body that there is none of, or that cannot be used.
+    /// A body does not exist or is invalid.
     pub fn new(config: &ContinuousConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let pair = |[first, second]: &[String; 2]| {
             let is_self = first == second;

@@ -1,4 +1,4 @@
-//! Shafts of instruments against surfaces by their dynamic points.
+//! Controller of the dynamic point: shafts of instruments against surfaces.
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use super::report::{self, Found, Report};
 use crate::dynamic_point::{DynamicPoint, LineConfig, LineContact};
 use crate::moving_surface::MovingSurface;
 
-/// Which shafts are watched against which bodies.
+/// Configuration: instruments and bodies.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DynamicPointConfig {
@@ -18,13 +18,13 @@ pub struct DynamicPointConfig {
     pub instruments: Vec<String>,
     /// Names of bodies.
     pub bodies: Vec<String>,
-    /// Into how many segments a shaft is divided: as many contacts as it can have with a body.
+    /// Number of segments of a shaft, and so of its possible contacts with a body.
     #[serde(default = "segments")]
     pub segments: usize,
-    /// From how far on contacts are told of \[m\].
+    /// Distance from which on contacts are reported \[m\].
     #[serde(default)]
     pub margin: f64,
-    /// Stiffness of a shaft against a body, whatever the number of its contacts \[N/m\].
+    /// Total stiffness of a shaft against a body, shared by its contacts \[N/m\].
     #[serde(default = "report::stiffness")]
     pub stiffness: f64,
 }
@@ -33,14 +33,14 @@ fn segments() -> usize {
     4
 }
 
-/// A body, and a watch for each shaft.
+/// A body, with a detector for each shaft.
 struct Watched {
     body: Body,
     moving: MovingSurface,
     watches: Vec<DynamicPoint>,
 }
 
-/// Finds where shafts touch surfaces.
+/// Finds contacts of shafts with surfaces.
 pub struct DynamicPointController {
     instruments: Vec<Entity>,
     bodies: Vec<Watched>,
@@ -51,7 +51,7 @@ impl DynamicPointController {
     /// Finds instruments and bodies.
     ///
     /// # Errors
-    /// One that there is none of, or that cannot be used; a number of segments or a margin that is not valid.
+    /// One does not exist or is invalid; or the number of segments or the margin is out of range.
     pub fn new(config: &DynamicPointConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let scene = context.scene;
         let instruments = bodies::instruments(context, &config.instruments)?;

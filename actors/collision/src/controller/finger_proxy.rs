@@ -1,7 +1,7 @@
-//! Surfaces as hands feel them: the proxy of each instrument, and the local model of its contacts for haptics.
+//! Controller of finger proxies: the proxy of each instrument, and its local contact model for haptics.
 //!
-//! A hand feels what is written here without the physics engine: it need not know of the surface. Where there is an
-//! engine too, its setting `contact_models_by_others` leaves these instruments' models to this controller.
+//! Haptics renders these models without the physics engine, which need not know the surface. If there is an engine too,
+//! its setting `contact_models_by_others` leaves these instruments' models to this controller.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -17,15 +17,15 @@ use super::combined_surface::Felt;
 use super::report::{self, Found, Report};
 use crate::finger_proxy::{FingerProxy, PlaneFeel, ProxyConfig};
 
-/// Which instruments feel which surfaces, and how these feel.
+/// Configuration: instruments, surfaces and contact properties.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FingerProxyConfig {
     /// Names of instruments.
     pub instruments: Vec<String>,
-    /// Names of bodies. Where they move against each other, all that they are is fitted anew.
+    /// Names of bodies. If they move relative to each other, their whole combined surface is refitted.
     pub surfaces: Vec<String>,
-    /// Radius of what touches them \[m\].
+    /// Radius of the proxy \[m\].
     #[serde(default = "radius")]
     pub radius: f64,
     /// Coulomb friction.
@@ -37,7 +37,7 @@ pub struct FingerProxyConfig {
     /// Damping along the normal \[N·s/m\].
     #[serde(default)]
     pub damping: f64,
-    /// How far around surfaces are told of before they are touched \[m\]; of a fast hand further.
+    /// Distance within which surfaces are included before contact \[m\]; larger for a fast hand.
     #[serde(default = "foresight")]
     pub foresight: f64,
 }
@@ -50,17 +50,17 @@ fn foresight() -> f64 {
     2e-3
 }
 
-/// Ticks for which is foreseen what a hand may meet: the present one, and one until haptics have heard of it.
+/// Ticks of look-ahead for a hand: the current one, and one until haptics gets the model.
 const TICKS_AHEAD: f64 = 2.0;
 
-/// A proxy, and where it was in world.
+/// A proxy, and its last position in world.
 struct Hand {
     instrument: Entity,
     proxy: FingerProxy,
     before: Option<(SimTime, Point3<f64>)>,
 }
 
-/// Keeps the proxies of instruments on surfaces, and tells haptics what is about them.
+/// Updates the proxies of instruments on surfaces, and writes local contact models for haptics.
 pub struct FingerProxyController {
     hands: Vec<Hand>,
     felt: Felt,
@@ -70,13 +70,13 @@ pub struct FingerProxyController {
 }
 
 impl FingerProxyController {
-    /// Finds instruments and bodies. The proxies of an earlier life go on from where its models have them.
+    /// Finds instruments and bodies. Proxies of an earlier life continue from the positions in its models.
     ///
     /// # Errors
-    /// One that there is none of, or that cannot be used; a parameter out of its range.
+    /// One does not exist or is invalid; or a parameter is out of range.
     pub fn new(config: &FingerProxyConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let within = |what: &str, value: f64, least: f64, most: f64| {
-            // A NaN is in no range.
+            // NaN fails every range check.
             if (least..=most).contains(&value) {
                 return Ok(());
             }
@@ -116,7 +116,7 @@ impl FingerProxyController {
 }
 
 impl Hand {
-    /// Follows the hand, and says what is about it.
+    /// Follows the hand, and returns its local contact model.
     fn follow(
         &mut self,
         tick: &Tick<'_>,
@@ -133,7 +133,7 @@ impl Hand {
         let ahead = TICKS_AHEAD * period_secs * target.velocity_in_world.linear.norm();
         let mut model =
             self.proxy.local_contact_model(felt.moving(), pose, feel, foresight + ahead, tick.time);
-        // The surface may move as a whole, and the proxy with it.
+        // The surface may move as a whole, with the proxy.
         let linear = self.before.map_or(Vector3::zeros(), |(at, before)| {
             let secs = tick.time.since(at).as_secs_f64();
             if secs > 0.0 { (place - before) / secs } else { Vector3::zeros() }
@@ -160,7 +160,7 @@ impl Controller for FingerProxyController {
         self.felt.follow(scene, out, tick.period.as_secs_f64())?;
         for hand in &mut self.hands {
             let is_there = scene.get::<Instrument>(hand.instrument).is_some();
-            // Before the hand has said where it is there is nothing to hold.
+            // Without a target of the hand there is no proxy.
             let Some(target) = scene.get::<InstrumentTarget>(hand.instrument).filter(|_| is_there) else {
                 continue;
             };
@@ -175,7 +175,7 @@ impl Controller for FingerProxyController {
                     normal_in_world: pose * -contact.normal,
                     depth: contact.push,
                 });
-                // Each plane has its own share of the way.
+                // Each plane has its own share of the path.
                 self.report.end_pair();
             }
         }

@@ -1,13 +1,13 @@
-//! The controllers: each reads bodies from the scene, asks its method, and contributes what it has found to the collision
-//! list, where whoever responds finds it.
+//! The controllers: each reads bodies from the scene, runs its method, and contributes contacts to the collision list,
+//! which solvers read.
 //!
-//! Next to nothing has to be resumed: trees and hashes follow from the scene, and what a method remembers from one tick to
-//! the next makes it faster, not another one. What [`ContinuousController`] holds and where [`FingerProxyController`] has its
-//! proxies is written into the scene.
+//! Hardly any state must be restored: trees and hashes follow from the scene, and data cached between ticks affects
+//! only the cost. The held impacts of [`ContinuousController`] and the proxies of [`FingerProxyController`] are written
+//! into the scene.
 //!
-//! A body that vanishes or cannot be used in mid-run (corners that there are none of) has no contacts until it is back; an
-//! event `surface_unusable` tells so, `surface_usable` that it is back. Other bodies are looked at all the same. Only at
-//! the start of a session is it an error.
+//! A body that vanishes or becomes invalid during a session (triangle corners that do not exist) has no contacts until
+//! it is valid again; the events `surface_unusable` and `surface_usable` report this. Other bodies are processed as
+//! usual. Only at the start of a session it is an error.
 
 mod bodies;
 mod combined_surface;

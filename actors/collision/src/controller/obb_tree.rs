@@ -1,4 +1,4 @@
-//! Surfaces against surfaces, and a surface that folds against itself, by trees of oriented boxes.
+//! Controller of OBB tree contacts: surfaces against surfaces, and self-collision.
 
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,18 +13,18 @@ use crate::obb_tree::{TouchingPair, TreeFront, TreeQuery};
 use crate::penetration::{PenetrationSearch, VertexInside};
 use crate::pseudonormal::face;
 
-/// Which bodies are watched, and how hard they press.
+/// Configuration: pairs of bodies and stiffness.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObbTreeConfig {
-    /// Names of two bodies each; the same one twice is a body against itself.
+    /// Names of two bodies each; the same name twice means self-collision.
     pub pairs: Vec<[String; 2]>,
-    /// Stiffness of a pair of bodies, whatever the number of its contacts \[N/m\].
+    /// Total stiffness of a pair of bodies, shared by its contacts \[N/m\].
     #[serde(default = "report::stiffness")]
     pub stiffness: f64,
 }
 
-/// A body with what the method needs of it.
+/// A body with the method's data.
 struct Tree {
     of: TreeBody,
     moving: MovingSurface,
@@ -48,15 +48,15 @@ impl Tree {
     }
 }
 
-/// Two bodies, by number, and what is known of them from one tick to the next: it decides only what a tick costs.
+/// Two bodies, by index, with data cached between ticks, which affects only the cost.
 struct Pair {
     bodies: [usize; 2],
     front: TreeFront,
-    /// For vertices of the second inside of the first, and the other way round.
+    /// Searches for vertices of the second inside the first, and vice versa.
     searches: [PenetrationSearch; 2],
 }
 
-/// Finds where surfaces are in each other.
+/// Finds contacts of penetrating surfaces.
 pub struct ObbTreeController {
     trees: Vec<Tree>,
     pairs: Vec<Pair>,
@@ -68,7 +68,7 @@ impl ObbTreeController {
     /// Finds the bodies.
     ///
     /// # Errors
-    /// A body that there is none of, or that cannot be used.
+    /// A body does not exist or is invalid.
     pub fn new(config: &ObbTreeConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let (trees, pairs) = bodies::pairs(&config.pairs, |name| Tree::named(context, name))?;
         let pair = |bodies| Pair { bodies, front: TreeFront::new(), searches: Default::default() };
@@ -96,7 +96,7 @@ impl Pair {
         if touching == 0 {
             return;
         }
-        // Where nothing has moved against each other, what is inside is what was.
+        // Without relative motion the vertices inside are unchanged.
         if !self.front.rested() {
             self.search(a, b, &b_in_a);
         }
@@ -111,7 +111,7 @@ impl Pair {
         }
     }
 
-    /// Vertices of the second inside of the first, which go out of it along its outward direction, and of the first.
+    /// Finds vertices of the second inside the first, which exit along its outward direction, and vice versa.
     fn search(&mut self, a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>) {
         let Self { front, searches: [of_second, of_first], .. } = self;
         let seeds = |side: usize| front.pairs().iter().map(move |pair| pair.triangles[side]);
@@ -145,8 +145,9 @@ fn in_second(a: &Tree, b: &Tree, inside: &VertexInside) -> Found {
     }
 }
 
-/// Two triangles that cross without a corner inside: they part along the mean of their outward directions, by as much as
-/// half of what they have in common is long; it is no more than that deep where both are edges of something flat.
+/// Contact of two triangles that cross without a corner inside: they separate along the mean of their outward
+/// directions, by half the length of their intersection segment, an upper bound of the depth if both are edges of flat
+/// bodies.
 fn crossing(a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>, pair: &TouchingPair) -> Found {
     let [of_a, of_b] = pair.triangles;
     let normal = apart(&face(&a.moving.surface(), of_a), &(b_in_a * face(&b.moving.surface(), of_b)));
@@ -160,9 +161,9 @@ fn crossing(a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>, pair: &TouchingPair) ->
     }
 }
 
-/// Two triangles of one surface that cross where it folds. Along the mean of their outward directions they are as deep as
-/// parts them, and no deeper than half of what they have in common is long: sheets that lie on each other part by the
-/// first, an edge that has gone through a sheet by the second.
+/// Contact of two triangles of one surface that cross at a fold. The depth along the mean of their outward directions
+/// is the separating translation, at most half the length of their intersection segment: the first applies to sheets
+/// lying on each other, the second to an edge through a sheet.
 fn fold(a: &Tree, pair: &TouchingPair) -> Found {
     let mut found = crossing(a, a, &Isometry3::identity(), pair);
     let surface = a.moving.surface();
@@ -177,7 +178,7 @@ fn fold(a: &Tree, pair: &TouchingPair) -> Found {
     found
 }
 
-/// Between two outward directions; the first where they say nothing.
+/// The direction between two outward directions; the first one if undefined.
 fn apart(first: &Vector3<f64>, second: &Vector3<f64>) -> Vector3<f64> {
     let unit = |vector: &Vector3<f64>| vector.try_normalize(1e-9);
     unit(&(first - second)).or_else(|| unit(first)).or_else(|| unit(&-second)).unwrap_or_else(Vector3::z)

@@ -1,4 +1,4 @@
-//! Surfaces near each other by exact distances: they push before they touch, as if each had a skin.
+//! Controller of proximity contacts by exact distances: surfaces push before they touch, as if each had a skin.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::components::{Detection, Primitive};
@@ -9,7 +9,7 @@ use super::report::{self, Found, Report};
 use super::tree_body::TreeBody;
 use crate::obb_tree::{Proximity, TreeQuery};
 
-/// Which bodies are watched, and from how far on.
+/// Configuration: pairs of bodies, margin and stiffness.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProximityConfig {
@@ -27,14 +27,14 @@ fn margin() -> f64 {
     1e-3
 }
 
-/// Two bodies, and what was found of them last: where to look first, and the direction in which they were apart.
+/// Two bodies, with the warm start and the separation direction of the last result.
 struct Pair {
     bodies: [usize; 2],
     last: Option<[u32; 2]>,
     found: Option<Found>,
 }
 
-/// Finds the nearest points of surfaces that are near each other.
+/// Finds the nearest points of nearby surfaces.
 pub struct ProximityController {
     trees: Vec<TreeBody>,
     pairs: Vec<Pair>,
@@ -47,7 +47,7 @@ impl ProximityController {
     /// Finds the bodies.
     ///
     /// # Errors
-    /// A body that there is none of, or that cannot be used; a margin that is no length.
+    /// A body does not exist or is invalid; or the margin is not a length.
     pub fn new(config: &ProximityConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         if !(0.0..=1.0).contains(&config.margin) {
             let margin = config.margin;
@@ -77,7 +77,7 @@ impl Pair {
         }
         let Proximity { triangles: [of_a, of_b], points_in_a: [on_a, on_b], distance } = near;
         let apart = a.body.pose * (on_b - on_a);
-        // Once they overlap there is no direction between their nearest points: they part the way that they came.
+        // If they overlap, their nearest points define no direction: the last separation direction is used.
         let normal = apart.try_normalize(1e-12).or(self.found.map(|found| found.normal_in_world))?;
         let found = Found {
             parts: [(a.body.entity, Primitive::Triangle(of_a)), (b.body.entity, Primitive::Triangle(of_b))],
@@ -101,7 +101,7 @@ impl Controller for ProximityController {
         for (number, tree) in self.trees.iter_mut().enumerate() {
             let change = tree.follow(scene, out);
             if matches!(change, Change::Remeshed | Change::Absent) {
-                // Their triangles have other numbers now.
+                // Their triangle indices have changed.
                 let concerned = self.pairs.iter_mut().filter(|pair| pair.bodies.contains(&number));
                 concerned.for_each(|pair| (pair.last, pair.found) = (None, None));
             }

@@ -1,4 +1,4 @@
-//! What detectors tell the scene.
+//! Contact reports of detectors to the scene.
 
 use nalgebra::{Point3, Vector3};
 use trocar_scene::components::{Collision, CollisionList, Detection, Primitive};
@@ -6,15 +6,15 @@ use trocar_scene::{Commands, Entity, SimTime};
 
 use crate::Part;
 
-/// Contacts that one detector tells of at most: the deepest ones.
+/// Most contacts reported by one detector: the deepest ones.
 pub const COLLISIONS_MAX: usize = 256;
 
-/// Of two bodies, where a scenario does not say it \[N/m\].
+/// Default stiffness of two bodies \[N/m\].
 pub fn stiffness() -> f64 {
     500.0
 }
 
-/// A part as the scene names it; an edge by its first vertex.
+/// Converts a part to the scene's primitive; an edge becomes its first vertex.
 pub fn primitive(part: Part) -> Primitive {
     match part {
         Part::Vertex(index) | Part::Edge([index, _]) => Primitive::Vertex(index),
@@ -23,34 +23,34 @@ pub fn primitive(part: Part) -> Primitive {
     }
 }
 
-/// A contact, before it is known with how many others it shares the work.
+/// A contact, before the stiffness is divided among the contacts of its pair.
 #[derive(Clone, Copy, Debug)]
 pub struct Found {
     /// Entities, and their parts.
     pub parts: [(Entity, Primitive); 2],
-    /// Where the second one is touched, in world \[m\]; the first reaches beyond it by the depth.
+    /// Contact point on the second one, in world \[m\]; the first reaches beyond it by the depth.
     pub on_second_in_world: Point3<f64>,
     /// Unit direction from the first to the second.
     pub normal_in_world: Vector3<f64>,
-    /// How deep \[m\]; negative while apart.
+    /// Penetration depth \[m\]; negative while apart.
     pub depth: f64,
 }
 
-/// Collects what a detector finds in a tick.
+/// Collects the contacts of a detector in a tick.
 #[derive(Debug)]
 pub struct Report {
     method: Detection,
-    /// Of a pair of bodies, whatever the number of its contacts \[N/m\].
+    /// Total stiffness of a pair of bodies, shared by its contacts \[N/m\].
     stiffness: f64,
     found: Vec<Found>,
-    /// Where each pair of bodies ends in the list.
+    /// End index of each pair of bodies in the list.
     pairs: Vec<usize>,
     penetration_max: f64,
     was_empty: bool,
 }
 
 impl Report {
-    /// Of a method.
+    /// A report of a method.
     pub fn new(method: Detection, stiffness: f64) -> Self {
         Self {
             method,
@@ -58,30 +58,30 @@ impl Report {
             found: Vec::new(),
             pairs: Vec::new(),
             penetration_max: 0.0,
-            // The first list is sent whatever it holds: from then on there is a detector.
+            // The first list is always sent, even empty, so that the detector is known.
             was_empty: false,
         }
     }
 
-    /// A new tick.
+    /// Begins a new tick.
     pub fn begin(&mut self) {
         self.found.clear();
         self.pairs.clear();
     }
 
-    /// One more contact of the pair of bodies that is looked at.
+    /// Adds a contact of the current pair of bodies.
     pub fn add(&mut self, found: Found) {
         self.found.push(found);
     }
 
-    /// The contacts of a pair of bodies are complete.
+    /// Completes the contacts of the current pair of bodies.
     pub fn end_pair(&mut self) {
         self.pairs.push(self.found.len());
     }
 
-    /// Contributes the list. `read_at` is the time of the scene in which everything was found.
+    /// Contributes the list. `read_at` is the time of the scene in which the contacts were found.
     pub fn send(&mut self, read_at: SimTime, out: &mut Commands) {
-        // An empty list that follows an empty list says nothing new.
+        // An empty list after an empty list is not sent again.
         if self.found.is_empty() && std::mem::replace(&mut self.was_empty, true) {
             return;
         }

@@ -1,4 +1,4 @@
-//! Deforming bodies against deforming bodies, bands and threads by a local spherical hash.
+//! Controller of the local spherical hash: a deforming body against deforming bodies, bands and threads.
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
@@ -10,32 +10,32 @@ use super::report::{self, Found, Report, primitive};
 use crate::spherical_hash::{SphericalContact, SphericalHash};
 use crate::{Line, Part, Surface};
 
-/// Which bodies are watched.
+/// Configuration: the hashed body and its possible contact partners.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SphericalHashConfig {
-    /// Name of the body that is hashed.
+    /// Name of the hashed body.
     pub body: String,
     /// Names of the bodies, bands and threads that may touch it.
     pub others: Vec<String>,
-    /// Stiffness of two bodies, whatever the number of their contacts \[N/m\].
+    /// Total stiffness of two bodies, shared by their contacts \[N/m\].
     #[serde(default = "report::stiffness")]
     pub stiffness: f64,
 }
 
-/// What may touch the body: another one, a band or a thread.
+/// A possible contact partner: another body, a band or a thread.
 struct Other {
     body: Body,
     hash: SphericalHash,
 }
 
-/// Finds where others touch a body.
+/// Finds contacts of other bodies with the hashed body.
 pub struct SphericalHashController {
     body: Body,
     hash: SphericalHash,
     hashed: bool,
     others: Vec<Other>,
-    /// Vertices of the one that is looked at, in the body's frame.
+    /// Vertices of the current partner, in the body's frame.
     moved: Vec<Point3<f64>>,
     contacts: Vec<SphericalContact>,
     report: Report,
@@ -45,7 +45,7 @@ impl SphericalHashController {
     /// Finds the bodies.
     ///
     /// # Errors
-    /// One that there is none of, or that cannot be used.
+    /// One does not exist or is invalid.
     pub fn new(config: &SphericalHashConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let other = |name: &String| {
             let body = Body::named(context, name, Wanted::SurfaceOrLine)?;
@@ -63,7 +63,7 @@ impl SphericalHashController {
     }
 }
 
-/// Takes vertices into the frame of the hashed body.
+/// Transforms vertices to the frame of the hashed body.
 fn take(vertices: &[Point3<f64>], body_from_other: &Isometry3<f64>, moved: &mut Vec<Point3<f64>>) {
     moved.clear();
     moved.extend(vertices.iter().map(|vertex| body_from_other * vertex));
@@ -116,7 +116,7 @@ impl Controller for SphericalHashController {
     }
 }
 
-/// Where corners are inside, they tell how deep; triangles that cross tell it where there are none.
+/// Corners inside define the depth; crossing triangles are used only without such corners.
 fn keep_corners(contacts: &mut Vec<SphericalContact>) {
     let is_corner = |contact: &SphericalContact| {
         matches!(contact.a, Part::Vertex(_)) || matches!(contact.b, Part::Vertex(_))

@@ -1,18 +1,18 @@
-//! A body with a tree of oriented boxes that follows it.
+//! A body with a tree of oriented boxes that is kept up to date.
 
 use trocar_scene::{BuildContext, Commands, ControllerError, Snapshot};
 
 use super::bodies::{Body, Change, Wanted};
 use crate::obb_tree::ObbTree;
 
-/// A body and its tree, which is touched only where the body has changed.
+/// A body and its tree, which is updated only when the body has changed.
 pub struct TreeBody {
     pub body: Body,
     pub tree: ObbTree,
 }
 
 impl TreeBody {
-    /// Of that name.
+    /// The body of that name.
     ///
     /// # Errors
     /// As [`Body::named`].
@@ -22,7 +22,7 @@ impl TreeBody {
         Ok(Self { body, tree })
     }
 
-    /// Reads it anew: where only vertices are elsewhere the boxes are fitted to them, else they are built.
+    /// Reads it again: if only vertices have moved the boxes are refitted, else rebuilt.
     pub fn follow(&mut self, scene: &Snapshot, out: &mut Commands) -> Change {
         let change = self.body.follow(scene, out);
         let surface = self.body.surface();

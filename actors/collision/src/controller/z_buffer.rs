@@ -1,4 +1,5 @@
-//! Shafts of instruments against surfaces in images of depth: also what a fast shaft has swept over between two ticks.
+//! Controller of the Z-buffer method: shafts of instruments against surfaces, including the volume swept between two
+//! ticks.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use crate::primitive::closest_on_segment;
 use crate::pseudonormal::face;
 use crate::z_buffer::{ShaftSweep, VolumeHit, ZBuffer};
 
-/// Which shafts are drawn, and against which bodies they are held.
+/// Configuration: instruments, bodies and resolution.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ZBufferConfig {
@@ -20,13 +21,13 @@ pub struct ZBufferConfig {
     pub instruments: Vec<String>,
     /// Names of bodies.
     pub bodies: Vec<String>,
-    /// Side of a pixel \[m\]; what is reported may be as far from the volume.
+    /// Side of a pixel \[m\]; also the tolerance of reported contacts.
     #[serde(default = "pixel")]
     pub pixel: f64,
-    /// Most pixels of an image; where more would be needed they are larger.
+    /// Most pixels of an image; if more are needed, pixels become larger.
     #[serde(default = "pixels_max")]
     pub pixels_max: usize,
-    /// Stiffness of a shaft against a body, whatever the number of its contacts \[N/m\].
+    /// Total stiffness of a shaft against a body, shared by its contacts \[N/m\].
     #[serde(default = "report::stiffness")]
     pub stiffness: f64,
 }
@@ -39,13 +40,13 @@ fn pixels_max() -> usize {
     65_536
 }
 
-/// A body, and where each shaft was in its frame: port and tip.
+/// A body, with the last port and tip of each shaft in its frame.
 struct Watched {
     body: Body,
     before: Vec<Option<[Point3<f64>; 2]>>,
 }
 
-/// Finds what shafts meet, and what they have gone through.
+/// Finds triangles that shafts touch or have passed through.
 pub struct ZBufferController {
     instruments: Vec<Entity>,
     bodies: Vec<Watched>,
@@ -58,7 +59,7 @@ impl ZBufferController {
     /// Finds instruments and bodies.
     ///
     /// # Errors
-    /// One that there is none of, or that cannot be used; pixels that are none.
+    /// One does not exist or is invalid; or the pixel parameters are invalid.
     pub fn new(config: &ZBufferConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let instruments = bodies::instruments(context, &config.instruments)?;
         let watched = |name: &String| {
@@ -109,7 +110,7 @@ impl Controller for ZBufferController {
                 self.image.hits(&surface, &mut self.hits);
                 for hit in &self.hits {
                     let (normal, depth) = way_out(&hit.point, &was, &now, instrument.shaft_radius);
-                    // The wall by which it has come in is pressed inwards; the one beyond it is not pushed on.
+                    // The wall that it entered through is pressed inwards; the far wall is not pushed outwards.
                     if normal.dot(&face(&surface, hit.triangle)) > 0.0 {
                         continue;
                     }
@@ -131,8 +132,8 @@ impl Controller for ZBufferController {
     }
 }
 
-/// Where a point goes that a shaft has met: away from its axis, if the shaft is still there; before it, if the shaft has
-/// gone over it. Unit direction, and how far \[m\].
+/// Exit of a point hit by a shaft, as unit direction and distance \[m\]: away from the axis if the shaft is still
+/// there; ahead of the shaft if it has swept over the point.
 fn way_out(
     point: &Point3<f64>,
     was: &[Point3<f64>; 2],
@@ -172,7 +173,7 @@ mod tests {
         let (before, depth) = way_out(&point, &shaft(-0.02), &shaft(0.02), 0.003);
         assert_eq!(before, Vector3::x());
         assert!((depth - 0.022).abs() < 1e-12, "{depth}");
-        // On the axis, and at rest: anywhere across.
+        // On the axis and at rest: any perpendicular direction.
         let (across, depth) = way_out(&Point3::new(0.0, 0.0, 0.05), &shaft(0.0), &shaft(0.0), 0.003);
         assert!((across.norm() - 1.0).abs() < 1e-12 && across.z.abs() < 1e-12 && depth == 0.003);
     }

@@ -1,4 +1,4 @@
-//! What a segment's dynamic point says of its contact: points, depth and direction, defined case by case.
+//! Contact of a segment's dynamic point: points, depth and direction, defined case by case.
 
 use nalgebra::{Point3, Vector3};
 
@@ -6,54 +6,54 @@ use crate::moving_surface::MovingSurface;
 use crate::primitive::{Segment, SegmentTriangle, closest_segment_triangle};
 use crate::pseudonormal::{face, pseudonormal};
 
-/// Crossings of one segment that are looked at.
+/// Most crossings of one segment that are considered.
 pub(super) const CROSSINGS: usize = 16;
-/// Distance, of the surface's largest coordinate, from which on a direction can be told from it.
+/// Smallest distance, relative to the surface's largest coordinate, that defines a direction.
 const TELLABLE: f64 = 1e-10;
 
-/// On which side of the surface the axis of the shaft is, and what its depth is.
+/// Side of the surface on which the shaft's axis is, which defines the depth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineContactKind {
-    /// The nearest point of the axis is in front of the surface, at a distance d: the depth is radius − d, exactly how
-    /// far the shaft reaches into it; negative within the margin.
+    /// The nearest point of the axis is in front of the surface, at a distance d: the depth is radius − d, exactly the
+    /// shaft's penetration; negative within the margin.
     Outside,
-    /// It is behind the surface, without crossing it within this segment: the depth is radius + d, which is how far it
-    /// must go to be out.
+    /// It is behind the surface, without crossing it within this segment: the depth is radius + d, the distance to
+    /// exit.
     Behind,
-    /// The axis crosses the triangle: the depth is radius + how deep behind the plane of the triangle the axis goes, up
-    /// to where it crosses the surface again or ends. Of several crossings the shallowest is told. For a half-space that
-    /// is how deep the capsule about the segment is.
+    /// The axis crosses the triangle: the depth is radius + the axis's largest depth behind the triangle's plane, up to
+    /// its next crossing or its end. Of several crossings the shallowest is used. For a half-space this is the
+    /// penetration of the segment's capsule.
     Crossing,
 }
 
 /// One contact of a segment of the line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineContact {
-    /// Which segment, 0 at the first end of the line.
+    /// Index of the segment, 0 at the first end of the line.
     pub segment: u32,
-    /// Which triangle.
+    /// Index of the triangle.
     pub triangle: u32,
-    /// How.
+    /// Kind of contact.
     pub kind: LineContactKind,
-    /// The dynamic point: the nearest of the axis, in the surface's frame \[m\].
+    /// The dynamic point: the nearest point of the axis, in the surface's frame \[m\].
     pub on_line: Point3<f64>,
-    /// Where along the whole line it is, 0 at its first end to 1 at its second.
+    /// Its parameter along the whole line, 0 at the first end to 1 at the second.
     pub along: f64,
-    /// The nearest of the triangle \[m\].
+    /// The nearest point of the triangle \[m\].
     pub on_surface: Point3<f64>,
-    /// Its weights on the three corners: each in \[0, 1\], their sum 1.
+    /// Its barycentric weights: each in \[0, 1\], their sum 1.
     pub weights: [f64; 3],
-    /// From axis to surface \[m\]; 0 where it crosses.
+    /// Distance from axis to surface \[m\]; 0 if it crosses.
     pub distance: f64,
-    /// How deep the shaft is in it \[m\]: see [`LineContactKind`].
+    /// Penetration depth of the shaft \[m\]: see [`LineContactKind`].
     pub depth: f64,
-    /// Unit direction in which the shaft would get out; outwards.
+    /// Unit exit direction of the shaft; outwards.
     pub direction: Vector3<f64>,
     /// Velocity of the surface there \[m/s\].
     pub surface_velocity: Vector3<f64>,
 }
 
-/// Where and what of the contact, without whose it is.
+/// Geometry of a contact, without segment and triangle.
 pub(super) struct Found {
     pub(super) triangle: u32,
     pub(super) nearest: SegmentTriangle,
@@ -62,7 +62,7 @@ pub(super) struct Found {
     pub(super) direction: Vector3<f64>,
 }
 
-/// The contact at a distance, by the side on which the axis is.
+/// The contact without crossing, by the side on which the axis is.
 pub(super) fn beside(
     mesh: &MovingSurface,
     triangle: u32,
@@ -87,7 +87,7 @@ pub(super) fn beside(
     Found { triangle, nearest: *nearest, kind, depth, direction }
 }
 
-/// The crossings of one segment, in a fixed place.
+/// The crossings of one segment, in a fixed-size buffer.
 pub(super) struct Crossings {
     list: [(u32, f64); CROSSINGS],
     count: usize,
@@ -98,7 +98,7 @@ impl Crossings {
         Self { list: [(0, 0.0); CROSSINGS], count: 0 }
     }
 
-    /// Takes one; more than fit are left out.
+    /// Adds a crossing; surplus ones are dropped.
     pub(super) fn push(&mut self, triangle: u32, along: f64) {
         if self.count < CROSSINGS {
             self.list[self.count] = (triangle, along);
@@ -123,8 +123,8 @@ impl Crossings {
             if normal == Vector3::zeros() || slope == 0.0 {
                 continue;
             }
-            // Behind it lies what follows when the line goes in, what comes before when it comes out. A crossing at the
-            // same place (an edge) is the same crossing.
+            // The part behind the surface follows an entering crossing, and precedes an exiting one. A crossing at the
+            // same point (an edge) is the same crossing.
             let same = |other: f64| (other - along).abs() <= 1e-9;
             let until = if slope < 0.0 {
                 list.iter().map(|other| other.1).find(|&other| other > along && !same(other)).unwrap_or(1.0)

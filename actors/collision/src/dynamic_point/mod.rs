@@ -1,15 +1,15 @@
-//! The dynamic point (Maciel and De, *An efficient dynamic point algorithm for line-based collision detection in real time
-//! virtual environments involving haptics*, 2008): an instrument's shaft as a line against a triangle surface, at a cost
-//! that hardly grows with the surface.
+//! The dynamic point (Maciel and De, *An efficient dynamic point algorithm for line-based collision detection in real
+//! time virtual environments involving haptics*, 2008): an instrument's shaft as a line against a triangle surface, at
+//! a cost nearly independent of the surface's size.
 //!
-//! The line is divided into segments. Each has a *dynamic point*: its point nearest to the surface, on a triangle that is
-//! walked over the surface's topology as line and surface move. A walk ends in a local minimum, and on a folded organ that
-//! need not be the nearest: so each segment also carries a *certificate*, the triangles that were near when the tree was
-//! last asked and a distance that all others had at least. What the segment has moved (how far any of its points near the
-//! surface is from where it was; sliding along itself is free) and what the surface has moved, added up, eat away at both. A candidate is
-//! measured again when it may have come nearer than the dynamic point; when anything else may have, the tree is asked,
-//! with the walked point as the first bound. So what is told is the nearest of all triangles, always, whatever jumps,
-//! deforms or is cut in between: the walk and the certificate decide only what it costs.
+//! The line is divided into segments. Each has a *dynamic point*: its point nearest to the surface, on a triangle found
+//! by walking over the surface's topology as line and surface move. A walk ends in a local minimum, which on a folded
+//! organ need not be the nearest point: so each segment also has a *certificate*, the triangles that were near at the
+//! last tree query and a lower bound of the distance of all others. The accumulated motion of the segment (of its
+//! points near the surface; sliding along itself is free) and of the surface reduces both. A candidate is measured
+//! again when it may have come nearer than the dynamic point; when another triangle may have, the tree is queried, with
+//! the walked point as the first bound. The result is therefore always the nearest of all triangles, even after jumps,
+//! deformation or cuts: the walk and the certificate affect only the cost.
 
 mod contact;
 mod statistics;
@@ -27,57 +27,57 @@ use crate::candidates::{Candidates, Found};
 use crate::moving_surface::MovingSurface;
 use crate::primitive::{Segment, SegmentTriangle, closest_on_segment, closest_segment_triangle};
 
-/// Segments of a line at most.
+/// Most segments of a line.
 const SEGMENTS_MAX: usize = 256;
-/// Walks end after so many triangles; the certificate does not depend on where.
+/// Walks end after this many triangles; the certificate does not depend on their end.
 const HOPS_MAX: usize = 32;
-/// What a distance may err, of the largest coordinate.
+/// Error of a distance, relative to the largest coordinate.
 const ROUNDING: f64 = 1e-13;
-/// Candidates of a segment at most.
+/// Most candidates of a segment.
 const KEPT: usize = 192;
-/// Candidates that wait for being measured at most.
+/// Most candidates waiting for measurement.
 const WAITING: usize = 16;
-/// Candidates that a gathering should find: fewer expire soon, more cost more on each update.
+/// Target number of candidates per gathering: fewer expire soon, more cost more in each update.
 const WANTED: std::ops::Range<usize> = 30..75;
 
-/// How a line is watched.
+/// Parameters of line tracking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineConfig {
     /// Segments, each with a contact of its own: 1 to 256.
     pub segments: usize,
     /// Radius of the shaft \[m\]; 0 for a line that touches only what it crosses.
     pub radius: f64,
-    /// A contact is told from this far off \[m\], its depth negative.
+    /// Contacts are reported from this distance on \[m\], with negative depth.
     pub margin: f64,
 }
 
-/// Why a line cannot be watched.
+/// Why a line cannot be tracked.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum LineError {
-    /// Too few or too many.
+    /// Too few or too many segments.
     #[error("a line of {0} segments: 1 to {SEGMENTS_MAX} are valid")]
     Segments(usize),
     /// Not a length.
     #[error("{what} of {value} m: 0 or more is valid, and finite")]
     Length {
-        /// Which of the lengths.
+        /// The parameter.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
     },
-    /// An end that is nowhere.
+    /// An end is not finite.
     #[error("end {0} of the line has a coordinate that is not a finite number")]
     NotFinite(usize),
 }
 
-/// What is remembered of one segment.
+/// Tracking state of one segment.
 #[derive(Clone, Debug)]
 struct Watched {
     placed: Segment,
     /// The triangle of the dynamic point.
     triangle: Option<u32>,
     candidates: Candidates<Support, KEPT>,
-    /// How far beyond the contact candidates are gathered \[m\].
+    /// Distance beyond the contact within which candidates are gathered \[m\].
     ahead: f64,
 }
 
@@ -99,7 +99,7 @@ fn distance_squared(point: &Point3<f64>, segment: &Segment) -> f64 {
 }
 
 /// The part of a segment that may be as near as `horizon` \[m\] to a surface: a long shaft that turns about its tip, or
-/// its port, moves most where nothing is. Not smaller than it is; none where there is none.
+/// its port, moves most far from the surface. Conservative; `None` if there is no such part.
 fn part_within(segment: &Segment, mesh: &MovingSurface, horizon: f64) -> Option<Segment> {
     let bounds = mesh.tree().bounds()?;
     let way = segment[1] - segment[0];
@@ -107,7 +107,7 @@ fn part_within(segment: &Segment, mesh: &MovingSurface, horizon: f64) -> Option<
     for axis in 0..3 {
         let (low, high) = (bounds.min[axis] - horizon, bounds.max[axis] + horizon);
         let (start, along) = (segment[0][axis], way[axis]);
-        // All that rounding could leave out, and slopes that say nothing.
+        // Covers rounding and undefined slopes.
         let spare = ROUNDING * (start.abs() + along.abs() + low.abs() + high.abs());
         if along.abs() <= spare {
             if start < low - spare || start > high + spare {
@@ -123,7 +123,7 @@ fn part_within(segment: &Segment, mesh: &MovingSurface, horizon: f64) -> Option<
     (from <= until).then(|| [segment[0] + way * from, segment[0] + way * until])
 }
 
-/// The nearest so far of one segment.
+/// The nearest triangle of one segment so far.
 #[derive(Clone, Copy)]
 struct Best {
     triangle: Option<u32>,
@@ -132,10 +132,10 @@ struct Best {
 }
 
 impl DynamicPoint {
-    /// Watches nothing yet.
+    /// A detector without tracked state.
     ///
     /// # Errors
-    /// A number of segments or a length that is not valid.
+    /// For an invalid number of segments or length.
     pub fn new(config: LineConfig) -> Result<Self, LineError> {
         if !(1..=SEGMENTS_MAX).contains(&config.segments) {
             return Err(LineError::Segments(config.segments));
@@ -161,33 +161,33 @@ impl DynamicPoint {
         })
     }
 
-    /// How it watches.
+    /// Its parameters.
     #[must_use]
     pub fn config(&self) -> &LineConfig {
         &self.config
     }
 
-    /// What it has cost so far.
+    /// Its cost so far.
     #[must_use]
     pub fn statistics(&self) -> &LineStatistics {
         &self.statistics
     }
 
-    /// Tells it how long an update took, its share of the refit included \[µs\].
+    /// Records the time of an update, its share of the refit included \[µs\].
     pub fn record_micros(&mut self, micros: f64) {
         self.statistics.micros.record(micros);
     }
 
-    /// Forgets what it knew, as if another surface came.
+    /// Resets all tracking state, as for a new surface.
     pub fn reset(&mut self) {
         self.seen = None;
     }
 
-    /// The contact of each segment of `line_in_surface` with the surface as it is now: of all that is not further than
-    /// radius and margin the nearest.
+    /// The contact of each segment of `line_in_surface` with the current surface: the nearest one within radius plus
+    /// margin.
     ///
     /// # Errors
-    /// An end that is not finite; the contacts stay as they were.
+    /// For a non-finite end; the contacts stay unchanged.
     pub fn update(
         &mut self,
         mesh: &MovingSurface,
@@ -220,7 +220,7 @@ impl DynamicPoint {
             } else {
                 let watched = &self.watched[index];
                 let moved = match part_within(&segment, mesh, watched.candidates.horizon()) {
-                    // Distance from a convex set is greatest at an end.
+                    // The distance from a convex set is greatest at an end.
                     Some(part) => part.map(|end| distance_squared(&end, &watched.placed)),
                     None => [0.0; 2],
                 };
@@ -244,8 +244,8 @@ impl DynamicPoint {
         &self.contacts
     }
 
-    /// The contacts of the last update without those at a joint of two segments whose neighbour reaches as deep or
-    /// deeper: so a contact that slides over a joint is one contact all the way.
+    /// The contacts of the last update without those at a joint of two segments whose neighbour is as deep or deeper,
+    /// so that a contact sliding over a joint stays one contact.
     pub fn distinct_contacts(&self) -> impl Iterator<Item = &LineContact> {
         let count = self.contacts.len() as f64;
         self.contacts.iter().enumerate().filter_map(move |(index, contact)| {
@@ -259,7 +259,7 @@ impl DynamicPoint {
                 1.. if share <= 1e-9 => self.contacts.get(index - 1).map(|before| (before, false)),
                 _ => None,
             };
-            // Of two that reach the same point the later one is told.
+            // Of two with the same point the later one is reported.
             let shadowed = neighbour.is_some_and(|(other, is_later)| {
                 other.is_some_and(|other| {
                     other.distance < contact.distance || (is_later && other.distance <= contact.distance)
@@ -269,7 +269,7 @@ impl DynamicPoint {
         })
     }
 
-    /// The nearest triangle, if it can be in contact; else perhaps none.
+    /// The nearest triangle, if it may be in contact; else possibly `None`.
     fn nearest(
         &mut self,
         mesh: &MovingSurface,
@@ -311,7 +311,7 @@ impl DynamicPoint {
         best
     }
 
-    /// Measures a triangle, and says whether it is nearer.
+    /// Measures a triangle, and returns whether it is nearer.
     fn offer(
         &mut self,
         mesh: &MovingSurface,
@@ -336,7 +336,7 @@ impl DynamicPoint {
         is_nearer
     }
 
-    /// From triangle to neighbour while that is nearer: over the edge or about the vertex on which the nearest point is.
+    /// Walks from triangle to neighbour while that is nearer: over the edge or around the vertex of the nearest point.
     fn walk(&mut self, mesh: &MovingSurface, index: usize, segment: &Segment, best: &mut Best) {
         for _ in 0..HOPS_MAX {
             let Some(from) = best.triangle else { return };
@@ -368,7 +368,7 @@ impl DynamicPoint {
     ) {
         let candidates = &mut self.watched[index].candidates;
         let mut from = 0;
-        // What has to be measured, by what it is at least: the nearest first, which spares most of the others.
+        // Candidates to measure, by their lower bound: the nearest first, which avoids most of the others.
         let mut waiting = [(f64::INFINITY, 0_usize); WAITING];
         let mut count = 0;
         loop {
@@ -408,7 +408,7 @@ impl DynamicPoint {
                     count = 0;
                     break;
                 }
-                // Only here: a triangle and its corners lie where memory is slow.
+                // Only here, because loading a triangle and its corners is slow.
                 let triangle = candidates.triangle(slot);
                 let corners = mesh.surface().triangle(triangle);
                 let nearest = closest_segment_triangle(segment, &corners);
@@ -426,7 +426,7 @@ impl DynamicPoint {
         }
     }
 
-    /// The nearest of all, and new candidates.
+    /// Queries the tree for the nearest triangle, and gathers new candidates.
     fn ask_tree(
         &mut self,
         mesh: &MovingSurface,
@@ -437,7 +437,7 @@ impl DynamicPoint {
     ) {
         let watched = &mut self.watched[index];
         let surface = mesh.surface();
-        // Near enough that a contact may come soon, what is around is gathered; else how far the nearest is says enough.
+        // If a contact may come soon, the surroundings are gathered; else the distance of the nearest is enough.
         let ahead = watched.ahead;
         let limit =
             |distance: f64| if distance < reach + ahead { distance.min(reach) + ahead } else { distance };

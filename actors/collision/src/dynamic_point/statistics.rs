@@ -1,4 +1,4 @@
-//! What it cost, and how often the certificate did not suffice.
+//! Statistics of the dynamic point: its cost, and the rate of expired certificates.
 
 /// Buckets of a [`Quantiles`]: eight to an octave.
 const BUCKETS: usize = 256;
@@ -25,7 +25,7 @@ impl Default for Quantiles {
 }
 
 impl Quantiles {
-    /// Takes one; all up to 2⁻¹⁶ count as that, all from 2¹⁶ on likewise, and what is no number counts as the smallest.
+    /// Records a value; clamped to 2⁻¹⁶ to 2¹⁶, and NaN counts as the smallest.
     pub fn record(&mut self, value: f64) {
         let octave = if value > 0.0 { value.log2() } else { f64::NEG_INFINITY };
         let bucket = ((octave + 16.0) * PER_OCTAVE).clamp(0.0, BUCKETS as f64 - 1.0) as usize;
@@ -33,7 +33,7 @@ impl Quantiles {
         self.total += 1;
     }
 
-    /// What a share of all (0 to 1) were not above; 0 of none.
+    /// The quantile of a share (0 to 1); 0 without values.
     #[must_use]
     pub fn quantile(&self, share: f64) -> f64 {
         let wanted = (share.clamp(0.0, 1.0) * self.total as f64).ceil().max(1.0) as u64;
@@ -47,38 +47,38 @@ impl Quantiles {
         0.0
     }
 
-    /// How many were taken.
+    /// Number of recorded values.
     #[must_use]
     pub fn total(&self) -> u64 {
         self.total
     }
 }
 
-/// Counts since a [`DynamicPoint`](super::DynamicPoint) was made.
+/// Counters since a [`DynamicPoint`](super::DynamicPoint) was made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LineStatistics {
     /// Updates of the whole line.
     pub updates: u64,
     /// Updates of a segment: segments times updates.
     pub segment_updates: u64,
-    /// Segment updates that asked the tree because the certificate did not suffice.
+    /// Segment updates that queried the tree because the certificate had expired.
     pub expired: u64,
-    /// Segment updates that asked the tree because there was nothing to begin with: the first, or other triangles.
+    /// Segment updates that queried the tree without a start: the first update, or other triangles.
     pub started: u64,
-    /// From triangle to neighbouring triangle.
+    /// Steps of walks from triangle to neighbouring triangle.
     pub hops: u64,
     /// Exact segment–triangle distances.
     pub triangle_tests: u64,
-    /// Nodes of the tree.
+    /// Visited nodes of the tree.
     pub nodes: u64,
     /// Nodes plus triangles of each update of the line.
     pub work: Quantiles,
-    /// Time of each update, the refit included \[µs\], as whoever has a clock told it.
+    /// Time of each update, the refit included \[µs\], as recorded by the caller.
     pub micros: Quantiles,
 }
 
 impl LineStatistics {
-    /// Of all segment updates, those that fell back on the tree; 0 before the first.
+    /// Share of segment updates that fell back on the tree; 0 before the first.
     #[must_use]
     pub fn fallback_rate(&self) -> f64 {
         if self.segment_updates == 0 {

@@ -1,28 +1,27 @@
-//! A plane between a segment and a triangle: a bound of their distance that costs next to nothing.
+//! Separating plane between a segment and a triangle: a cheap lower bound of their distance.
 
 use nalgebra::{Point3, Vector3};
 
 use crate::primitive::{Segment, SegmentTriangle, Triangle, closest_on_segment};
 
-/// A plane before which the segment was and behind which a triangle was when they were last measured: it says how near they
-/// can be now without measuring again, and does not mind how the segment slides along it.
+/// A plane that separated the segment and a triangle at their last measurement. It bounds their current distance
+/// without a new measurement, and is unaffected by sliding along it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Support {
-    /// Unit normal towards the segment; zero where there was no telling.
+    /// Unit normal towards the segment; zero if undefined.
     normal: Vector3<f64>,
     offset: f64,
-    /// Motion of the surface up to then \[m\].
+    /// Accumulated motion of the surface at that time \[m\].
     motion: f64,
 }
 
 impl Support {
-    /// Between the nearest points.
+    /// The plane between the nearest points.
     pub(super) fn new(nearest: &SegmentTriangle, triangle: &Triangle, motion: f64) -> Self {
         Self::along(&(nearest.on_segment - nearest.on_triangle), triangle, motion)
     }
 
-    /// Along the way from the middle of the triangle to the nearest point of the segment: for a start, and without
-    /// measuring.
+    /// Initial guess without measurement: normal from the triangle's centroid to the nearest point of the segment.
     pub(super) fn guess(segment: &Segment, triangle: &Triangle, motion: f64) -> Self {
         let middle = Point3::from((triangle[0].coords + triangle[1].coords + triangle[2].coords) / 3.0);
         let along = closest_on_segment(&middle, segment);
@@ -30,7 +29,7 @@ impl Support {
         Self::along(&away, triangle, motion)
     }
 
-    /// Any direction will do: the plane is put where the triangle ends in it.
+    /// Any direction is valid: the plane is placed at the triangle's support in it.
     fn along(direction: &Vector3<f64>, triangle: &Triangle, motion: f64) -> Self {
         let size = direction.norm();
         if size <= 0.0 {
@@ -45,7 +44,7 @@ impl Support {
         self.normal == Vector3::zeros()
     }
 
-    /// A distance that they have at least \[m\].
+    /// Lower bound of their distance \[m\].
     pub(super) fn at_least(&self, segment: &Segment, motion: f64) -> f64 {
         let heights = segment.map(|end| self.normal.dot(&end.coords));
         heights[0].min(heights[1]) - self.offset - (motion - self.motion)
@@ -61,7 +60,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(5_000))]
-        /// Whatever the segment has done since, and however far the triangle has moved within what is told.
+        /// Tests the bound for any motion of the segment, and motion of the triangle within the stated amount.
         #[test]
         fn a_support_never_tells_too_much(
             first in [point(), point()], later in [point(), point()], triangle in [point(), point(), point()],

@@ -1,9 +1,9 @@
-//! A surface that moves carries the proxy: continuous in the surface's motion as the sweep is in the proxy's own.
+//! Carrying of the proxy by a moving surface, with continuous collision detection in the surface's motion.
 //!
-//! All is seen from the point that the proxy touches, so that a surface that moves as a whole moves nothing. Each triangle
-//! goes evenly from where it was to where it is. A step lets nothing come nearer than half of the distance that the nearest
-//! triangle has; so none gets past the middle of the proxy, and after each step the proxy is pushed out to where the planes
-//! hold it, without passing anything itself.
+//! Motion is relative to the point that the proxy touches, so that rigid motion of the surface has no effect. Each
+//! triangle moves linearly from its old to its new position. A step reduces no distance below half of the nearest
+//! triangle's; so no triangle passes the proxy's centre, and after each step the planes push the proxy out, without it
+//! passing any triangle.
 
 use nalgebra::{Point3, Vector3};
 
@@ -12,14 +12,14 @@ use super::{EXACT, FingerProxy, RETREAT, SETTLED, TOUCH};
 use crate::moving_surface::MovingSurface;
 use crate::primitive::{Triangle, closest_on_triangle, sweep_sphere_triangle};
 
-/// Steps of an update at most. Each but the last brings something half of its distance nearer, or ends the update.
+/// Most steps of an update. Each but the last halves the nearest distance, or ends the update.
 const STEPS_MAX: usize = 512;
-/// Pushes after each step at most.
+/// Most pushes after each step.
 const PUSHES_MAX: usize = 4;
-/// Of the skin: nearer than this there is no room left between two walls.
+/// Relative to the skin: distance below which there is no room left between two walls.
 const NO_ROOM: f64 = 1e-6;
 
-/// A triangle on its way.
+/// A moving triangle.
 #[derive(Clone, Copy, Debug)]
 struct Moving {
     before: Triangle,
@@ -36,7 +36,7 @@ impl Moving {
     }
 }
 
-/// Triangles on their way, kept from update to update.
+/// Moving triangles; the buffer is reused between updates.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Carried {
     near: Vec<Moving>,
@@ -44,7 +44,7 @@ pub(super) struct Carried {
 }
 
 impl FingerProxy {
-    /// Goes along with the last update of the surface.
+    /// Carries the proxy along with the last update of the surface.
     pub(super) fn carry(&mut self, mesh: &MovingSurface) {
         let motion = mesh.last_motion();
         self.around.travel(motion);
@@ -53,7 +53,7 @@ impl FingerProxy {
         }
         let start = self.proxy;
         let (mut share, mut place) = (0.0, self.proxy);
-        // A few times at most it is pushed further than what was gathered allows for.
+        // At most a few pushes exceed the gathered region.
         for _ in 0..8 {
             let budget = 2.0 * motion + 0.1 * self.hold();
             let Some(with) = self.gather(mesh, &place, share, budget) else {
@@ -72,8 +72,8 @@ impl FingerProxy {
         self.around.travel((place - start).norm());
     }
 
-    /// The triangles that may come to touch the proxy on the way from `share` on, and the motion of what it touches, in
-    /// which their motion is left out; `None` where nothing comes near.
+    /// The triangles that may touch the proxy from `share` on, and the motion of the touched point, to which their
+    /// motion is relative; `None` if none comes near.
     fn gather(
         &mut self,
         mesh: &MovingSurface,
@@ -82,7 +82,7 @@ impl FingerProxy {
         budget: f64,
     ) -> Option<Vector3<f64>> {
         let hold = self.hold();
-        // Twice the motion: the proxy's, with what it touches, and theirs.
+        // Twice the motion: that of the proxy with the touched surface, and that of the triangles.
         let reach = hold + 2.0 * mesh.last_motion() + budget;
         let mut carried = std::mem::take(&mut self.carried);
         carried.near.clear();
@@ -114,14 +114,14 @@ impl FingerProxy {
             }
         }
         if nearest > hold + TOUCH * self.config.skin {
-            // What it does not touch does not take it along.
+            // A surface without contact does not carry it.
             with = Vector3::zeros();
         }
         for moving in &mut carried.near {
             for motion in &mut moving.motion {
                 *motion -= with;
             }
-            // Seen from what goes along, everything is where it was at this share.
+            // Relative to the carried frame, everything is at its position at this share.
             for corner in &mut moving.before {
                 *corner += with * share;
             }
@@ -135,7 +135,7 @@ impl FingerProxy {
         (!is_far).then_some(with)
     }
 
-    /// From `share` on as far as the budget lets it: the share reached, and where the proxy is then.
+    /// Advances from `share` as far as the budget allows; returns the share reached, and the proxy's position.
     fn push(
         &mut self,
         start: Point3<f64>,
@@ -159,7 +159,7 @@ impl FingerProxy {
                 if motion.norm() <= SETTLED * self.config.skin {
                     break;
                 }
-                // Beyond the budget there may be what was not gathered.
+                // Beyond the budget there may be ungathered triangles.
                 motion *= ((budget - pushed) / motion.norm()).clamp(0.0, 1.0);
                 let guard = 0.9 * room.min(self.guard());
                 let free = near.iter().fold(1.0_f64, |free, moving| {
@@ -174,7 +174,7 @@ impl FingerProxy {
         (share, place + with * (share - from))
     }
 
-    /// Where the planes of what is too near push it, and how near the nearest is.
+    /// The position to which the planes of too near triangles push it, and the distance of the nearest.
     fn retreat(&self, near: &[Moving], place: &Point3<f64>, share: f64) -> (Vector3<f64>, f64) {
         let hold = self.hold();
         let mut planes = Planes::none();

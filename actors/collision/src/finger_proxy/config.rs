@@ -1,13 +1,13 @@
-//! What a proxy is told.
+//! Parameters and errors of a proxy.
 
 use thiserror::Error;
 
-/// What a proxy is.
+/// Parameters of a proxy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProxyConfig {
     /// Radius \[m\]; 0 for the god-object.
     pub radius: f64,
-    /// How far off the surface it is held \[m\]: less than can be felt, more than roundings; 1e-5 by default.
+    /// Distance from the surface at which it is kept \[m\]: imperceptible, but above rounding; 1e-5 by default.
     pub skin: f64,
     /// Coulomb friction while it sticks.
     pub static_friction: f64,
@@ -21,20 +21,20 @@ impl Default for ProxyConfig {
     }
 }
 
-/// Why there can be no such proxy, or no such step.
+/// Why a proxy or a step is invalid.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ProxyError {
-    /// A parameter out of its range.
+    /// A parameter is out of range.
     #[error("{what} of {value}: {valid} is valid")]
     Parameter {
-        /// Which one.
+        /// The parameter.
         what: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it may be.
+        /// Its valid range.
         valid: &'static str,
     },
-    /// A device that is nowhere.
+    /// The device's position is not finite.
     #[error("the device is at {0:?}: finite numbers are valid")]
     NotFinite([f64; 3]),
 }

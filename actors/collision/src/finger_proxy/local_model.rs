@@ -1,5 +1,6 @@
-//! The proxy's surroundings as a model that haptics evaluates at its own rate (Adachi, Kumano and Ogino, *Intermediate
-//! representation for stiff virtual objects*, 1995; Mark et al., *Adding force feedback to graphics systems*, 1996).
+//! Local contact model of the proxy's surroundings, which haptics evaluates at its own rate (Adachi, Kumano and Ogino,
+//! *Intermediate representation for stiff virtual objects*, 1995; Mark et al., *Adding force feedback to graphics
+//! systems*, 1996).
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::components::{ContactPlane, LocalContactModel, Pose, Velocity};
@@ -8,12 +9,12 @@ use trocar_scene::time::SimTime;
 use super::{FingerProxy, Touched};
 use crate::moving_surface::MovingSurface;
 
-/// Of two planes whose normals are nearer to each other than this (about 18°) the further one adds nothing.
+/// Of two planes whose normals differ by less than this (about 18°) the farther one is dropped.
 const SAME_PLANE_COSINE: f64 = 0.95;
-/// Triangles that are looked at for planes.
+/// Most triangles considered for planes.
 const SEEN_MAX: usize = 32;
 
-/// How a plane of the model answers.
+/// Contact properties of a plane of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlaneFeel {
     /// Stiffness against penetration, the tissue's compliance linearised where it is \[N/m\].
@@ -23,8 +24,9 @@ pub struct PlaneFeel {
 }
 
 impl FingerProxy {
-    /// The planes that hold it first, then those that it may meet within `foresight` \[m\], nearest first, four at most: a
-    /// tip that keeps above them is where the proxy may be. The model's proxy velocity is the proxy's own.
+    /// At most four planes: those in contact with the proxy first, then those that it may reach within `foresight`
+    /// \[m\], nearest first. A tip above all of them is at an allowed proxy position. The model's proxy velocity is the
+    /// proxy's own.
     #[must_use]
     pub fn local_contact_model(
         &self,

@@ -1,15 +1,15 @@
-//! The haptic proxy: what stands on the surface for the hand that has gone through it, and pulls it back (god-object:
-//! Zilles and Salisbury, *A constraint-based god-object method for haptic display*, 1995; a finger of some size: Ruspini,
+//! The haptic proxy: stays on the surface while the device penetrates it, and pulls the device back (god-object: Zilles
+//! and Salisbury, *A constraint-based god-object method for haptic display*, 1995; a finger of finite size: Ruspini,
 //! Kolarov and Khatib, *The haptic display of complex graphical environments*, 1997).
 //!
-//! The proxy is a sphere that seeks the device and never passes a triangle. What it touches are planes; it goes to the
-//! place nearest to the device that up to three of them allow, as far as a sweep against all triangles about it lets it,
-//! and looks again. It is held a *skin* off the surface, and swept with half of that skin: so rounding never decides
-//! whether it passes, and sliding over a flat triangulation meets nothing. A touched edge or corner counts only where no
-//! triangle that shares it is nearer, so that a flat or convex joint is no bump.
+//! The proxy is a sphere that moves towards the device and never passes a triangle. Touched triangles are constraint
+//! planes; it moves to the position nearest to the device that up to three of them allow, as far as a sweep against all
+//! nearby triangles allows, and repeats. It is kept a *skin* off the surface, and swept with half of that skin: so
+//! rounding never lets it pass, and sliding over a flat triangulation hits nothing. A touched edge or corner counts
+//! only if no triangle that shares it is nearer, so that a flat or convex joint is no bump.
 //!
-//! When the surface moves it carries the proxy along: within each update the triangles about it go from where they were to
-//! where they are in steps that are shorter than their distance, and push it before them.
+//! A moving surface carries the proxy along: within each update the nearby triangles move from their old to their new
+//! positions in steps shorter than their distance, and push the proxy.
 
 mod carry;
 mod config;
@@ -30,23 +30,23 @@ use neighbourhood::Neighbourhood;
 use planes::{Held, Plane, Planes};
 use rolling::Rolling;
 
-/// Looks and moves of a step at most; what is left is done in the next.
+/// Most moves of a step; the rest is done in the next step.
 const MOVES_MAX: usize = 6;
-/// Of the skin: what counts as touching, beyond the skin itself.
+/// Relative to the skin: contact tolerance beyond the skin itself.
 const TOUCH: f64 = 0.25;
-/// Of the skin: a move shorter than this is none.
+/// Relative to the skin: shortest move.
 const SETTLED: f64 = 1e-2;
-/// Of the skin: what a plane may be violated by.
+/// Relative to the skin: tolerated violation of a plane.
 const EXACT: f64 = 1e-3;
-/// Of the skin: a retreat that is always made, also in an acute wedge.
+/// Relative to the skin: a retreat that is always made, even in an acute wedge.
 const RETREAT: f64 = 20.0;
-/// Triangles told apart where the proxy touches.
+/// Most triangles distinguished in contact.
 const TOUCHED_MAX: usize = 24;
 
-/// One of the planes that hold the proxy.
+/// One of the active constraint planes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProxyContact {
-    /// Which triangle.
+    /// Index of the triangle.
     pub triangle: u32,
     /// Weights of the touched point on its corners.
     pub weights: [f64; 3],
@@ -54,26 +54,26 @@ pub struct ProxyContact {
     pub on_surface: Point3<f64>,
     /// Unit normal towards the proxy.
     pub normal: Vector3<f64>,
-    /// How far it pushes the proxy away from the device \[m\]: its share of the force, over the stiffness.
+    /// Its push of the proxy away from the device \[m\]: its share of the force, divided by the stiffness.
     pub push: f64,
     /// Velocity of the surface there \[m/s\].
     pub surface_velocity: Vector3<f64>,
 }
 
-/// Counts since the proxy was made.
+/// Counters since the proxy was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ProxyStatistics {
     /// Steps.
     pub steps: u64,
-    /// Looks at what is around, and moves.
+    /// Queries and moves.
     pub moves: u64,
-    /// Times that the tree was asked.
+    /// Tree queries.
     pub gathered: u64,
     /// Sweeps through the tree, for moves beyond the neighbourhood.
     pub long_sweeps: u64,
-    /// Updates of the surface in which walls met where the proxy was, so that it could not stay on its side.
+    /// Surface updates in which walls closed on the proxy, so that it could not stay on its side.
     pub squeezed: u64,
-    /// Times that it was put in front of a surface that it had no path from: the first, or other triangles.
+    /// Times that it was placed in front of a surface without a path: at the first step, or after new triangles.
     pub placed: u64,
 }
 
@@ -86,13 +86,13 @@ pub struct FingerProxy {
     velocity: Vector3<f64>,
     contacts: [Option<ProxyContact>; 3],
     is_sticking: bool,
-    /// What it touched at its last look.
+    /// Triangles touched at the last query.
     touched: Vec<Touched>,
     around: Neighbourhood,
     carried: carry::Carried,
     /// Topology revision and number of updates that the proxy has followed.
     seen: Option<(u64, u64)>,
-    /// Whether its place is one that it had before, and not to be found yet.
+    /// Whether its position was restored, and needs no initial placement.
     resumes: bool,
     statistics: ProxyStatistics,
 }
@@ -121,8 +121,7 @@ impl Touched {
         })
     }
 
-    /// Whether another triangle has the edge or the corner on which this is touched, and is nearer: then that is what is
-    /// touched.
+    /// Whether another triangle shares the touched edge or corner and is nearer: then only that one counts as touched.
     fn is_part_of(&self, other: &Self, mesh: &MovingSurface) -> bool {
         if other.distance >= self.distance * (1.0 - 1e-12) || self.weights.iter().all(|weight| *weight > 0.0)
         {
@@ -144,10 +143,10 @@ fn check_place(place: &Point3<f64>) -> Result<(), ProxyError> {
 }
 
 impl FingerProxy {
-    /// A proxy that begins where the device is at its first step.
+    /// A proxy that starts at the device at its first step.
     ///
     /// # Errors
-    /// A parameter out of its range.
+    /// A parameter is out of range.
     pub fn new(config: ProxyConfig) -> Result<Self, ProxyError> {
         config.check()?;
         Ok(Self {
@@ -166,35 +165,35 @@ impl FingerProxy {
         })
     }
 
-    /// A proxy that goes on from where it was, in the surface's frame \[m\]: it stays on its side of what the device is
-    /// behind. What has moved over it in between, by less than its radius, pushes it out again.
+    /// A proxy restored at an earlier position, in the surface's frame \[m\]: it stays on its side of the surface that
+    /// the device penetrates. A surface that moved over it meanwhile, by less than its radius, pushes it out again.
     ///
     /// # Errors
-    /// A parameter out of its range, or a place that is not finite.
+    /// A parameter is out of range, or the position is not finite.
     pub fn resumed(config: ProxyConfig, place: &Point3<f64>) -> Result<Self, ProxyError> {
         check_place(place)?;
         Ok(Self { proxy: *place, device: *place, resumes: true, ..Self::new(config)? })
     }
 
-    /// What it is.
+    /// Its parameters.
     #[must_use]
     pub fn config(&self) -> &ProxyConfig {
         &self.config
     }
 
-    /// Where it is, in the surface's frame \[m\].
+    /// Its position, in the surface's frame \[m\].
     #[must_use]
     pub fn position(&self) -> Point3<f64> {
         self.proxy
     }
 
-    /// Its velocity over the last step \[m/s\]; 0 where no time was told.
+    /// Its velocity over the last step \[m/s\]; 0 if the interval was unknown.
     #[must_use]
     pub fn velocity(&self) -> Vector3<f64> {
         self.velocity
     }
 
-    /// The planes that hold it away from the device, those that push most first.
+    /// The planes that keep it from the device, the strongest push first.
     pub fn contacts(&self) -> impl Iterator<Item = &ProxyContact> {
         self.contacts.iter().flatten()
     }
@@ -205,33 +204,33 @@ impl FingerProxy {
         self.is_sticking
     }
 
-    /// What a spring of this stiffness \[N/m\] from the device to the proxy pulls the device with \[N\].
+    /// Force on the device \[N\] of a spring of this stiffness \[N/m\] to the proxy.
     #[must_use]
     pub fn force(&self, stiffness: f64) -> Vector3<f64> {
         (self.proxy - self.device) * stiffness
     }
 
-    /// What it has cost so far.
+    /// Its cost so far.
     #[must_use]
     pub fn statistics(&self) -> &ProxyStatistics {
         &self.statistics
     }
 
-    /// Forgets where it is: it begins anew at the device.
+    /// Resets it: it restarts at the device.
     pub fn reset(&mut self) {
         self.seen = None;
         self.resumes = false;
     }
 
-    /// Follows the surface to where it is now, and the device as far as the surface allows, `interval_secs` after the step
-    /// before (0 where that is not known). Returns where the proxy is.
+    /// Follows the surface's last update, and the device as far as the surface allows, `interval_secs` after the
+    /// previous step (0 if unknown). Returns the proxy's position.
     ///
-    /// It stays on its side through any number of steps as long as it sees every update of the surface. At first, after
-    /// [`reset`](Self::reset), after missed updates and after a change of triangles it has no path to go by: at first it is
-    /// put in front of the nearest triangle if it is behind that, later only where it overlaps one.
+    /// It stays on its side through any number of steps as long as it gets every update of the surface. In the first
+    /// step, after [`reset`](Self::reset), after missed updates and after a change of triangles its path is unknown: in
+    /// the first step it is placed in front of the nearest triangle if it is behind it, later only if it overlaps one.
     ///
     /// # Errors
-    /// A device or a time that is not finite; the proxy stays where it was.
+    /// The device or the time is not finite; the proxy stays unchanged.
     pub fn step(
         &mut self,
         mesh: &MovingSurface,
@@ -268,17 +267,17 @@ impl FingerProxy {
         Ok(self.proxy)
     }
 
-    /// Distance at which the planes hold its middle \[m\].
+    /// Distance of its centre from the planes \[m\].
     fn hold(&self) -> f64 {
         self.config.radius + self.config.skin
     }
 
-    /// Distance below which no sweep lets it come \[m\].
+    /// Minimum distance kept by sweeps \[m\].
     fn guard(&self) -> f64 {
         self.config.radius + 0.5 * self.config.skin
     }
 
-    /// Puts it in front of the nearest triangle, if it is behind it and nearer than `within` \[m\], or overlaps it.
+    /// Places it in front of the nearest triangle, if it is behind it and nearer than `within` \[m\], or overlaps it.
     fn place(&mut self, mesh: &MovingSurface, within: f64) {
         self.statistics.placed += 1;
         self.around.forget();
@@ -302,7 +301,7 @@ impl FingerProxy {
         }
     }
 
-    /// Goes to the device as far as the surface lets it.
+    /// Moves towards the device as far as the surface allows.
     fn follow(&mut self, mesh: &MovingSurface) {
         let mut blocked: [Option<u32>; 4] = [None; 4];
         let mut blocks = 0;
@@ -342,14 +341,14 @@ impl FingerProxy {
                 break;
             }
             let guard = if nearest > self.guard() - 0.1 * self.config.skin {
-                // A rounding below the guard is no matter.
+                // A rounding error below the guard is harmless.
                 self.guard().min(nearest) * (1.0 - 1e-12)
             } else {
-                // In a gap narrower than itself it has less room, and may use some of what it has.
+                // In a gap narrower than itself it may use part of the remaining room.
                 0.9 * nearest
             };
             let (share, by) = self.around.sweep(mesh, &self.proxy, &motion, guard, &mut self.statistics);
-            // Where nothing is in the way it is the device, to the last bit: no force in free space.
+            // In free space it equals the device's position bit for bit: no force.
             self.proxy =
                 if share >= 1.0 && motion == wish { self.device } else { self.proxy + motion * share };
             self.around.travel(motion.norm() * share);
@@ -380,7 +379,7 @@ impl FingerProxy {
         }
     }
 
-    /// The planes of what it touches, and how near the nearest triangle is \[m\].
+    /// The planes of the touched triangles, and the distance of the nearest triangle \[m\].
     fn touch(&mut self, mesh: &MovingSurface, wish: &Vector3<f64>, blocked: &[Option<u32>]) -> (Planes, f64) {
         let hold = self.hold();
         let reach = hold + TOUCH * self.config.skin;
@@ -404,14 +403,14 @@ impl FingerProxy {
         (planes, nearest)
     }
 
-    /// The motion that friction leaves, and whether it holds the proxy (the friction cone: Harwin and Melder, *Improved
+    /// The motion that friction allows, and whether the proxy sticks (the friction cone: Harwin and Melder, *Improved
     /// haptic rendering for multi-finger manipulation using friction cone based god-objects*, 2002).
     fn rub(&self, held: &Held, retreat: &Vector3<f64>) -> (Vector3<f64>, bool) {
         let pressed: f64 = held.active.iter().flatten().map(|(_, push)| push).sum();
         if self.config.static_friction <= 0.0 || pressed <= 0.0 {
             return (held.motion, false);
         }
-        // A retreat from what came too near is no sliding.
+        // A retreat from a too near triangle is not sliding.
         let slide = held.motion - retreat;
         let size = slide.norm();
         if size <= self.config.static_friction * pressed {

@@ -1,4 +1,4 @@
-//! The triangles about a proxy, kept from step to step as long as their certificate holds.
+//! Neighbourhood of a proxy: nearby triangles, kept between steps as long as their certificate holds.
 
 use nalgebra::{Point3, Vector3};
 
@@ -7,25 +7,25 @@ use crate::candidates::{Candidates, Found};
 use crate::moving_surface::MovingSurface;
 use crate::primitive::sweep_sphere_triangle;
 
-/// Triangles kept at most: one bit each.
+/// Most triangles kept: one bit each.
 const KEPT: usize = 64;
-/// Triangles that a gathering should find.
+/// Target number of triangles per gathering.
 const WANTED: std::ops::Range<usize> = 24..56;
 
-/// What is near.
+/// Triangles near the proxy.
 #[derive(Clone, Debug)]
 pub(super) struct Neighbourhood {
     candidates: Candidates<(), KEPT>,
     found: Vec<(u32, f32)>,
     bounds: Vec<Found<()>>,
-    /// How far around is gathered \[m\].
+    /// Radius of the gathering \[m\].
     ahead: f64,
-    /// Distance, normal and slot of each triangle of the last look.
+    /// Distance, normal and slot of each triangle at the last query.
     looked: [Looked; KEPT],
     count: usize,
 }
 
-/// How far a sweep came, and what ended it.
+/// Result of a sweep: the share reached, and the blocking triangle.
 struct Met {
     share: f64,
     by: Option<u32>,
@@ -58,7 +58,7 @@ impl Neighbourhood {
         self.candidates.travel(distance);
     }
 
-    /// Makes sure that every triangle within `reach` \[m\] of `place` is among the candidates; `false` where that are too
+    /// Makes sure that every triangle within `reach` \[m\] of `place` is among the candidates; `false` if there are too
     /// many to keep.
     pub(super) fn cover(
         &mut self,
@@ -86,7 +86,7 @@ impl Neighbourhood {
         self.candidates.certify(reach)
     }
 
-    /// Shows every triangle that may be within `reach` \[m\] of `place`.
+    /// Visits every triangle that may be within `reach` \[m\] of `place`.
     pub(super) fn look(
         &mut self,
         mesh: &MovingSurface,
@@ -110,8 +110,8 @@ impl Neighbourhood {
         }
     }
 
-    /// The share of a motion from the place of the last look that keeps `guard` \[m\] from every triangle, and which one
-    /// ends it.
+    /// The share of a motion from the last query position that keeps `guard` \[m\] from every triangle, and the
+    /// blocking triangle.
     pub(super) fn sweep(
         &mut self,
         mesh: &MovingSurface,
@@ -129,12 +129,12 @@ impl Neighbourhood {
                 *met = Met { share, by: Some(triangle) };
             }
         };
-        // Nothing but the candidates can be met on this share of the way.
+        // On this share of the path only candidates can be hit.
         let known = ((self.candidates.others_at_least() - guard) / length).clamp(0.0, 1.0);
         let mut seen = 0_u64;
         for looked in &self.looked[..self.count] {
             seen |= 1 << looked.slot;
-            // The plane between it and the proxy lets it go all the way, mostly.
+            // Usually the plane between it and the proxy allows the whole path.
             if looked.distance + met.share * looked.normal.dot(motion).min(0.0) < guard {
                 meet(&mut met, self.candidates.triangle(looked.slot as usize));
             }

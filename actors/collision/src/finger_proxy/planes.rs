@@ -1,43 +1,43 @@
-//! The planes that hold a proxy, and the place nearest to the device that they allow (Zilles and Salisbury, *A
+//! Constraint planes of a proxy, and the allowed position nearest to the device (Zilles and Salisbury, *A
 //! constraint-based god-object method for haptic display*, 1995: at most three of them are active).
 
 use nalgebra::Vector3;
 
-/// Planes looked at, the most violated first.
+/// Most planes considered, the most violated first.
 const PLANES_MAX: usize = 6;
 
-/// Planes that come in at most: more than there are sets of six that could.
+/// Most rounds of adding a plane: more than the possible sets of six planes.
 const ROUNDS_MAX: usize = 42;
-/// Further than so many times the depth there is no retreat.
+/// Longest retreat, relative to the depth.
 const STEEP: f64 = 4.0;
 
 /// The proxy may move by `z` where `normal · z ≥ least`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plane {
-    /// Unit normal, to where the proxy may be.
+    /// Unit normal, towards the allowed side.
     pub(super) normal: Vector3<f64>,
     /// Positive where it has to retreat \[m\].
     pub(super) least: f64,
-    /// Whose plane it is, for whoever asks.
+    /// Owner of the plane, for the caller.
     pub(super) owner: usize,
 }
 
-/// Some planes, without a heap.
+/// A fixed-capacity set of planes, without heap allocation.
 #[derive(Clone, Debug)]
 pub(super) struct Planes {
     list: [Plane; PLANES_MAX],
     count: usize,
 }
 
-/// Where the proxy goes, and which planes push it there.
+/// The proxy's constrained motion, and the active planes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Held {
     pub(super) motion: Vector3<f64>,
-    /// Owner of each active plane, and how far it pushes \[m\].
+    /// Owner and push \[m\] of each active plane.
     pub(super) active: [Option<(usize, f64)>; 3],
 }
 
-/// A motion, and the planes (by their place in the list) that push it away from the wish.
+/// A motion, and the active planes (by index) that push it away from the desired one.
 #[derive(Clone, Copy, Debug)]
 struct Pushed {
     motion: Vector3<f64>,
@@ -54,7 +54,7 @@ impl Planes {
         &self.list[..self.count]
     }
 
-    /// Takes a plane; of two that are the same the stricter, of more than fit those that `wish` violates most.
+    /// Adds a plane; keeps the stricter of two equal ones, and if the set is full those that `wish` violates most.
     pub(super) fn push(&mut self, plane: Plane, wish: &Vector3<f64>) {
         for own in &mut self.list[..self.count] {
             if own.normal.dot(&plane.normal) > 1.0 - 1e-12 {
@@ -86,10 +86,10 @@ impl Planes {
         self.as_slice().iter().all(|plane| plane.normal.dot(motion) >= plane.least - tolerance)
     }
 
-    /// The allowed motion nearest to `wish`. Planes come in one at a time, the one that is violated most: together with
-    /// those that push already, it makes a small problem that is solved outright, and the answer is ever further from the
-    /// wish, so that no set comes twice (the dual method of Goldfarb and Idnani, 1983, in three dimensions). `None` where no
-    /// motion is allowed, or it cannot be told.
+    /// The allowed motion nearest to `wish`. Planes are added one at a time, the most violated first: with the active
+    /// ones each gives a small problem that is solved directly, and the distance from the wish grows in each round, so
+    /// that no set repeats (the dual method of Goldfarb and Idnani, 1983, in three dimensions). `None` if no motion is
+    /// allowed, or rounding prevents a decision.
     pub(super) fn nearest(&self, wish: &Vector3<f64>, tolerance: f64) -> Option<Held> {
         let planes = self.as_slice();
         let mut found = Pushed { motion: *wish, by: [None; 3] };
@@ -110,7 +110,8 @@ impl Planes {
         None
     }
 
-    /// The nearest that one more plane and those that pushed so far allow: the new one pushes, with none, one or two others.
+    /// The nearest motion that one more plane and the previously active ones allow: the new one is active, with none,
+    /// one or two others.
     fn with(&self, added: usize, before: &Pushed, wish: &Vector3<f64>, tolerance: f64) -> Option<Pushed> {
         let planes = self.as_slice();
         let old = before.by.map(|pushing| pushing.map(|(index, _)| index));
@@ -119,7 +120,7 @@ impl Planes {
                 .flatten()
                 .all(|&index| planes[index].normal.dot(motion) >= planes[index].least - tolerance)
         };
-        // Of nearly parallel planes the solution may be noise: it must lie on them.
+        // For nearly parallel planes the solution may be dominated by rounding: it must lie on them.
         let on = |index: usize, motion: &Vector3<f64>| {
             (planes[index].normal.dot(motion) - planes[index].least).abs() <= tolerance
         };
@@ -159,9 +160,8 @@ impl Planes {
         None
     }
 
-    /// The shortest motion that gives every plane its distance. `None` where there is none, or only a far one: out of the
-    /// narrow end of a gap, where a finger would be shot out like a cherry stone.
-    /// As far as `always` \[m\] it may be any motion.
+    /// The shortest motion that gives every plane its distance. `None` if there is none, or only a long one: at the
+    /// narrow end of a gap a finger would be ejected at high speed. Up to `always` \[m\] any motion is accepted.
     pub(super) fn retreat(&self, tolerance: f64, always: f64) -> Option<Vector3<f64>> {
         let deepest = self.as_slice().iter().fold(0.0, |deepest: f64, plane| deepest.max(plane.least));
         if deepest <= 0.0 {
@@ -171,7 +171,7 @@ impl Planes {
         (held.motion.norm() <= (STEEP * deepest).max(always)).then_some(held.motion)
     }
 
-    /// The same planes where none asks for a retreat: to stay is always allowed.
+    /// The same planes without required retreats: staying is always allowed.
     pub(super) fn without_retreat(&self) -> Self {
         let mut planes = self.clone();
         for plane in &mut planes.list {
@@ -180,7 +180,7 @@ impl Planes {
         planes
     }
 
-    /// Between planes that cannot all be kept: towards where they are violated equally.
+    /// Compromise for incompatible planes: towards equal violation.
     pub(super) fn compromise(&self) -> Vector3<f64> {
         let pressing = self.as_slice().iter().filter(|plane| plane.least > 0.0);
         let (sum, count) = pressing.fold((Vector3::zeros(), 0_u32), |(sum, count), plane| {
@@ -204,8 +204,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(5_000))]
-        /// The nearest allowed place is the one to which planes push that it lies on, and that violates none (the
-        /// conditions of Karush, Kuhn and Tucker: for a convex set they are sufficient).
+        /// The nearest allowed position violates no plane, and only planes that it lies on push it (the conditions of
+        /// Karush, Kuhn and Tucker: for a convex set they are sufficient).
         #[test]
         fn the_place_is_the_projection_onto_what_is_allowed(
             sides in prop::collection::vec((direction(), -0.5..0.0_f64), 0..6), wish in direction()

@@ -1,12 +1,12 @@
-//! Fewer moves about edges and corners.
+//! Acceleration of the proxy's moves around edges and corners (Aitken extrapolation).
 
 use nalgebra::Vector3;
 
-/// A slide is stretched so many times at most.
+/// Largest stretch factor of a slide.
 const STRETCH_MAX: f64 = 8.0;
 
-/// About an edge or a corner the planes turn as the proxy moves, and each move is only a share of what is left: slides one
-/// after another in one direction form a series, of which the rest can be foretold (Aitken, 1926).
+/// Around an edge or a corner the planes rotate as the proxy moves, and each move covers only a share of the rest:
+/// successive slides in one direction form a geometric series, whose sum can be extrapolated (Aitken, 1926).
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Rolling {
     last: Vector3<f64>,
@@ -14,13 +14,13 @@ pub(super) struct Rolling {
 }
 
 impl Rolling {
-    /// By how much the next slide is to be longer, up to `longest` \[m\].
+    /// Stretch factor of the next slide, up to a length of `longest` \[m\].
     pub(super) fn stretch(&mut self, slide: &Vector3<f64>, longest: f64) -> f64 {
         let (size, last) = (slide.norm(), self.last.norm());
         let along = slide.dot(&self.last);
         let mut stretch = 1.0;
         if size > 0.0 && along > 0.9 * size * last {
-            // Of what was left, this is left after a slide that was not stretched.
+            // The share of the rest that remains after an unstretched slide.
             let left = 1.0 - (1.0 - along / (last * last)) / self.stretched;
             stretch = if left < 1.0 - 1.0 / STRETCH_MAX { 1.0 / (1.0 - left) } else { STRETCH_MAX };
             stretch = stretch.min(longest / size).max(1.0);

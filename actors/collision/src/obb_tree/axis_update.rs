@@ -1,11 +1,11 @@
-//! Axes that turn with what they belong to: each node knows three vertices far apart in its patch of the surface, and
-//! how its axes lie to the frame that these span. As the surface bends, the frame turns and the axes with it, for a
-//! small part of the cost of finding them anew.
+//! Axis update of boxes on a deforming surface: each node stores three distant vertices of its patch, and its axes
+//! relative to the frame that they span. As the surface bends, the frame rotates and the axes with it, at a small part
+//! of the cost of a new fit.
 
 use super::lanes::{each, three};
 use super::{ObbTree, WIDTH};
 
-/// How a node's axes hang on its patch.
+/// Attachment of a node's axes to its patch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchors {
     vertices: [u32; 3],
@@ -16,7 +16,7 @@ pub(super) struct Anchors {
 
 /// Squared sine of the angle at the first anchor below which the three span no frame.
 const STRAIGHT: f32 = 1e-4;
-/// So many triangles of a patch are looked at for anchors; they need not be the very farthest.
+/// Number of triangles of a patch examined for anchors, which need not be the farthest ones.
 const LOOKED_AT: usize = 32;
 
 fn product(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -27,7 +27,7 @@ fn vector_product(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     three(|i| a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3])
 }
 
-/// Unit vectors by rows: from the first to the second, the third's side of that, the normal.
+/// Unit vectors by rows: from the first to the second, perpendicular towards the third, the normal.
 #[inline]
 fn frame(units: &[[f32; 3]], vertices: [u32; 3]) -> Option<[[f32; 3]; 3]> {
     let [a, b, c] = each(vertices, |vertex| units[vertex as usize]);
@@ -40,7 +40,7 @@ fn frame(units: &[[f32; 3]], vertices: [u32; 3]) -> Option<[[f32; 3]; 3]> {
     let (along, up) = (uu.sqrt().recip(), nn.sqrt().recip());
     let (u, normal) = (each(u, |x| x * along), each(normal, |x| x * up));
     let frame = [u, vector_product(normal, u), normal];
-    // Squares of very small patches leave the range of f32.
+    // Squares of very small lengths underflow `f32`.
     (along * up).is_finite().then_some(frame)
 }
 
@@ -91,7 +91,7 @@ pub(super) fn attach(tree: &mut ObbTree) {
     }
 }
 
-/// Turns all axes with the vertices. Where three anchors have come to lie in a line, axes stay.
+/// Rotates all axes with the vertices. If three anchors have become collinear, the axes stay.
 pub(super) fn carry(tree: &mut ObbTree) {
     let inner = tree.nodes.len();
     for (index, (node, anchors)) in tree.nodes.iter().zip(&tree.anchors).enumerate() {

@@ -1,5 +1,5 @@
-//! From the top down: triangles are halved about the median of their middles along the direction of their greatest
-//! spread, twice for each node, so that a node has four children and every leaf but one four triangles.
+//! Top-down construction: triangles are split at the median of their centroids along the direction of greatest spread,
+//! twice for each node, so that a node has four children and every leaf but one four triangles.
 
 use super::fit::Spread;
 use super::lanes::{each, three};
@@ -7,7 +7,7 @@ use super::leaf::Leaf;
 use super::obb::{Obb, ObbQuad};
 use super::{Node, ObbTree, WIDTH};
 
-/// A triangle on its way into a leaf.
+/// A triangle to be sorted into a leaf.
 #[derive(Clone, Copy)]
 struct Item {
     number: u32,
@@ -24,14 +24,14 @@ struct Builder<'a> {
     leaf_axes: Vec<[[f32; 3]; 3]>,
 }
 
-/// What a child is, before the number of inner nodes is known.
+/// A child, before the number of inner nodes is known.
 #[derive(Clone, Copy)]
 enum Child {
     Node(u32),
     Leaf(u32),
 }
 
-/// Brings the triangles of a tree into the order of its leaves and makes its nodes, with axes but without extents.
+/// Sorts the triangles of a tree into leaf order and creates its nodes, with axes but without extents.
 pub(super) fn sort(tree: &mut ObbTree) {
     let mut items: Vec<Item> = tree
         .corners
@@ -74,7 +74,7 @@ pub(super) fn sort(tree: &mut ObbTree) {
 }
 
 impl Builder<'_> {
-    /// Makes the subtree over some leaves; says what it is and how high.
+    /// Builds the subtree over some leaves; returns its child and its height.
     fn subtree(&mut self, from: usize, to: usize, all: &mut Vec<[Child; WIDTH]>) -> (Child, u32) {
         let axes = self.axes(from, to);
         if to - from == 1 {
@@ -131,7 +131,7 @@ impl Builder<'_> {
         spread.axes()
     }
 
-    /// Sorts the triangles of some leaves about the first axis; says where the second half begins.
+    /// Splits the triangles of some leaves along the first axis; returns the start of the second half.
     fn halve(&mut self, from: usize, to: usize, axes: &[[f32; 3]; 3]) -> usize {
         let range = self.of(from, to);
         let middle = from + (to - from).div_ceil(2);
@@ -140,7 +140,7 @@ impl Builder<'_> {
         for item in items.iter_mut() {
             item.key = axis[0] * item.middle[0] + axis[1] * item.middle[1] + axis[2] * item.middle[2];
         }
-        // The number makes the order one and the same for equal keys.
+        // The index makes the order of equal keys unique.
         items.select_nth_unstable_by((middle - from) * WIDTH, |a, b| {
             a.key.total_cmp(&b.key).then(a.number.cmp(&b.number))
         });

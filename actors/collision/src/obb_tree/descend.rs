@@ -1,4 +1,4 @@
-//! How two trees lie to each other, and which pairs of their leaves are left when boxes apart are left out.
+//! Relative placement of two trees, and the traversal to pairs of leaves whose boxes may overlap.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
@@ -7,14 +7,14 @@ use super::obb::{Obb, Placement};
 use super::{ObbTree, WIDTH};
 use crate::primitive::Triangle;
 
-/// All roundings of boxes and triangles in `f32`, of the reach of what is compared.
+/// Total rounding of boxes and triangles in `f32`, relative to their extent.
 const ROUNDING: f64 = 128.0 / 16_777_216.0;
-/// Ratio of two trees' units, and distance in either, up to which `f32` holds them.
+/// Largest ratio of two trees' units, and distance in either, for `f32`.
 const RANGE: f64 = 1e9;
-/// Distance, of the reach of both, beyond which rounding is no longer small beside what is compared.
+/// Distance, relative to both extents, beyond which rounding is no longer small.
 const FAR: f64 = 1000.0;
 
-/// Two trees, and how the second lies to the first.
+/// Two trees, and the placement of the second relative to the first.
 pub(super) struct Relation<'a> {
     pub a: &'a ObbTree,
     pub b: &'a ObbTree,
@@ -23,14 +23,14 @@ pub(super) struct Relation<'a> {
     /// From the unit of `b` to that of `a`, and back.
     pub into_a: Placement,
     pub into_b: Placement,
-    /// Gaps that may be rounding, in the unit of each.
+    /// Rounding tolerance of gaps, in the unit of each.
     pub slack: [f32; 2],
-    /// `f32` cannot tell the gaps of boxes from rounding, or not place one tree in the other's unit at all.
+    /// Whether `f32` cannot distinguish gaps from rounding, or not represent one tree in the other's unit.
     pub far: bool,
     pub blind: bool,
 }
 
-/// Which of the two trees a bound is in the unit of.
+/// The tree in whose unit a bound is.
 #[derive(Clone, Copy)]
 pub(super) enum Side {
     A,
@@ -59,14 +59,14 @@ impl<'a> Relation<'a> {
             into_b = place(&rotation.transpose(), &in_b, ratio.recip());
             slack = reaches.map(|reach| (ROUNDING * reach) as f32);
         } else {
-            // Too far, too large or too small: no gap is certain.
+            // Too far, too large or too small: gaps are unreliable.
             let none = Placement { rotation: narrow(&Matrix3::identity()), shift: [0.0; 3], scale: 1.0 };
             (into_a, into_b, slack) = (none, none, [f32::INFINITY; 2]);
         }
         Self { a, b, rotation, translation, into_a, into_b, slack, far, blind }
     }
 
-    /// A triangle of `b`, by its place, in the frame of `a`.
+    /// A triangle of `b`, by its position in the leaf order, in the frame of `a`.
     pub fn triangle_of_b(&self, place: usize) -> Triangle {
         each(self.b.triangle(place), |corner| Point3::from(self.rotation * corner.coords + self.translation))
     }
@@ -75,7 +75,7 @@ impl<'a> Relation<'a> {
         (index as usize) < tree.nodes.len()
     }
 
-    /// Which of a pair to look into; none when both are leaves.
+    /// The node of a pair to descend into; `None` if both are leaves.
     #[inline]
     pub fn larger(&self, a: u32, b: u32) -> Option<Side> {
         match (Self::is_inner(self.a, a), Self::is_inner(self.b, b)) {
@@ -90,7 +90,7 @@ impl<'a> Relation<'a> {
         }
     }
 
-    /// The one to look into first.
+    /// Orders a pair by the node to descend into.
     #[inline]
     pub fn ordered(&self, side: Side, [a, b]: [u32; 2]) -> [u32; 2] {
         match side {
@@ -110,7 +110,7 @@ impl<'a> Relation<'a> {
     }
 }
 
-/// Up to four of something with a measure, the greatest measure first.
+/// Sorts up to four items by a measure, the greatest first.
 #[inline]
 pub(super) fn sorted(bits: u32, measure: [f32; WIDTH]) -> ([usize; WIDTH], usize) {
     let mut order = [0; WIDTH];

@@ -1,5 +1,5 @@
-//! Surfaces so far apart, or so different in size, that `f32` cannot tell their boxes' gaps from rounding: the same
-//! descent with each pair of boxes compared in `f64`, slower and as sharp as ever.
+//! Traversal in `f64`, for surfaces so far apart, or so different in size, that `f32` cannot distinguish their boxes'
+//! gaps from rounding: slower and equally tight.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -7,12 +7,12 @@ use super::descend::{Relation, Side};
 use super::obb::Obb;
 use super::{ObbTree, WIDTH};
 
-/// Boxes err by this, of the reach of their tree.
+/// Error of boxes, relative to the extent of their tree.
 const BOX_ROUNDING: f64 = 64.0 / 16_777_216.0;
-/// What `f64` errs by, of all lengths involved.
+/// Error of `f64`, relative to all lengths involved.
 const ROUNDING: f64 = 1e-14;
 
-/// A pair of subtrees, and what their distance is at least \[m\].
+/// A pair of subtrees, and a lower bound of their distance \[m\].
 pub(super) type FarPending = ([u32; 2], f64);
 
 /// A box in metres and in the frame of the first surface.
@@ -24,7 +24,7 @@ struct Wide {
 
 fn wide(tree: &ObbTree, obb: &Obb) -> Wide {
     let vector = |v: [f32; 3]| Vector3::from(v.map(f64::from));
-    // Unit and perpendicular to the last digit: across a great distance the rounding of an axis is a great length.
+    // Orthonormal to the last digit: over a large distance the rounding of an axis becomes a large length.
     let x = vector(obb.axes[0]).normalize();
     let y = vector(obb.axes[1]);
     let y = (y - x * x.dot(&y)).normalize();
@@ -36,7 +36,7 @@ fn wide(tree: &ObbTree, obb: &Obb) -> Wide {
 }
 
 impl Relation<'_> {
-    /// What the distance of two boxes is at least \[m\], as in [`super::obb::ObbQuad::distance_squared`].
+    /// Lower bound of the distance of two boxes \[m\], as in [`super::obb::ObbQuad::distance_squared`].
     fn far_distance(&self, in_a: u32, in_b: u32) -> f64 {
         let a = wide(self.a, &self.a.boxes[in_a as usize]);
         let b = wide(self.b, &self.b.boxes[in_b as usize]);
@@ -50,12 +50,12 @@ impl Relation<'_> {
             ((axes.transpose() * between).abs() - b.half - turned.transpose() * a.half).map(apart).norm();
         let lengths = between.norm() + center.norm() + a.center.norm() + a.half.norm() + b.half.norm();
         let bound = of_a.max(of_b) - ROUNDING * lengths;
-        // Numbers so large that they overflow say nothing.
+        // Overflowing values give no bound.
         if bound.is_nan() { 0.0 } else { bound.max(0.0) }
     }
 
-    /// Visits pairs of leaves at most `limit` \[m\] apart as far as boxes tell, the nearest first. The visitor says what
-    /// the limit is from then on; none is the end.
+    /// Visits pairs of leaves whose boxes are at most `limit` \[m\] apart, the nearest first. The visitor returns the
+    /// new limit; `None` ends the traversal.
     pub fn descend_far(
         &self,
         pending: &mut Vec<FarPending>,

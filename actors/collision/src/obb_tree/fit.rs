@@ -1,12 +1,12 @@
-//! An oriented box about points: axes along the principal directions of their spread, extents from the points.
+//! Fit of an oriented box to points: axes along their principal directions (PCA), extents from the points.
 
 use super::lanes::{Lanes, Lanes3, dot, each, splat, three};
 use super::obb::{Obb, ObbQuad};
 
-/// Sums from which the principal directions follow.
+/// Accumulated moments for the principal directions.
 #[derive(Clone, Copy)]
 pub(super) struct Spread {
-    /// A point among the others, from which they are counted: squares of coordinates would drown their differences.
+    /// Reference point among the others: without it squares of coordinates would cancel their differences.
     from: [f32; 3],
     count: f32,
     sum: [f32; 3],
@@ -32,7 +32,7 @@ impl Spread {
         }
     }
 
-    /// Unit axes by rows, along the greatest spread first; right-handed, and some such axes whatever the points.
+    /// Unit axes by rows, along the greatest spread first; right-handed, and valid for any points.
     pub fn axes(&self) -> [[f32; 3]; 3] {
         let count = self.count.max(1.0);
         let mean = self.sum.map(|sum| sum / count);
@@ -50,7 +50,7 @@ impl Spread {
     }
 }
 
-/// Turns the axes until the matrix is diagonal (Jacobi 1846): three sweeps of three rotations leave rounding.
+/// Rotates the axes until the matrix is diagonal (Jacobi 1846): three sweeps of three rotations reach rounding error.
 fn jacobi(matrix: &mut [[f32; 3]; 3], axes: &mut [[f32; 3]; 3]) {
     for _ in 0..4 {
         for (p, q) in [(0, 1), (0, 2), (1, 2)] {
@@ -76,7 +76,7 @@ fn jacobi(matrix: &mut [[f32; 3]; 3], axes: &mut [[f32; 3]; 3]) {
     }
 }
 
-/// Makes two directions that are nearly so unit and perpendicular, and adds the third.
+/// Orthonormalises two nearly orthonormal directions, and adds the third.
 fn orthonormal([a, b]: [[f32; 3]; 2]) -> [[f32; 3]; 3] {
     let product = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let unit = |v: [f32; 3]| {
@@ -94,7 +94,7 @@ fn orthonormal([a, b]: [[f32; 3]; 2]) -> [[f32; 3]; 3] {
     }
 }
 
-/// Reach of points along three axes, four points at a time.
+/// Extent of points along three axes, four points at a time.
 pub(super) struct Reach {
     axes: [Lanes3; 3],
     low: Lanes3,
@@ -111,7 +111,7 @@ impl Reach {
         }
     }
 
-    /// Four triangles: one axis after the other, so that registers suffice.
+    /// Adds four triangles, one axis after the other, so that registers suffice.
     #[inline(always)]
     pub fn add(&mut self, corners: &[Lanes3; 3]) {
         for i in 0..3 {
@@ -121,7 +121,7 @@ impl Reach {
         }
     }
 
-    /// Four boxes.
+    /// Adds four boxes.
     #[inline(always)]
     pub fn add_boxes(&mut self, quad: &ObbQuad) {
         for i in 0..3 {

@@ -1,13 +1,13 @@
-//! All pairs in contact of two surfaces that move little from one question to the next: the descent into both trees goes
-//! on where the last one ended (Li and Chen, *Incremental 3D collision detection with hierarchical data structures*, 1998;
+//! Front-based contact query, for two surfaces that move little between queries: the traversal of both trees continues
+//! where the last one ended (Li and Chen, *Incremental 3D collision detection with hierarchical data structures*, 1998;
 //! Klosowski et al., *Efficient collision detection using bounding volume hierarchies of k-DOPs*, 1998).
 //!
-//! Where a descent ends is its *front*: pairs of subtrees that boxes hold apart, and pairs of leaves that they do not.
-//! Each pair that is apart has a certificate, how far it was apart when that was last looked at; whatever anything can
-//! have moved since is taken off, and only a pair whose certificate has run out is looked at again. Within two leaves the
-//! same holds of each pair of triangles. So a step costs what touches, and what has come near. Which triangles touch is decided by the same exact test as in
-//! [`TreeQuery::all_contacts`], and told in the order of their numbers: the answer is a function of the question, the
-//! front decides only what it costs.
+//! The end of a traversal is its *front*: pairs of subtrees with separated boxes, and pairs of leaves without
+//! separation. Each separated pair has a certificate, its gap at the last test; the largest possible motion since then
+//! is subtracted, and only expired pairs are tested again. Within two leaves the same applies to each pair of
+//! triangles. So the cost of a step depends on the pairs in contact and those that have come near. Contacts are decided
+//! by the same exact test as in [`TreeQuery::all_contacts`], and reported in index order: the result depends only on
+//! the query, the front affects only the cost.
 
 use nalgebra::{Isometry3, Matrix3, Vector3};
 
@@ -18,31 +18,31 @@ use super::query::exactly;
 use super::{ObbTree, TouchingPair, TreeQuery, WIDTH};
 use crate::generation::Known;
 
-/// Pairs of a front at most; where more would be needed, every question is asked anew.
+/// Most pairs of a front; if more are needed, every query starts at the roots.
 const PAIRS_MAX: usize = 1 << 20;
-/// A front only grows finer. After so many times as many pairs as at its beginning it begins anew.
+/// A front only becomes finer. It is restarted when its number of pairs has grown by this factor.
 const GROWTH: usize = 2;
-/// Leaves are taken from those that may touch when that is for so many steps like the last one.
+/// Leaves count as apart again if they will stay apart for this many steps like the last one.
 const STEPS_APART: f64 = 16.0;
-/// When two triangles that touch are to be looked at again: always.
+/// Expiry of two triangles in contact: always tested again.
 const TOUCHING: f64 = f64::NEG_INFINITY;
-/// What a motion may err, of all lengths involved.
+/// Rounding error of a motion, relative to all lengths involved.
 const ROUNDING: f64 = 1e-14;
 
-/// What questions have cost so far.
+/// Cost of the queries so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FrontCost {
-    /// Questions.
+    /// Number of queries.
     pub asked: u64,
-    /// Those at which nothing had moved.
+    /// Queries without any motion.
     pub at_rest: u64,
-    /// Those at which the descent began at the roots.
+    /// Queries that started at the roots.
     pub anew: u64,
-    /// Pairs of subtrees whose certificate had run out.
+    /// Pairs of subtrees with an expired certificate.
     pub expired: u64,
 }
 
-/// Two surfaces as they were at the last question.
+/// State of the two surfaces at the last query.
 #[derive(Clone, Debug)]
 struct Last {
     trees: [Known; 2],
@@ -52,26 +52,25 @@ struct Last {
     rotation: Matrix3<f64>,
 }
 
-/// Two leaves whose triangles may touch, and when each two of those are to be looked at again, at so much of what is
-/// travelled \[m\].
+/// Two leaves whose triangles may touch, and the travelled distance at which each pair expires \[m\].
 #[derive(Clone, Debug)]
 struct Near {
     nodes: [u32; 2],
     due: [[f64; WIDTH]; WIDTH],
 }
 
-/// What is remembered of two surfaces from one question to the next.
+/// The front of two surfaces, kept between queries.
 #[derive(Clone, Debug, Default)]
 pub struct TreeFront {
     last: Option<Last>,
-    /// Pairs that are apart, and when that is to be looked at again: at so much of what is travelled \[m\].
+    /// Separated pairs, and the travelled distance at which each expires \[m\].
     apart: Vec<[u32; 2]>,
     due: Vec<f64>,
     /// Leaves that may touch.
     near: Vec<Near>,
     pending: Vec<[u32; 2]>,
     pairs: Vec<TouchingPair>,
-    /// How far anything of the one can have moved towards the other since the front began \[m\].
+    /// Largest possible approach of the two surfaces since the front began \[m\].
     travelled: f64,
     last_step: f64,
     begun_with: usize,
@@ -81,31 +80,31 @@ pub struct TreeFront {
 }
 
 impl TreeFront {
-    /// Knows nothing yet.
+    /// An empty front.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// What its questions have cost.
+    /// The cost of its queries.
     #[must_use]
     pub fn cost(&self) -> &FrontCost {
         &self.cost
     }
 
-    /// Whether nothing had moved at the last question, so that its answer was that of the one before.
+    /// Whether nothing had moved at the last query, so that its result was unchanged.
     #[must_use]
     pub fn rested(&self) -> bool {
         self.rested
     }
 
-    /// The answer to the last question.
+    /// The result of the last query.
     #[must_use]
     pub fn pairs(&self) -> &[TouchingPair] {
         &self.pairs
     }
 
-    /// Every pair of triangles in contact, by their numbers: those of [`TreeQuery::all_contacts`].
+    /// Every pair of triangles in contact, in index order: those of [`TreeQuery::all_contacts`].
     pub fn all_contacts(&mut self, a: &ObbTree, b: &ObbTree, b_in_a: &Isometry3<f64>) -> &[TouchingPair] {
         self.cost.asked += 1;
         let relation = Relation::new(a, b, b_in_a);
@@ -144,8 +143,7 @@ impl TreeFront {
         self.travelled = 0.0;
     }
 
-    /// How far any point of the one surface can have come towards the other since the last question \[m\]; none where
-    /// nothing is known of them.
+    /// Largest possible approach of the two surfaces since the last query \[m\]; `None` without an earlier query.
     fn moved(&self, relation: &Relation<'_>, b_in_a: &Isometry3<f64>) -> Option<f64> {
         let (a, b) = (relation.a, relation.b);
         let last = self.last.as_ref()?;
@@ -156,8 +154,8 @@ impl TreeFront {
             return Some(0.0);
         }
         let deformed = (a.motion - last.motions[0]) + (b.motion - last.motions[1]);
-        // Any point is the middle and something within the reach along each axis; a turn by an angle moves that by no
-        // more than the norm of the difference of both rotations, which has two singular values alike and a zero.
+        // Any point is the centre plus an offset within the extent along each axis; a rotation moves the offset by at
+        // most the norm of the difference of both rotations, which has two equal singular values and a zero one.
         let (middle, reach) = (b.origin.coords, 3.0_f64.sqrt() * b.scale);
         let turned: Matrix3<f64> = relation.rotation - last.rotation;
         let shifted: Vector3<f64> = relation.translation - last.b_in_a.translation.vector;
@@ -166,7 +164,7 @@ impl TreeFront {
         Some(deformed + moved + ROUNDING * lengths)
     }
 
-    /// Brings the front to where it is now.
+    /// Updates the front to the current state.
     fn advance(&mut self, relation: &Relation<'_>, moved: Option<f64>) {
         self.pending.clear();
         match moved {
@@ -201,7 +199,7 @@ impl TreeFront {
         self.pending.push([0, 0]);
     }
 
-    /// Takes the pairs whose certificate has run out off the front: those still apart come back to it.
+    /// Tests the pairs with an expired certificate again: those still apart stay in the front.
     fn look_again(&mut self, relation: &Relation<'_>) {
         for index in (0..self.due.len()).rev() {
             if self.due[index] > self.travelled {
@@ -221,7 +219,7 @@ impl TreeFront {
         }
     }
 
-    /// Down from all pairs that wait, as far as boxes overlap.
+    /// Descends from all pending pairs, as far as boxes overlap.
     fn descend(&mut self, relation: &Relation<'_>) {
         let (a, b) = (relation.a, relation.b);
         while let Some(pair) = self.pending.pop() {
@@ -258,7 +256,7 @@ impl TreeFront {
         }
     }
 
-    /// Looks at the leaves that may touch. Those that will not for some time are apart from now on.
+    /// Tests the leaves that may touch. Those that cannot touch for some time become separated pairs.
     fn touch(&mut self, relation: &Relation<'_>) {
         for index in (0..self.near.len()).rev() {
             let due = self.near[index].touch(relation, self.travelled, &mut self.pairs);
@@ -271,7 +269,7 @@ impl TreeFront {
 }
 
 impl Near {
-    /// Nothing is known of any two of their triangles yet.
+    /// Two leaves with all pairs of triangles untested.
     fn new(relation: &Relation<'_>, nodes: [u32; 2], travelled: f64) -> Self {
         let (a, b) = (relation.a, relation.b);
         let counts = [
@@ -285,7 +283,7 @@ impl Near {
         Self { nodes, due }
     }
 
-    /// Finds those that touch, and says when any two are to be looked at again at the soonest.
+    /// Finds the pairs in contact, and returns the earliest expiry of any pair.
     fn touch(&mut self, relation: &Relation<'_>, travelled: f64, pairs: &mut Vec<TouchingPair>) -> f64 {
         let (a, b) = (relation.a, relation.b);
         let [leaf_a, leaf_b] =
@@ -296,7 +294,7 @@ impl Near {
         for (lane, row) in self.due.iter_mut().enumerate() {
             let expired = row.iter().any(|due| *due <= travelled && *due != TOUCHING);
             if expired {
-                // Where they are certainly apart, how far.
+                // The gap, if they are certainly apart.
                 let faced =
                     faced.get_or_insert_with(|| b.leaves[leaf_b].placed(&relation.into_a).faced(slack));
                 let bounds = faced.distance_squared(&a.leaves[leaf_a].one(lane), slack, f32::INFINITY);
@@ -321,14 +319,14 @@ impl Near {
 }
 
 impl ObbQuad {
-    /// Four times the same box.
+    /// Four copies of one box.
     fn alike(obb: &super::Obb) -> Self {
         let mut quad = Self::NONE;
         (0..WIDTH).for_each(|lane| quad.set(lane, obb));
         quad
     }
 
-    /// How far each is apart from `one` at least, less what may be rounding; 0 or less where they may overlap.
+    /// Lower bound of the distance of each from `one`, minus rounding; 0 or less if they may overlap.
     #[inline]
     fn apart(&self, one: &super::Obb, slack: f32) -> Lanes {
         self.gaps(one) - Lanes::all(slack)

@@ -1,4 +1,4 @@
-//! Four numbers at a time, in plain arrays that the compiler turns into vector registers.
+//! Four-lane vectors as plain arrays, which the compiler maps to SIMD registers.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -24,7 +24,7 @@ impl Lanes {
         Self([with(a[0], b[0]), with(a[1], b[1]), with(a[2], b[2]), with(a[3], b[3])])
     }
 
-    /// Written as a choice, which is one instruction; `f32::max` is three, for the sake of NaN.
+    /// Written as a select, which is one instruction; `f32::max` takes three because of NaN.
     #[inline(always)]
     pub fn max(self, other: Self) -> Self {
         self.zip(other, |a, b| if a > b { a } else { b })
@@ -67,7 +67,7 @@ impl Lanes {
         Self([pick(0), pick(1), pick(2), pick(3)])
     }
 
-    /// One for each lane where `self` is less than or equal to `limit`, as bits.
+    /// Bit mask of the lanes where `self` is at most `limit`.
     #[inline(always)]
     pub fn at_most(self, limit: Self) -> u32 {
         let bit = |lane: usize| u32::from(self.0[lane] <= limit.0[lane]) << lane;
@@ -107,13 +107,13 @@ impl Div for Lanes {
     }
 }
 
-/// Of 0, 1 and 2; unlike `array::map` always in registers.
+/// Maps 0, 1 and 2; unlike `array::map` always in registers.
 #[inline(always)]
 pub(super) fn three<T>(of: impl Fn(usize) -> T) -> [T; 3] {
     [of(0), of(1), of(2)]
 }
 
-/// Of each of three; unlike `array::map` always in registers.
+/// Maps each of three; unlike `array::map` always in registers.
 #[inline(always)]
 pub(super) fn each<T: Copy, U>(values: [T; 3], of: impl Fn(T) -> U) -> [U; 3] {
     [of(values[0]), of(values[1]), of(values[2])]

@@ -1,19 +1,20 @@
-//! Four triangles side by side, and what can be said of four pairs at a time before any is looked at exactly.
+//! Leaves of four triangles, and culling tests of four pairs at a time before the exact tests.
 
 use super::lanes::{Lanes, Lanes3, cross, dot, each, minus, splat, three, times};
 use super::obb::{Obb, Placement};
 
-/// Four triangles in the unit of their tree; where there are fewer, the last one again.
+/// Four triangles in the unit of their tree; padded with the last one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Leaf {
     pub corners: [Lanes3; 3],
 }
 
-/// Four triangles with the normals of their planes, to be compared with others.
+/// Four triangles with their plane normals, for comparisons.
 pub(super) struct Faced {
     corners: [Lanes3; 3],
     normal: Lanes3,
-    /// Least and greatest height of the corners along the normal: of a thin triangle it is so wrong that they differ.
+    /// Smallest and largest height of the corners along the normal, which differ for thin triangles because their
+    /// normal is inaccurate.
     low: Lanes,
     high: Lanes,
     /// Largest gap along the normal that may still be rounding.
@@ -63,14 +64,14 @@ impl Leaf {
         })
     }
 
-    /// Which of the four reach into a box, as far as its own axes tell.
+    /// Which of the four overlap a box, by the box's axes.
     #[inline]
     pub fn reaching(&self, obb: &Obb, slack: f32) -> u32 {
         let [x, y, z] = self.gaps_to(obb);
         x.max(y).max(z).at_most(Lanes::all(slack))
     }
 
-    /// What the squared distance of each of the four from a box is at least.
+    /// Lower bounds of the squared distance of each of the four from a box.
     #[inline]
     pub fn distance_squared(&self, obb: &Obb, slack: f32) -> Lanes {
         let gaps = each(self.gaps_to(obb), |gap| (gap - Lanes::all(slack)).max(Lanes::ZERO));
@@ -86,14 +87,14 @@ impl Leaf {
     }
 }
 
-/// The normal of one triangle, as that of four.
+/// The normal of one triangle, copied to four lanes.
 #[inline(always)]
 fn normal_of([a, b, c]: &[[f32; 3]; 3]) -> Lanes3 {
     let (u, v) = (three(|i| b[i] - a[i]), three(|i| c[i] - a[i]));
     splat(three(|i| u[(i + 1) % 3] * v[(i + 2) % 3] - u[(i + 2) % 3] * v[(i + 1) % 3]))
 }
 
-/// Least and greatest of three corners along a direction.
+/// Smallest and largest of three corners along a direction.
 #[inline(always)]
 fn reach(direction: Lanes3, corners: &[Lanes3; 3]) -> (Lanes, Lanes) {
     let [a, b, c] = each(*corners, |corner| dot(direction, corner));
@@ -120,16 +121,16 @@ impl Faced {
     }
 }
 
-/// Smallest square that is divided by: smaller ones belong to no direction.
+/// Smallest square used as a divisor: smaller ones define no direction.
 const TINY: f32 = 1e-30;
 
 impl Faced {
-    /// What the squared distance of a triangle from each of the four is at least.
+    /// Lower bounds of the squared distance of a triangle from each of the four.
     ///
-    /// Along whatever direction, the gap between the reaches of two triangles is no more than their distance; along the
-    /// direction of their nearest points it is the distance. Those are two points of edges, or lie across one of the
-    /// planes: so the normals are tried, then the direction across the nearest two edges, as rounding lets us find
-    /// them. Were it not quite the right one, the bound would be lower, not wrong.
+    /// Along any direction, the gap between the extents of two triangles is at most their distance; along the direction
+    /// of their nearest points it equals the distance. These are two edge points, or differ along one plane's normal:
+    /// so the normals are tried, then the direction between the nearest two edges, within rounding. An inaccurate
+    /// direction only lowers the bound.
     #[inline]
     pub fn distance_squared(&self, triangle: &[[f32; 3]; 3], slack: f32, limit: f32) -> Lanes {
         let corners = each(*triangle, splat);
@@ -145,7 +146,7 @@ impl Faced {
         of_planes.max(bound_squared(to - from, across, slack))
     }
 
-    /// From the triangle to each of the four across the nearest of their edges.
+    /// Direction from the triangle to each of the four between their nearest edges.
     #[inline(always)]
     fn across_edges(&self, corners: &[Lanes3; 3]) -> Lanes3 {
         let tiny = Lanes::all(TINY);
@@ -174,7 +175,7 @@ impl Faced {
     }
 }
 
-/// The square of a gap along a direction of any length, less what may be rounding.
+/// The square of a gap along a direction of any length, minus rounding.
 #[inline(always)]
 fn bound_squared(gap: Lanes, direction: Lanes3, slack: f32) -> Lanes {
     let certain = (gap - magnitude(direction) * Lanes::all(slack)).max(Lanes::ZERO);

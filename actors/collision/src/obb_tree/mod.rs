@@ -1,11 +1,10 @@
 //! A tree of oriented boxes over a triangle surface (Gottschalk, Lin, Manocha, *OBBTree: A Hierarchical Structure for
 //! Rapid Interference Detection*, 1996), four children to a node and four triangles to a leaf, so that one box is
-//! tested against four with the instructions that test it against one.
+//! tested against four at once with SIMD.
 //!
-//! Boxes and the triangles of the leaves are kept in `f32`, in the unit of the tree: the middle of the surface is 0 and
-//! its reach 1. They only tell what need not be looked at, with a margin for all their rounding; what is left is
-//! decided by `f64` tests of triangles ([`crate::primitive`]). A refit keeps the order of everything and turns the axes
-//! with the surface.
+//! Boxes and the triangles of the leaves are kept in `f32`, in the unit of the tree: the centre of the surface is 0 and
+//! its extent 1. They are only used for culling, with a margin for all their rounding; `f64` tests of triangles
+//! ([`crate::primitive`]) decide the rest. A refit keeps the structure and rotates the axes with the surface.
 
 mod axis_update;
 mod build;
@@ -34,18 +33,19 @@ use obb::{Obb, ObbQuad};
 
 /// Children of a node, and triangles of a leaf.
 const WIDTH: usize = 4;
-/// How far up boxes are fitted to the triangles themselves; above that, to the small boxes of nodes far below.
+/// Levels up to which boxes are fitted to the triangles themselves; above, they are fitted to small boxes of nodes
+/// below.
 const FITTED_LEVELS: u32 = 3;
-/// How far up those nodes are.
+/// Level of those nodes.
 const SMALL_LEVELS: u32 = 2;
 
-/// An inner node: four boxes, and what is in them.
+/// An inner node: four boxes with their contents.
 #[derive(Clone, Debug)]
 struct Node {
     quad: ObbQuad,
-    /// Inner nodes first, then leaves: below the number of inner nodes it is one of them.
+    /// Indices of inner nodes, then of leaves (from the number of inner nodes on).
     children: [u32; WIDTH],
-    /// How many there are; the others are no boxes.
+    /// Number of children; the other lanes are empty.
     count: u32,
     /// First leaf and the one after the last.
     leaves: [u32; 2],
@@ -58,33 +58,33 @@ struct Node {
 /// The boxes of one surface. It keeps a copy of the surface, so that a query needs nothing else.
 #[derive(Clone, Debug, Default)]
 pub struct ObbTree {
-    /// Middle and reach of the surface \[m\]: 0 and 1 in the unit of the tree.
+    /// Centre and extent of the surface \[m\]: 0 and 1 in the unit of the tree.
     origin: Point3<f64>,
     scale: f64,
     vertices: Vec<Point3<f64>>,
     /// Corners and number of each triangle, in the order of the leaves.
     corners: Vec<[u32; 3]>,
     numbers: Vec<u32>,
-    /// Where in that order a triangle is.
+    /// Position of each triangle in that order.
     places: Vec<u32>,
     /// Vertices in the unit of the tree.
     units: Vec<[f32; 3]>,
     /// Children after their parents; the root is the first, unless one leaf is all.
     nodes: Vec<Node>,
-    /// Of each node; none where the surface has no extent to speak of.
+    /// Anchors of each node; `None` for a degenerate patch.
     anchors: Vec<Option<axis_update::Anchors>>,
     leaves: Vec<Leaf>,
     /// Box of each node, then of each leaf.
     boxes: Vec<Obb>,
     identity: Identity,
-    /// Sum over all refits of the furthest that any vertex went \[m\].
+    /// Sum over all refits of the largest vertex displacement \[m\].
     motion: f64,
-    /// How many refits there were at which any vertex went anywhere.
+    /// Number of refits with any vertex displacement.
     refits: u64,
 }
 
 impl ObbTree {
-    /// Sorts the triangles of a surface into boxes.
+    /// Builds the tree of a surface.
     #[must_use]
     pub fn build(surface: &Surface<'_>) -> Self {
         let mut tree = Self {
@@ -104,11 +104,12 @@ impl ObbTree {
         tree
     }
 
-    /// Fits the boxes to the same triangles with their vertices elsewhere \[m\]. Order stays and axes turn with the
-    /// surface, so that boxes grow looser as it is creased: results stay exact, and a build makes them tight again.
+    /// Refits the boxes to new vertex positions \[m\] of the same triangles. The structure stays and the axes rotate
+    /// with the surface, so boxes become looser as it folds: results stay exact, and a rebuild makes the boxes tight
+    /// again.
     ///
     /// # Errors
-    /// Another number of vertices, or a coordinate that is not finite; the tree is then as it was.
+    /// For another number of vertices, or a non-finite coordinate; the tree is then unchanged.
     pub fn refit(&mut self, vertices: &[Point3<f64>]) -> Result<(), SurfaceError> {
         if vertices.len() != self.vertices.len() {
             return Err(SurfaceError::OtherVertices { expected: self.vertices.len(), found: vertices.len() });
@@ -134,19 +135,19 @@ impl ObbTree {
         self.numbers.len()
     }
 
-    /// Whether there is no triangle, and thus nothing to touch.
+    /// Whether there is no triangle.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.numbers.is_empty()
     }
 
-    /// Vertices as they were last given \[m\].
+    /// The last given vertices \[m\].
     #[must_use]
     pub fn vertices(&self) -> &[Point3<f64>] {
         &self.vertices
     }
 
-    /// Middle and unit of the surface as it is now, and its vertices in that unit.
+    /// Updates centre and unit of the surface, and its vertices in that unit.
     fn rescale(&mut self) {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for vertex in &self.vertices {
@@ -157,7 +158,7 @@ impl ObbTree {
             }
         }
         let reach = (0..3).map(|axis| 0.5 * high[axis] - 0.5 * low[axis]).fold(0.0, f64::max);
-        // One point is as good as any size; none at all is the origin.
+        // A single point may have any unit; without points the centre is the origin.
         self.scale = if reach > f64::MIN_POSITIVE && reach.is_finite() { reach } else { 1.0 };
         self.origin = Point3::from([0, 1, 2].map(|axis| 0.5 * low[axis] + 0.5 * high[axis]));
         if self.vertices.is_empty() {
@@ -174,7 +175,7 @@ impl ObbTree {
         each(self.corners[place], |vertex| self.vertices[vertex as usize])
     }
 
-    /// Triangles of a leaf, by their places.
+    /// Triangles of a leaf, by position.
     fn places_of(&self, leaf: usize) -> std::ops::Range<usize> {
         leaf * WIDTH..((leaf + 1) * WIDTH).min(self.numbers.len())
     }
@@ -204,7 +205,7 @@ impl ObbTree {
         }
     }
 
-    /// The box of a node with its axes, about the triangles or the small boxes below.
+    /// The box of a node in its axes, around the triangles or the small boxes below.
     fn fitted(&self, index: usize) -> Obb {
         let node = &self.nodes[index];
         let axes = self.boxes[index].axes;
@@ -221,7 +222,7 @@ impl ObbTree {
                     reach.add_boxes(&below.quad);
                     next = below.end as usize;
                 } else {
-                    // Halving leaves children alike in height, so that here there is none that is a leaf.
+                    // Children have about equal height, so that no child is a leaf here.
                     debug_assert!(
                         below.children[..below.count as usize]
                             .iter()

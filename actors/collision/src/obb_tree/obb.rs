@@ -1,5 +1,5 @@
-//! Oriented boxes, one and four at a time, and whether and how far they are apart (Gottschalk, Lin, Manocha, *OBBTree: A
-//! Hierarchical Structure for Rapid Interference Detection*, 1996).
+//! Oriented boxes, one and four at a time: separating axis test and distance bounds (Gottschalk, Lin, Manocha,
+//! *OBBTree: A Hierarchical Structure for Rapid Interference Detection*, 1996).
 
 use super::lanes::{Lanes, Lanes3, dot, each, minus, splat, three};
 
@@ -12,12 +12,12 @@ pub(super) struct Obb {
     pub axes: [[f32; 3]; 3],
     /// Half of the extent along each axis.
     pub half: [f32; 3],
-    /// How large it is, for the choice of which to descend: half of the longest extent.
+    /// Size for the choice of the node to descend: half of the longest extent.
     pub size: f32,
 }
 
 impl Obb {
-    /// No box: apart from every other.
+    /// An empty box: separated from every other.
     pub const NONE: Self = Self {
         center: [0.0; 3],
         axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
@@ -52,7 +52,7 @@ impl Placement {
         }
     }
 
-    /// Four points at a time.
+    /// Transforms four points at a time.
     #[inline(always)]
     pub fn place_points(&self, points: Lanes3) -> Lanes3 {
         let scale = Lanes::all(self.scale);
@@ -68,14 +68,14 @@ pub(super) struct ObbQuad {
     pub half: Lanes3,
 }
 
-/// What the face axes of two boxes say of how they lie.
+/// Separating axis data of the face axes of two boxes.
 struct Faces {
-    /// Dot products of the axes: of the one box by rows, of the four by columns.
+    /// Dot products of the axes: rows for the single box, columns for the four.
     turned: [[Lanes; 3]; 3],
     magnitude: [[Lanes; 3]; 3],
-    /// From the one's centre to the four, in the axes of the one.
+    /// From the single box's centre to the four, in its axes.
     between: Lanes3,
-    /// Gap along each axis of the one, then of the four.
+    /// Gap along each axis of the single box, then of the four.
     gaps: [Lanes3; 2],
 }
 
@@ -134,8 +134,8 @@ impl ObbQuad {
         Faces { turned, magnitude, between: of_one, gaps: [along_one, along_four] }
     }
 
-    /// Which of the four may have a point in common with `one`, and how far each is apart along the axis that separates
-    /// best: the more negative, the deeper inside each other. Gaps up to `slack` count as none.
+    /// Which of the four may intersect `one`, and the gap of each along the best separating axis: the more negative,
+    /// the deeper the overlap. Gaps up to `slack` count as none.
     #[inline]
     pub fn overlapping(&self, one: &Obb, slack: f32) -> (u32, Lanes) {
         let Faces { turned, magnitude, between, gaps: [a, b] } = self.faces(one);
@@ -148,18 +148,18 @@ impl ObbQuad {
         (near & crossed(&turned, &magnitude, &between, one, &self.half).at_most(limit), worst)
     }
 
-    /// How far each is apart from `one` along the axis that separates best: their distance is not less. Negative where
-    /// none separates them.
+    /// Gap of each from `one` along the best separating axis, a lower bound of their distance. Negative if no axis
+    /// separates them.
     #[inline]
     pub fn gaps(&self, one: &Obb) -> Lanes {
         let Faces { turned, magnitude, between, gaps: [a, b] } = self.faces(one);
         let faces = a[0].max(a[1]).max(a[2]).max(b[0]).max(b[1]).max(b[2]);
-        // The cross product of unit axes is no longer than 1: along it a gap is no less than what it seems.
+        // The cross product of unit axes is no longer than 1: so the true gap is not smaller than this value.
         faces.max(crossed(&turned, &magnitude, &between, one, &self.half))
     }
 
-    /// What the squared distance from `one` to each is at least, and the squared distance of the centres. Each box lies
-    /// within the box about it that has the other's axes, which is as far away in three directions at once.
+    /// Lower bounds of the squared distance from `one` to each, and the squared distance of the centres. Each box is
+    /// enclosed in a box with the other's axes, whose gaps in three directions add up.
     #[inline]
     pub fn distance_squared(&self, one: &Obb, slack: f32) -> (Lanes, Lanes) {
         let Faces { between, gaps, .. } = self.faces(one);

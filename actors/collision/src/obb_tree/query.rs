@@ -1,5 +1,5 @@
-//! Questions about two surfaces, each with a tree: first contact, all pairs in contact, exact distance, tolerance
-//! (Larsen, Gottschalk, Lin, Manocha, *Fast Proximity Queries with Swept Sphere Volumes*, 1999).
+//! Queries of two surfaces' trees: first contact, all pairs in contact, exact distance, tolerance (Larsen, Gottschalk,
+//! Lin, Manocha, *Fast Proximity Queries with Swept Sphere Volumes*, 1999).
 
 use nalgebra::{Isometry3, Point3};
 
@@ -9,36 +9,36 @@ use super::lanes::Lanes;
 use super::{ObbTree, WIDTH};
 use crate::primitive::{TriangleTriangle, closest_triangles, common_segment, triangles_overlap};
 
-/// Two triangles with a point in common.
+/// Two intersecting triangles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TouchingPair {
-    /// Which triangle of the first surface, and of the second.
+    /// Triangle of the first and of the second surface.
     pub triangles: [u32; 2],
-    /// Ends of the segment that they have in common, in the frame of the first surface \[m\].
+    /// Ends of their intersection segment, in the frame of the first surface \[m\].
     pub points_in_a: [Point3<f64>; 2],
 }
 
-/// The nearest points of two surfaces, or of what was found to be near enough.
+/// The nearest points of two surfaces, or of a pair within the tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Proximity {
-    /// Which triangle of the first surface, and of the second.
+    /// Triangle of the first and of the second surface.
     pub triangles: [u32; 2],
-    /// On each of them, in the frame of the first surface \[m\]; the same point twice where they overlap.
+    /// Point on each of them, in the frame of the first surface \[m\]; equal if they overlap.
     pub points_in_a: [Point3<f64>; 2],
-    /// Between the two \[m\]; 0 where surfaces overlap.
+    /// Their distance \[m\]; 0 if the surfaces overlap.
     pub distance: f64,
 }
 
-/// A pair of subtrees that is still to be looked into.
+/// A pair of subtrees still to be visited.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pending {
     pub nodes: [u32; 2],
-    /// What their squared distance is at least, in the unit of the first tree.
+    /// Lower bound of their squared distance, in the unit of the first tree.
     pub bound: f32,
 }
 
-/// Room for queries. It grows to what the largest one needs, so that a warmed query allocates nothing, and remembers
-/// nothing else: every answer is a function of what was asked.
+/// Buffers of queries. They grow to the largest query, so that nothing is allocated after warm-up. No other state is
+/// kept: results depend only on the query.
 #[derive(Clone, Debug, Default)]
 pub struct TreeQuery {
     pub(super) pending: Vec<Pending>,
@@ -47,16 +47,15 @@ pub struct TreeQuery {
 }
 
 impl TreeQuery {
-    /// Room for queries, none of it used yet.
+    /// Empty buffers.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Some pair of triangles in contact, the same one for the same question; none when the surfaces are apart.
+    /// Some pair of triangles in contact, the same one for the same query; `None` when the surfaces are apart.
     ///
-    /// `last` is where to look first, a pair of an earlier answer for surfaces that move little; triangles that there
-    /// are none of are passed over.
+    /// `last` is a warm start, a pair of an earlier result for surfaces that move little; invalid indices are ignored.
     pub fn first_contact(
         &mut self,
         a: &ObbTree,
@@ -68,7 +67,7 @@ impl TreeQuery {
         self.first(&relation, last)
     }
 
-    /// Every pair of triangles in contact, in an order that is the same for the same question.
+    /// Every pair of triangles in contact, in an order that is the same for the same query.
     pub fn all_contacts(&mut self, a: &ObbTree, b: &ObbTree, b_in_a: &Isometry3<f64>) -> &[TouchingPair] {
         let relation = Relation::new(a, b, b_in_a);
         let mut pairs = std::mem::take(&mut self.pairs);
@@ -81,8 +80,9 @@ impl TreeQuery {
         &self.pairs
     }
 
-    /// The nearest points of two surfaces; none when one of them has no triangle. `last` as for
-    /// [`first_contact`](Self::first_contact): it makes the query faster, not another one, but for pairs equally near.
+    /// The nearest points of two surfaces; `None` when one of them has no triangle. `last` as for
+    /// [`first_contact`](Self::first_contact): it makes the query faster and changes the result only among equally near
+    /// pairs.
     pub fn distance(
         &mut self,
         a: &ObbTree,
@@ -93,9 +93,8 @@ impl TreeQuery {
         self.nearest(a, b, b_in_a, f64::INFINITY, false, last)
     }
 
-    /// Some pair of triangles at most `tolerance` \[m\] apart, not the nearest one; none when the surfaces are farther
-    /// apart than that. Nothing is within a tolerance below 0 or NaN. `last` as for
-    /// [`first_contact`](Self::first_contact).
+    /// Some pair of triangles at most `tolerance` \[m\] apart, not the nearest one; `None` when the surfaces are
+    /// farther apart, or for a tolerance below 0 or NaN. `last` as for [`first_contact`](Self::first_contact).
     pub fn within(
         &mut self,
         a: &ObbTree,
@@ -121,7 +120,7 @@ impl TreeQuery {
         found
     }
 
-    /// Visits pairs in contact, those that look deepest first, until the visitor has seen enough.
+    /// Visits pairs in contact, presumably deepest first, until the visitor stops.
     fn touching(&mut self, relation: &Relation<'_>, mut enough: impl FnMut(TouchingPair) -> bool) {
         let (a, b) = (relation.a, relation.b);
         self.pending.clear();
@@ -225,7 +224,7 @@ impl TreeQuery {
             let mut measure = [0.0; WIDTH];
             for (lane, measure) in measure.iter_mut().enumerate() {
                 bits |= u32::from(bounds.0[lane] <= limit) << lane;
-                // Boxes that overlap are all as near as can be: of them those with the nearest middles come first.
+                // Overlapping boxes all have distance 0: of these the ones with the nearest centres come first.
                 *measure = bounds.0[lane] + 1e-3 * between.0[lane];
             }
             let (order, count) = sorted(bits, measure);
@@ -242,7 +241,7 @@ impl TreeQuery {
     }
 }
 
-/// Where two triangles lie in the leaves, if there are such.
+/// Leaf positions of two triangles, if they exist.
 fn places(relation: &Relation<'_>, pair: Option<[u32; 2]>) -> Option<[usize; 2]> {
     let [a, b] = pair?;
     let place_a = *relation.a.places.get(a as usize)?;
@@ -250,7 +249,7 @@ fn places(relation: &Relation<'_>, pair: Option<[u32; 2]>) -> Option<[usize; 2]>
     Some([place_a as usize, place_b as usize])
 }
 
-/// Two triangles, by their places, if they touch.
+/// Exact contact of two triangles, by their positions.
 pub(super) fn exactly(relation: &Relation<'_>, place_a: usize, place_b: usize) -> Option<TouchingPair> {
     let (first, second) = (relation.a.triangle(place_a), relation.triangle_of_b(place_b));
     triangles_overlap(&first, &second).then(|| TouchingPair {
@@ -259,7 +258,7 @@ pub(super) fn exactly(relation: &Relation<'_>, place_a: usize, place_b: usize) -
     })
 }
 
-/// Visits the pairs in contact of two leaves that are `wanted`, by their places; whether the visitor has seen enough.
+/// Visits the `wanted` pairs in contact of two leaves, by their positions; returns whether the visitor stopped.
 #[inline]
 pub(super) fn touching_leaves(
     relation: &Relation<'_>,
@@ -305,7 +304,7 @@ pub(super) fn touching_leaves(
 /// The nearest pair so far.
 struct Best {
     found: Option<Proximity>,
-    /// Squared distance that is still of interest \[m²\].
+    /// Upper limit of the squared distance \[m²\].
     square: f64,
     /// The same, rounded up, in the units of the two trees.
     limits: [f32; 2],
@@ -339,7 +338,7 @@ impl Best {
         }
     }
 
-    /// Looks at all triangles of two leaves.
+    /// Measures all triangles of two leaves.
     fn look_far(&mut self, relation: &Relation<'_>, in_a: u32, in_b: u32) {
         let (a, b) = (relation.a, relation.b);
         for place_a in a.places_of(in_a as usize - a.nodes.len()) {
@@ -349,7 +348,7 @@ impl Best {
         }
     }
 
-    /// Looks at the triangles of two leaves, those that seem nearest first.
+    /// Measures the triangles of two leaves, the presumably nearest first.
     fn look(&mut self, relation: &Relation<'_>, in_a: u32, in_b: u32) {
         let (a, b) = (relation.a, relation.b);
         let (leaf_a, leaf_b) = (in_a as usize - a.nodes.len(), in_b as usize - b.nodes.len());

@@ -1,4 +1,4 @@
-//! A deforming surface against itself: the tree goes down against itself, each pair of subtrees once.
+//! Self-collision of a deforming surface: the tree is traversed against itself, each pair of subtrees once.
 
 use nalgebra::Isometry3;
 
@@ -8,8 +8,8 @@ use super::{ObbTree, TouchingPair, TreeQuery};
 
 impl TreeQuery {
     /// Every pair of triangles of one surface in contact, the lower number first, in an order that is the same for the
-    /// same question. Triangles that share a vertex always touch and are left out; two that meet in different vertices
-    /// at the same place, as along a seam that was never welded, are in contact.
+    /// same query. Triangles that share a vertex always touch and are left out; two that meet in different vertices at
+    /// the same position, as along an unwelded seam, are in contact.
     pub fn self_contacts(&mut self, tree: &ObbTree) -> &[TouchingPair] {
         let relation = Relation::new(tree, tree, &Isometry3::identity());
         let mut pairs = std::mem::take(&mut self.pairs);
@@ -45,7 +45,7 @@ impl TreeQuery {
         &self.pairs
     }
 
-    /// Each child against itself, and against those after it.
+    /// Tests each child against itself and against later children.
     fn descend_into_itself(&mut self, tree: &ObbTree, index: u32, slack: f32) {
         let node = &tree.nodes[index as usize];
         let children = &node.children[..node.count as usize];

@@ -1,5 +1,5 @@
-//! Points for tests with random input: anywhere in a cube, and often where coordinates are 0, 0.5 or almost 0, so that
-//! things touch, lie in one plane and have no area.
+//! Random points for property tests: anywhere in a cube, often with coordinates 0, 0.5 or almost 0, so that touching,
+//! coplanar and degenerate cases occur.
 
 use nalgebra::Point3;
 use proptest::prelude::*;

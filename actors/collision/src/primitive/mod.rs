@@ -1,7 +1,7 @@
-//! What every method ends in: questions about one point, one segment, one triangle and another.
+//! Primitive tests of points, segments and triangles, shared by all methods.
 //!
-//! Degenerate input is answered, not refused: a segment of no length is a point, a triangle of no area is its longest
-//! edge. NaN in gives NaN or an arbitrary corner out, never a panic.
+//! Degenerate input is accepted: a segment of no length is a point, a triangle of no area is its longest edge. NaN in
+//! gives NaN or an arbitrary corner out, never a panic.
 
 #[cfg(test)]
 pub(crate) mod arbitrary;

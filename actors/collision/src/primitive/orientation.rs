@@ -1,21 +1,21 @@
-//! On which side of a plane, or of a line, a point lies: the sign of a determinant, exact for the numbers given.
+//! Orientation predicates: the side of a plane or a line on which a point lies, as the exact sign of a determinant.
 //!
-//! A floating-point determinant with a bound on its own error answers nearly every time; where the bound does not
-//! decide, the determinant is formed again as an expansion, a sum of numbers that do not overlap, without any rounding
-//! (Shewchuk, *Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates*, 1997). Exact unless
-//! a product leaves the range of `f64` (coordinates beyond 1e100, differences below 1e-100).
+//! A floating-point determinant with an error bound decides nearly all cases; otherwise the determinant is formed again
+//! as an expansion, a sum of numbers that do not overlap, without any rounding (Shewchuk, *Adaptive Precision
+//! Floating-Point Arithmetic and Fast Robust Geometric Predicates*, 1997). Exact unless a product leaves the range of
+//! `f64` (coordinates beyond 1e100, differences below 1e-100).
 
 use nalgebra::Point3;
 
 /// Half a unit in the last place of 1.
 const ROUNDING: f64 = f64::EPSILON / 2.0;
-/// What the plain 3 × 3 determinant may err by, of the sum of its products' magnitudes.
+/// Error bound of the plain 3 × 3 determinant, relative to the sum of its products' magnitudes.
 const ERROR_IN_SPACE: f64 = (7.0 + 56.0 * ROUNDING) * ROUNDING;
 /// The same of the 2 × 2 determinant.
 const ERROR_IN_PLANE: f64 = (3.0 + 16.0 * ROUNDING) * ROUNDING;
 
 /// Sign of six times the volume of a tetrahedron: positive when `a`, `b`, `c` appear clockwise seen from `d`, which is
-/// when `d` lies behind the triangle; 0 when the four lie in one plane. The magnitude means nothing.
+/// when `d` lies behind the triangle; 0 when the four lie in one plane. Only the sign is meaningful.
 #[must_use]
 pub fn orientation(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>, d: &Point3<f64>) -> f64 {
     let (u, v, w) = (a - d, b - d, c - d);
@@ -34,7 +34,7 @@ pub fn orientation(a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>, d: &Point3
 }
 
 /// Sign of twice the area of a triangle in a plane: positive when its corners run counter-clockwise, 0 when they lie on
-/// one line. The magnitude means nothing.
+/// one line. Only the sign is meaningful.
 #[must_use]
 pub fn orientation_in_plane(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     let left = (a[0] - c[0]) * (b[1] - c[1]);
@@ -158,7 +158,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
-        /// Points that nearly share a plane, as integers of up to 2³⁸: their sign is known without any rounding.
+        /// Points that nearly share a plane, as integers of up to 2³⁸: their sign is computed without rounding.
         #[test]
         fn the_sign_is_that_of_the_integers(
             corners in [[-1_000_000_i64..1_000_000, -1_000_000..1_000_000, -1_000_000..1_000_000],

@@ -1,26 +1,26 @@
-//! How deep two flat primitives are in each other: the least translation that parts them, by separating axes
-//! (Gottschalk 1996; for the depth: Ericson, *Real-Time Collision Detection*, 2004, §5.2.1). The facets of the
-//! difference of two such sets are normal to one of them or to an edge of each, so that no other axis has to be asked.
+//! Penetration depth of two flat primitives: the minimum translation that separates them, by separating axes
+//! (Gottschalk 1996; for the depth: Ericson, *Real-Time Collision Detection*, 2004, §5.2.1). The facets of their
+//! Minkowski difference are normal to one of them or to an edge of each, so that no other axis needs a test.
 
 use nalgebra::{Point3, Unit, Vector3};
 
 use super::{Segment, Triangle, closest_segment_triangle};
 
-/// The least translation that parts two primitives.
+/// The minimum translation that separates two primitives.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Penetration {
-    /// How far \[m\]; 0 for what touches or lies in one plane.
+    /// Its length \[m\]; 0 for touching or coplanar primitives.
     pub depth: f64,
-    /// Where to move the second one: a unit vector.
+    /// Unit direction in which to move the second one.
     pub direction: Vector3<f64>,
 }
 
-/// Squared sine below which two directions have no common normal that could be told from rounding.
+/// Squared sine below which the common normal of two directions is dominated by rounding.
 const PARALLEL: f64 = 1e-20;
 /// Share of their size within which triangles without area touch.
 const TOUCHING: f64 = 1e-12;
 
-/// Nothing where a plane parts the triangles. Those that touch have a depth of 0. Triangles without area that lie within
+/// `None` if a plane separates the triangles. Touching ones have a depth of 0. Triangles without area that lie within
 /// rounding of each other may count as touching.
 #[must_use]
 pub fn triangle_penetration(first: &Triangle, second: &Triangle) -> Option<Penetration> {
@@ -31,7 +31,7 @@ pub fn triangle_penetration(first: &Triangle, second: &Triangle) -> Option<Penet
         normal.norm_squared() > PARALLEL * a.norm_squared() * b.norm_squared()
     };
     if !has_area(&normal, &edges) || !has_area(&other, &others) {
-        // Needles and points have too few axes: nearest points tell whether they touch.
+        // Degenerate triangles have too few axes: nearest points decide whether they touch.
         let size = edges.iter().chain(&others).map(Vector3::amax).fold(0.0, f64::max);
         if !touch(first, second, TOUCHING * size) {
             return None;
@@ -45,13 +45,13 @@ pub fn triangle_penetration(first: &Triangle, second: &Triangle) -> Option<Penet
             axes.ask(&edge.cross(other), edge.norm_squared() * other.norm_squared())?;
         }
     }
-    // In one plane, or without a plane of their own: also along the plane.
+    // Coplanar or without area: test axes within the plane as well.
     for (normal, edges) in [(normal, &edges), (other, &others), (normal, &others), (other, &edges)] {
         for edge in edges {
             axes.ask(&normal.cross(edge), normal.norm_squared() * edge.norm_squared())?;
         }
     }
-    // Without any axis they are in one line, and a step to the side parts them.
+    // Without any axis they are collinear, and a sideways step separates them.
     axes.least.map(|least| if least.depth.is_finite() { least } else { Penetration { depth: 0.0, ..least } })
 }
 
@@ -65,7 +65,7 @@ fn touch(first: &Triangle, second: &Triangle, within: f64) -> bool {
     one_way(first, second) || one_way(second, first)
 }
 
-/// Nothing where a plane parts the segment (first) from the triangle (second).
+/// `None` if a plane separates the segment (first) from the triangle (second).
 #[must_use]
 pub fn segment_triangle_penetration(segment: &Segment, triangle: &Triangle) -> Option<Penetration> {
     let along = segment[1] - segment[0];
@@ -98,7 +98,7 @@ impl<'a> Axes<'a> {
         Self { first, second, least: None }
     }
 
-    /// Nothing when the axis parts them. An axis much shorter than the product that it comes from is rounding.
+    /// `None` if the axis separates them. An axis much shorter than its product's factors is dominated by rounding.
     fn ask(&mut self, axis: &Vector3<f64>, product: f64) -> Option<()> {
         if axis.norm_squared() <= PARALLEL * product {
             return Some(());
@@ -144,7 +144,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(5_000))]
-        /// Moved by the depth they touch; by less, in whatever direction, they are still in each other.
+        /// Moved by the depth they touch; moved by less in any direction, they still intersect.
         #[test]
         fn it_is_the_least_translation_that_parts_them(
             first in [point(), point(), point()], second in [point(), point(), point()], other in point(),

@@ -1,10 +1,10 @@
-//! The point of a segment that is nearest to a point.
+//! Nearest point of a segment to a point.
 
 use nalgebra::Point3;
 
 use super::Segment;
 
-/// Where along the segment, 0 at its first end to 1 at its second; 0 for a segment of no length.
+/// Parameter of the nearest point, 0 at the first end to 1 at the second; 0 for a segment of no length.
 #[must_use]
 pub fn closest_on_segment(point: &Point3<f64>, segment: &Segment) -> f64 {
     let along = segment[1] - segment[0];

@@ -1,4 +1,4 @@
-//! The point of a triangle that is nearest to a point (Ericson, *Real-Time Collision Detection*, 2004, §5.1.5).
+//! Nearest point of a triangle to a point (Ericson, *Real-Time Collision Detection*, 2004, §5.1.5).
 
 use nalgebra::Point3;
 
@@ -7,18 +7,18 @@ use super::{Triangle, closest_on_segment};
 /// The nearest point of a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointTriangle {
-    /// It, in the frame of what was asked \[m\].
+    /// The point, in the frame of the input \[m\].
     pub point: Point3<f64>,
-    /// Its weights on the three corners: each in \[0, 1\], their sum 1. A weight of exactly 0 says that it lies on the
+    /// Its weights on the three corners: each in \[0, 1\], their sum 1. A weight of exactly 0 means that it is on the
     /// opposite edge.
     pub weights: [f64; 3],
 }
 
-/// Squared height over length below which a triangle has no inside that could be told from its edges: with the root of
-/// a rounding, weights and edges err by as much.
+/// Squared height over length below which a triangle's interior cannot be distinguished from its edges: at the square
+/// root of the rounding unit, weights and edges have equal errors.
 const THIN: f64 = 1e-16;
 
-/// Nearest to `point` on `triangle`.
+/// The point of `triangle` nearest to `point`.
 #[must_use]
 pub fn closest_on_triangle(point: &Point3<f64>, triangle: &Triangle) -> PointTriangle {
     let [a, b, c] = triangle;
@@ -44,7 +44,8 @@ pub fn closest_on_triangle(point: &Point3<f64>, triangle: &Triangle) -> PointTri
     if area_squared <= THIN * longest * longest {
         return nearest_edge(point, triangle);
     }
-    // Into the plane first: what remains of the height would weigh as much as the thinness of the triangle.
+    // Projected to the plane first: otherwise the height's rounding error would be as large as a thin triangle's
+    // height.
     let in_plane = from_a - normal * (normal.dot(&from_a) / area_squared);
     let v = normal.dot(&in_plane.cross(&ac)) / area_squared;
     let w = normal.dot(&ab.cross(&in_plane)) / area_squared;
@@ -95,7 +96,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
-        /// Of a convex set the nearest point is the one from which nothing of the set lies towards the asker.
+        /// The nearest point of a convex set is the one from which no point of the set lies towards the query point.
         #[test]
         fn nothing_of_it_is_nearer(asker in point(), triangle in [point(), point(), point()]) {
             let found = closest_on_triangle(&asker, &triangle);
@@ -106,7 +107,7 @@ mod tests {
             prop_assert!((rebuilt - found.point).norm() < 1e-12);
             let towards: Vector3<f64> = asker - found.point;
             for corner in &triangle {
-                // Two places whose squared distances differ by less than a rounding are a tie: 1e-8 apart at most.
+                // Two points whose squared distances differ by less than rounding are a tie: at most 1e-8 apart.
                 prop_assert!(towards.dot(&(corner - found.point)) < 1e-8, "{found:?}");
             }
         }

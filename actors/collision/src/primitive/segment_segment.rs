@@ -1,6 +1,6 @@
-//! The nearest points of two segments (Ericson, *Real-Time Collision Detection*, 2004, §5.1.9; made safe for
-//! segments that are nearly parallel by asking the four ends as well, as Eberly, *Robust Computation of Distance
-//! Between Line Segments*, 2015, advises).
+//! Nearest points of two segments (Ericson, *Real-Time Collision Detection*, 2004, §5.1.9; made robust for nearly
+//! parallel segments by testing the four ends as well, as Eberly, *Robust Computation of Distance Between Line
+//! Segments*, 2015, advises).
 
 use nalgebra::Point3;
 
@@ -11,7 +11,7 @@ use super::{Segment, closest_on_segment};
 pub struct SegmentSegment {
     /// On each of them \[m\].
     pub points: [Point3<f64>; 2],
-    /// Where along each, 0 at its first end to 1 at its second.
+    /// Parameter along each, 0 at its first end to 1 at its second.
     pub along: [f64; 2],
     /// Distance, squared \[m²\].
     pub distance_squared: f64,
@@ -83,7 +83,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
-        /// The distance of two convex sets is reached where neither can come nearer by moving towards one of its ends.
+        /// Two points of convex sets are nearest if moving either towards one of its ends does not bring them nearer.
         #[test]
         fn neither_can_come_nearer(first in [point(), point()], second in [point(), point()]) {
             let found = closest_segments(&first, &second);

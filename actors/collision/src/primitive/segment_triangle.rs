@@ -1,4 +1,4 @@
-//! The nearest points of a segment and a triangle: where it crosses, else an end above the triangle or an edge.
+//! Nearest points of a segment and a triangle: the crossing, else an end above the triangle or an edge.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,7 +11,7 @@ pub struct SegmentTriangle {
     pub on_segment: Point3<f64>,
     /// On the triangle; the same point where the segment crosses it \[m\].
     pub on_triangle: Point3<f64>,
-    /// Where along the segment, 0 at its first end to 1 at its second.
+    /// Parameter along the segment, 0 at its first end to 1 at its second.
     pub along: f64,
     /// Weights of `on_triangle` on the three corners: each in \[0, 1\], their sum 1.
     pub weights: [f64; 3],
@@ -19,9 +19,10 @@ pub struct SegmentTriangle {
     pub distance_squared: f64,
 }
 
-/// Squared area, of the longest edges', below which a triangle has no inside that could be told from its edges.
+/// Squared area, relative to the longest edges, below which a triangle's interior cannot be distinguished from its
+/// edges.
 const THIN: f64 = 1e-16;
-/// Squared slope of a segment against a triangle below which it has no single point in common with it.
+/// Squared slope of a segment against a triangle below which their crossing is not a unique point.
 const NEARLY_IN_PLANE: f64 = 1e-20;
 
 /// Nearest points of `segment` and `triangle`.
@@ -51,7 +52,7 @@ pub fn closest_segment_triangle(segment: &Segment, triangle: &Triangle) -> Segme
                 };
             }
         }
-        // Straight above the inside an end is nearest, or the inside of the triangle is not concerned.
+        // An end straight above the interior is nearest, or the interior is irrelevant.
         let ends = if heights[0].abs() <= heights[1].abs() { [0, 1] } else { [1, 0] };
         for end in ends {
             let off_plane = normal * (heights[end] / area_squared);
@@ -65,7 +66,7 @@ pub fn closest_segment_triangle(segment: &Segment, triangle: &Triangle) -> Segme
                 distance_squared: off_plane.norm_squared(),
             };
             if heights[0] * heights[1] > 0.0 && end == ends[0] {
-                // The plane itself is not nearer to any other point of the segment.
+                // No other point of the segment is nearer to the plane.
                 return found;
             }
             best = Some(found);
@@ -92,9 +93,10 @@ fn inside(
     (u >= 0.0 && v >= 0.0 && w >= 0.0).then_some([u, v, w])
 }
 
-/// Of two segments at most this (squared sine of the angle between them) the solution of the 2 × 2 system is noise.
+/// Squared sine of the angle between two segments below which the solution of the 2 × 2 system is dominated by
+/// rounding.
 const NEARLY_PARALLEL: f64 = 1e-10;
-/// Edges side by side, the last one twice, so that they fill whole registers.
+/// Edges in SIMD lanes, the last one twice, to fill whole registers.
 const LANES: usize = 4;
 
 #[inline]
@@ -103,8 +105,8 @@ fn within_unit(share: f64) -> f64 {
     if share < 1.0 { share } else { 1.0 }
 }
 
-/// The nearest points of the segment and the three edges, all edges at once: what [`closest_segments`] does, which is
-/// asked itself where one of them is nearly parallel.
+/// The nearest points of the segment and the three edges, all edges at once: as in [`closest_segments`], which is
+/// called itself for nearly parallel edges.
 fn nearest_edge(segment: &Segment, triangle: &Triangle, other: Option<SegmentTriangle>) -> SegmentTriangle {
     const FROM: [usize; LANES] = [0, 1, 2, 2];
     const TO: [usize; LANES] = [1, 2, 0, 0];
@@ -173,7 +175,7 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(20_000))]
-        /// Either they share the point, or neither can come nearer by moving towards one of its corners.
+        /// Either the points coincide, or moving one towards any corner does not bring them nearer.
         #[test]
         fn neither_can_come_nearer(segment in [point(), point()], triangle in [point(), point(), point()]) {
             let found = closest_segment_triangle(&segment, &triangle);

@@ -1,21 +1,21 @@
-//! How far a sphere can go before it meets a triangle (conservative advancement: Mirtich, *Impulse-based dynamic simulation
-//! of rigid body systems*, 1996).
+//! Sweep of a sphere against a triangle (conservative advancement: Mirtich, *Impulse-based dynamic simulation of rigid
+//! body systems*, 1996).
 //!
-//! The distance of a point that moves evenly from a convex set is a convex function of time. So the tangent at any time
-//! lies below it: where the tangent meets the radius, the sphere has not met the triangle yet, and Newton's method comes to
-//! the meeting from before, never beyond it.
+//! The distance of a linearly moving point from a convex set is a convex function of time. So any tangent lies below
+//! it: where the tangent reaches the radius, the sphere has not hit the triangle yet, and Newton's method approaches
+//! the contact from before, never beyond it.
 
 use nalgebra::{Point3, Vector3};
 
 use super::{Triangle, closest_on_triangle};
 
-/// Steps of Newton's method at most; whatever is left is left undone, which is safe.
+/// Most steps of Newton's method; stopping early is safe.
 const STEPS_MAX: usize = 48;
-/// Share of the radius to within which the meeting is found.
+/// Tolerance of the contact, relative to the radius.
 const NEAR_ENOUGH: f64 = 1e-6;
 
-/// The share of `motion`, 0 to 1, that a sphere can surely go before it is nearer than `radius` \[m\]; 1 also where it is
-/// nearer already and moves away, 0 where it is and comes nearer still.
+/// The share of `motion`, 0 to 1, that a sphere can safely move before it is nearer than `radius` \[m\]; also 1 if it
+/// is already nearer and moves away, 0 if it is already nearer and approaches.
 #[must_use]
 pub fn sweep_sphere_triangle(
     center: &Point3<f64>,
@@ -36,7 +36,7 @@ pub fn sweep_sphere_triangle(
         if distance > 0.0 && closing <= 0.0 {
             return 1.0;
         }
-        // Also where there is no direction, or no number.
+        // Also without a direction, or for NaN.
         if room.is_nan() || room <= NEAR_ENOUGH * radius {
             break;
         }
@@ -53,7 +53,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(5_000))]
-        /// Up to there it keeps its distance; a little further it does not, unless it goes all the way.
+        /// Up to the result the sphere keeps its distance; a little further it does not, unless the whole motion is
+        /// free.
         #[test]
         fn it_stops_where_it_meets_and_not_before(
             center in point(), end in point(), triangle in [point(), point(), point()], radius in 1e-3..0.5_f64
@@ -64,7 +65,7 @@ mod tests {
                 (closest_on_triangle(&place, &triangle).point - place).norm()
             };
             let radius = radius.min(0.9 * apart(0.0));
-            // Nearer than coordinates can tell there is nothing to stop at.
+            // Below the resolution of coordinates there is no contact to stop at.
             prop_assume!(radius > 1e-9);
             let share = sweep_sphere_triangle(&center, radius, &motion, &triangle);
             let samples = (0..=200).map(|sample| share * f64::from(sample) / 200.0);

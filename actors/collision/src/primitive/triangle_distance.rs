@@ -1,7 +1,7 @@
-//! The nearest points of two triangles, in the manner of PQP (Larsen, Gottschalk, Lin, Manocha, *Fast Proximity Queries
-//! with Swept Sphere Volumes*, 1999).
+//! Nearest points of two triangles, as in PQP (Larsen, Gottschalk, Lin, Manocha, *Fast Proximity Queries with Swept
+//! Sphere Volumes*, 1999).
 //!
-//! Two triangles apart are nearest at a pair of edges or at a corner and a face. The nearest points of two edges are
+//! Two disjoint triangles are nearest at a pair of edges or at a corner and a face. The nearest points of two edges are
 //! those of the triangles as soon as each triangle's third corner lies on the far side of the plane through its point
 //! across the gap, so that most pairs end after a few of the nine edge pairs.
 
@@ -12,18 +12,18 @@ use super::{Triangle, closest_segments, common_segment, triangles_overlap};
 /// The nearest points of two triangles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriangleTriangle {
-    /// On each of them \[m\]; the same point twice where they overlap. Of triangles without area to speak of that
-    /// overlap it may lie beside them by 1e-7 of their size, otherwise by rounding.
+    /// On each of them \[m\]; the same point twice where they overlap. For nearly degenerate overlapping triangles it
+    /// may be off by 1e-7 of their size, otherwise by rounding.
     pub points: [Point3<f64>; 2],
     /// Distance, squared \[m²\]; 0 where they overlap.
     pub distance_squared: f64,
 }
 
-/// A gap smaller than this, of what it is the difference of, may be rounding: the exact test decides.
+/// Relative gap below which rounding may dominate: the exact test decides.
 const GAP_NOISE: f64 = 1e-6;
 
-/// Squared gap, of the squared size of the triangles, below which the direction across it is too coarse to tell on which
-/// side of it a corner lies.
+/// Squared gap, of the squared size of the triangles, below which its direction is too inaccurate to decide a corner's
+/// side.
 const CLEAR: f64 = 1e-12;
 
 /// Nearest points of `first` and `second`.
@@ -53,7 +53,7 @@ pub fn closest_triangles(first: &Triangle, second: &Triangle) -> TriangleTriangl
             if inwards <= 0.0 && other_inwards >= 0.0 && found.distance_squared > clear {
                 return best;
             }
-            // The third corners take away less than the gap: whatever the nearest points are, there is a gap.
+            // The third corners reduce the gap by less than its width: the triangles are disjoint.
             let gap = found.distance_squared + other_inwards - inwards;
             apart |= found.distance_squared > clear
                 && gap > GAP_NOISE * (found.distance_squared - other_inwards + inwards);
@@ -94,7 +94,7 @@ fn corner_on_face(asked: &Triangle, face: &Triangle) -> (Option<[Point3<f64>; 2]
     let normal: Vector3<f64> = ab.cross(&ac);
     let area_squared = normal.norm_squared();
     let longest = ab.norm_squared().max(ac.norm_squared()).max((c - b).norm_squared());
-    // Of a triangle this thin the edges know as much, and the normal is noise.
+    // For a triangle this thin the edges suffice, and the normal is dominated by rounding.
     if area_squared <= 1e-16 * longest * longest {
         return (None, false);
     }
@@ -140,7 +140,7 @@ mod tests {
         of(edges(first), second).min(of(edges(second), first)).sqrt()
     }
 
-    /// How far a point is from a triangle; of a thin one the edges know better than the face.
+    /// Distance of a point from a triangle; for a thin one the edges are more accurate than the face.
     fn beside(point: &Point3<f64>, triangle: &Triangle) -> f64 {
         let on_face = closest_on_triangle(point, triangle).point;
         (0..3).fold((on_face - point).norm(), |least, i| {

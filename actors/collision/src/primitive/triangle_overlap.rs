@@ -1,15 +1,15 @@
-//! Whether two triangles have a point in common (Guigue and Devillers, *Fast and Robust Triangle-Triangle Overlap Test
-//! Using Orientation Predicates*, 2003), and what they have in common.
+//! Overlap test of two triangles (Guigue and Devillers, *Fast and Robust Triangle-Triangle Overlap Test Using
+//! Orientation Predicates*, 2003), and their intersection segment.
 //!
-//! Triangles are closed: touching is overlapping. Every decision is the sign of an exact determinant
-//! ([`orientation`]), so that the answer is that of the numbers given: coplanar triangles, triangles that share a
-//! corner or an edge and triangles without area included.
+//! Triangles are closed: touching is overlapping. Every decision is the sign of an exact determinant ([`orientation`]),
+//! so that the result is exact for the given numbers: coplanar triangles, triangles that share a corner or an edge and
+//! triangles without area included.
 
 use nalgebra::{Point3, Vector3};
 
 use super::{Triangle, orientation, orientation_in_plane};
 
-/// Whether the two have a point in common.
+/// Whether the two intersect.
 #[must_use]
 pub fn triangles_overlap(first: &Triangle, second: &Triangle) -> bool {
     let of_second = sides(first, second);
@@ -23,8 +23,8 @@ pub fn triangles_overlap(first: &Triangle, second: &Triangle) -> bool {
     if of_second == [0.0; 3] || of_first == [0.0; 3] {
         return flat_overlap(first, second);
     }
-    // One corner of each is alone on its side of the other's plane, which both triangles cross in an interval of the
-    // line in common. Turned so that the lone corner lies on the positive side, the intervals are in order exactly
+    // One corner of each is alone on its side of the other's plane, and both triangles intersect the planes' common
+    // line in an interval. Turned so that the lone corner lies on the positive side, the intervals are in order exactly
     // when neither begins behind the other's end: two determinants.
     let (lone, behind) = lone_corner(&of_first);
     let (other_lone, other_behind) = lone_corner(&of_second);
@@ -40,7 +40,7 @@ pub fn triangles_overlap(first: &Triangle, second: &Triangle) -> bool {
 /// Sides of the plane of `of` on which the corners of `asked` lie.
 #[inline]
 fn sides(of: &Triangle, asked: &Triangle) -> [f64; 3] {
-    /// Error of the distance below, of the product of the three largest coordinates in it: 16 roundings suffice.
+    /// Error of the distance below, relative to the product of its three largest coordinates: 16 roundings suffice.
     const ERROR: f64 = 64.0 * f64::EPSILON;
     let [a, b, c] = of;
     let (ab, ac) = (b - a, c - a);
@@ -109,7 +109,7 @@ fn thin_overlap(thin: &Triangle, triangle: &Triangle) -> bool {
     around.iter().all(|&side| side >= 0.0) || around.iter().all(|&side| side <= 0.0)
 }
 
-/// All six corners lie in one plane: look along an axis in which the plane is not seen edge-on.
+/// All six corners lie in one plane: project along an axis that is not within the plane.
 fn coplanar_overlap(first: &Triangle, second: &Triangle) -> bool {
     let corners = [first[0], first[1], first[2], second[0], second[1], second[2]];
     let spread = |axis: usize| {
@@ -149,7 +149,7 @@ fn coplanar_overlap(first: &Triangle, second: &Triangle) -> bool {
         || within(second[0], &first)
 }
 
-/// A point as it is seen along an axis.
+/// Projection of a point along an axis.
 fn along(axis: usize, point: &Point3<f64>) -> [f64; 2] {
     [point[(axis + 1) % 3], point[(axis + 2) % 3]]
 }
@@ -210,8 +210,8 @@ fn longest_edge(triangle: &Triangle) -> [Point3<f64>; 2] {
     ends
 }
 
-/// The ends of the segment that two overlapping triangles have in common, to rounding; of triangles in one plane, the
-/// two corners of the common area that are farthest apart. For triangles that do not overlap: somewhere between.
+/// Ends of the intersection segment of two overlapping triangles, up to rounding; for coplanar triangles, the two
+/// farthest corners of their common area. For disjoint triangles: points between them.
 #[must_use]
 pub fn common_segment(first: &Triangle, second: &Triangle) -> [Point3<f64>; 2] {
     let normal = |t: &Triangle| (t[1] - t[0]).cross(&(t[2] - t[0]));
@@ -221,7 +221,7 @@ pub fn common_segment(first: &Triangle, second: &Triangle) -> [Point3<f64>; 2] {
         let longest = (t[1] - t[0]).amax().max((t[2] - t[0]).amax());
         normal.amax() <= 1e-4 * longest * longest
     };
-    // Of a triangle so thin, or two planes so near to one, the line in common is noise.
+    // For a very thin triangle, or nearly coplanar triangles, the common line is dominated by rounding.
     if thin(first, &n1) || thin(second, &n2) || direction.norm() <= 1e-4 * n1.norm() * n2.norm() {
         return farthest_common(first, second);
     }
@@ -233,7 +233,7 @@ pub fn common_segment(first: &Triangle, second: &Triangle) -> [Point3<f64>; 2] {
     [later(spans[0][0], spans[1][0]).1, sooner(spans[0][1], spans[1][1]).1]
 }
 
-/// Where a triangle's edges cross a plane: the first and the last such place by a measure along a line, with the measure.
+/// Crossings of a triangle's edges with a plane: the first and the last along a line, with their parameters.
 fn crossing_span(
     triangle: &Triangle,
     on_plane: &Point3<f64>,
@@ -241,7 +241,7 @@ fn crossing_span(
     along: &impl Fn(&Point3<f64>) -> f64,
 ) -> [(f64, Point3<f64>); 2] {
     let heights = triangle.each_ref().map(|corner| normal.dot(&(corner - on_plane)));
-    // A corner or an edge in the plane but for rounding counts as in it.
+    // A corner or an edge within rounding of the plane counts as in it.
     let size = triangle.iter().fold(0.0_f64, |size, corner| size.max((corner - on_plane).amax()));
     let noise = 1e-14 * size * normal.amax();
     let mut span: Option<[(f64, Point3<f64>); 2]> = None;
@@ -264,15 +264,15 @@ fn crossing_span(
             take(triangle[from] + (triangle[to] - triangle[from]) * share);
         }
     }
-    // Nothing but rounding kept them apart: the corner that is nearest to the plane.
+    // Only rounding separates them: uses the corner nearest to the plane.
     span.unwrap_or_else(|| {
         let nearest = (0..3).fold(0, |best, i| if heights[i].abs() < heights[best].abs() { i } else { best });
         [(along(&triangle[nearest]), triangle[nearest]); 2]
     })
 }
 
-/// Of triangles in one plane, or without area: among the nearest points of all their edges and corners, those in
-/// common, the two that are farthest apart.
+/// For coplanar triangles, or ones without area: the two farthest common points among the nearest points of all edges
+/// and corners.
 #[cold]
 fn farthest_common(first: &Triangle, second: &Triangle) -> [Point3<f64>; 2] {
     let mut found = [Point3::origin(); 21];
@@ -291,7 +291,7 @@ fn farthest_common(first: &Triangle, second: &Triangle) -> [Point3<f64>; 2] {
     }
     for i in 0..3 {
         let [a, b] = [first, second].map(|t| [t[i], t[(i + 1) % 3]]);
-        // Where a segment passes through a thin triangle is noise: ask again whether the triangle is there.
+        // The crossing of a segment with a thin triangle is dominated by rounding: check that it is on the triangle.
         let through = super::closest_segment_triangle(&a, second).on_segment;
         take(through, super::closest_on_triangle(&through, second).point);
         let through = super::closest_segment_triangle(&b, first).on_segment;
@@ -333,8 +333,8 @@ mod tests {
         [0, 1, 2].map(|i| a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3])
     }
 
-    /// In integers: the nearest points of two triangles apart lie on two features, and the direction across is one of
-    /// these: corner to corner, corner to edge, edge to edge, across a face. Without a gap in any they overlap.
+    /// In integers: the nearest points of two disjoint triangles lie on two features, and their direction is one of:
+    /// corner to corner, corner to edge, edge to edge, face normal. Without a gap along any of them they overlap.
     fn oracle(t1: [V; 3], t2: [V; 3]) -> bool {
         let edges = |t: [V; 3]| [0, 1, 2].map(|i| minus(t[(i + 1) % 3], t[i]));
         let (e1, e2) = (edges(t1), edges(t2));

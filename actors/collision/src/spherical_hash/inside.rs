@@ -1,4 +1,4 @@
-//! Whether a point is inside a hashed body: the sheets that the ray from the centre through it meets further out.
+//! Inside test for a hashed body: counts the sheets crossed further out by the ray from the centre through the point.
 
 use nalgebra::{Point3, Vector3};
 
@@ -8,25 +8,25 @@ use crate::primitive::Triangle;
 /// Share of the product of lengths below which a triple product has no certain sign.
 const UNCERTAIN: f64 = 1e-13;
 
-/// How far other rays run beside an uncertain one, as a share of the body's size.
+/// Offset of alternative rays from an uncertain one, as a share of the body's size.
 const ASIDE: f64 = 1e-9;
-/// Where to: nowhere first, then in directions that no regular mesh has.
+/// Offset directions: none first, then directions that do not occur in regular meshes.
 const OFFSETS: [[f64; 3]; 4] = [[0.0; 3], [0.31, 0.57, -0.76], [-0.83, 0.11, 0.54], [0.19, -0.92, 0.34]];
 
-/// What a ray says of one triangle.
+/// Intersection of a ray with one triangle.
 enum Meeting {
     Missed,
     /// At this distance from the centre, going out of the surface (1) or into it (-1).
     Met(f64, i32),
-    /// Too near to an edge to be told.
+    /// Too near to an edge to decide.
     Uncertain,
 }
 
 impl SphericalHash {
-    /// How far it is at most from a point inside to the surface \[m\]; nothing for a point outside.
+    /// Upper bound of the distance from an inside point to the surface \[m\]; `None` for a point outside.
     pub(super) fn inside(&mut self, point: &Point3<f64>) -> Option<f64> {
-        // Of regular meshes many rays run through edges and vertices exactly. Rays beside them say the same of all
-        // points that are not closer to the surface than that.
+        // In regular meshes many rays hit edges and vertices exactly. Rays beside them give the same result for all
+        // points farther from the surface than the offset.
         let aside = ASIDE * self.size();
         for offset in OFFSETS {
             if let Some((winding, within)) = self.winding(&(point + Vector3::from(offset) * aside)) {
@@ -37,13 +37,13 @@ impl SphericalHash {
         (angles.abs() > std::f64::consts::TAU).then(|| self.size() * 2.0)
     }
 
-    /// How often the surface goes around a point, and how far it is along the ray; nothing where that is uncertain.
+    /// Winding number of the surface around a point, and the distance to it along the ray; `None` if uncertain.
     fn winding(&mut self, point: &Point3<f64>) -> Option<(i32, f64)> {
         let size = self.size();
         let Self { table, triangles, seen, .. } = self;
         let from_centre = point - table.centre;
         let radius = from_centre.norm();
-        // In the middle of it any direction will do.
+        // At the centre any direction is valid.
         let direction =
             if radius > 1e-12 * size { from_centre / radius } else { Vector3::new(0.48, 0.6, 0.64) };
         let (mut winding, mut within, mut is_certain) = (0, f64::INFINITY, true);
@@ -73,14 +73,14 @@ fn meeting(direction: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Meeting {
         return Meeting::Missed;
     }
     let normal = products[0] + products[1] + products[2];
-    // Without area it encloses nothing.
+    // A triangle without area encloses nothing.
     if normal == Vector3::zeros() {
         return Meeting::Missed;
     }
     let ahead = signs[0] + signs[1] + signs[2];
     let at = normal.dot(a) / ahead;
     if signs.iter().any(|sign| sign.abs() <= certain) {
-        // On the line of an edge, but behind the centre: met by nothing that goes outwards.
+        // On the line of an edge, but behind the centre: no outward ray hits it.
         return if at < 0.0 && ahead.abs() > certain { Meeting::Missed } else { Meeting::Uncertain };
     }
     if at > 0.0 { Meeting::Met(at, if ahead > 0.0 { 1 } else { -1 }) } else { Meeting::Missed }

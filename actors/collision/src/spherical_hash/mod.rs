@@ -1,21 +1,21 @@
-//! Collision of deforming bodies by a local spherical hash.
+//! Local spherical hash: collision detection of deforming bodies.
 //!
 //! After Maule, Maciel, Nedel (*Efficient collision detection and physics-based deformation for haptic simulation with
 //! local spherical hash*, 2010): each deformable body is wrapped into a sphere of its own, in which its parts are
-//! hashed anew as it deforms, so that finding what a part of another body collides with does not grow with the number
-//! of vertices. Of the paper the idea is taken, as its abstract and first figure tell it; how it is done here is ours:
+//! rehashed as it deforms, so that the cost of one query does not grow with the number of vertices. Only the idea is
+//! from the paper (its abstract and first figure); the implementation is ours:
 //!
-//! - Directions are cells of a cube around the centre, which has no poles; a triangle lies in *every* cell that it has
-//!   a part in, so that nothing is lost between cells, large and thin triangles included.
+//! - Directions are cells of a cube around the centre, which has no poles; a triangle is stored in *every* cell that it
+//!   overlaps, so that no contact is lost between cells, large and thin triangles included.
 //! - Bodies need not be star-shaped: each direction is divided into layers of radius, and any number of sheets may lie
-//!   behind each other. Where the centre is matters for the cost only.
-//! - Cells only name candidates. Exact tests of primitives decide, in `f64`.
-//! - A point is inside where the ray from the centre through it goes out again: the sheets in one column of cells, as a
-//!   sum of windings (open and inside-out surfaces count as what they enclose). Where a ray runs through an edge, one
-//!   beside it is asked, and at last the solid angles of all triangles (Van Oosterom, Strackee 1983).
+//!   behind each other. The position of the centre affects only the cost.
+//! - Cells only give candidates. Exact tests of primitives in `f64` decide.
+//! - A point's inside test counts the sheets that the ray from the centre through it crosses further out, in one column
+//!   of cells, as a winding number (open and inverted surfaces count by what they enclose). If the ray hits an edge, a
+//!   ray beside it is used, and finally the solid angles of all triangles (Van Oosterom, Strackee 1983).
 //!
-//! Filling the table costs about as much as a query and nothing is kept across fillings, so that a body may deform, be
-//! cut and be remeshed at any time.
+//! Filling the table costs about as much as a query, and no state is kept across fillings, so that a body may deform,
+//! be cut and be remeshed at any time.
 
 mod inside;
 mod table;
@@ -35,19 +35,20 @@ use table::Table;
 /// A contact of a hashed body `a` and another one `b`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SphericalContact {
-    /// Which part of the first body.
+    /// Part of the first body.
     pub a: Part,
-    /// Which part of the second.
+    /// Part of the second body.
     pub b: Part,
-    /// Where on each \[m\]: the nearest points of the two parts (of spheres and tubes: their centres and axes), or for
-    /// both the middle of what they have in common.
+    /// Points on each \[m\]: the nearest points of the two parts (for spheres and tubes: of their centres and axes), or
+    /// for both the middle of their intersection.
     pub points: [Point3<f64>; 2],
-    /// Depth \[m\]. Of a sphere or vertex: its radius and how far its centre is below the surface, which is the distance
-    /// to the nearest point of it. Of a tube's segment and a triangle: the radius less the distance of the axis; where
-    /// the axis crosses, the radius and the least translation that parts axis and triangle. Of two triangles: the least
-    /// translation that parts them.
+    /// Depth \[m\]. Of a sphere or vertex: its radius plus the depth of its centre, which is the distance to the
+    /// nearest surface point. Of a tube's segment and a triangle: the radius minus the distance of the axis; if the
+    /// axis crosses, the radius plus the minimum translation that separates axis and triangle. Of two triangles: the
+    /// minimum translation that separates them.
     pub depth: f64,
-    /// Unit direction from the first body to the second: moved along it by the depth, the second part is out.
+    /// Unit direction from the first body to the second: a translation of the second part along it by the depth ends
+    /// the contact.
     pub direction: Vector3<f64>,
 }
 
@@ -60,28 +61,28 @@ impl SphericalContact {
     }
 }
 
-/// The nearest place on the surface of a hashed body.
+/// The nearest surface point of a hashed body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfacePlace {
     /// Its triangle.
     pub triangle: u32,
-    /// Where \[m\].
+    /// The point \[m\].
     pub point: Point3<f64>,
-    /// How far the asked point is below the surface \[m\]; negative outside.
+    /// Depth of the query point below the surface \[m\]; negative outside.
     pub depth: f64,
     /// Unit direction out of the body.
     pub outwards: Vector3<f64>,
 }
 
-/// A body's surface hashed by direction and distance from its centre. Buffers are kept: filling and asking as before
-/// does not allocate.
+/// A body's surface hashed by direction and distance from its centre. Buffers are reused: refills and queries of
+/// similar size do not allocate.
 #[derive(Clone, Debug, Default)]
 pub struct SphericalHash {
     table: Table,
     triangles: Vec<Triangle>,
     vertices: Vec<(u32, Point3<f64>)>,
     bounds: Bounds,
-    /// 1 where the surface encloses its inside counter-clockwise seen from outside, -1 where it is inside out.
+    /// 1 for triangles counter-clockwise seen from outside, -1 for an inverted surface.
     orientation: f64,
     seen: Seen,
 }
@@ -95,7 +96,7 @@ impl Default for Bounds {
     }
 }
 
-/// Which triangles one question has come across.
+/// Triangles visited by one query.
 #[derive(Clone, Debug, Default)]
 struct Seen {
     stamps: Vec<u32>,
@@ -123,13 +124,13 @@ impl Seen {
 }
 
 impl SphericalHash {
-    /// An empty one: nothing collides with it.
+    /// An empty hash, without collisions.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes a body as it is now; what was hashed before is gone.
+    /// Hashes a body in its current state; replaces earlier content.
     pub fn rebuild(&mut self, surface: &Surface<'_>) {
         let vertices = surface.vertices();
         self.triangles.clear();
@@ -153,8 +154,8 @@ impl SphericalHash {
         self.orientation = if volume < 0.0 { -1.0 } else { 1.0 };
     }
 
-    /// The place on the surface that is nearest to a point, if the point is inside, or outside and not further than a
-    /// `reach` \[m\] above 0. Nothing for a point that is not finite.
+    /// The surface point nearest to a point, if the point is inside, or outside within `reach` \[m\] above 0. `None`
+    /// for a non-finite point.
     pub fn place(&mut self, point: &Point3<f64>, reach: f64) -> Option<SurfacePlace> {
         if !self.bounds.0.grown(reach).overlaps(&Box3::of([point])) {
             return None;
@@ -167,7 +168,7 @@ impl SphericalHash {
         let (triangle, nearest) = self.nearest(point, limit)?;
         let between = if inside.is_some() { nearest - point } else { point - nearest };
         let distance = between.norm();
-        // Of what lies on the surface the difference is rounding.
+        // For points on the surface the difference is only rounding.
         let outwards =
             if distance > 1e-12 * self.size() { between / distance } else { self.normal(triangle) };
         let depth = if inside.is_some() { distance } else { -distance };
@@ -178,7 +179,7 @@ impl SphericalHash {
     /// nearer to the surface than `radius` \[m\].
     ///
     /// # Errors
-    /// The first centre that is not finite; then nothing is added.
+    /// For the first non-finite centre; nothing is added then.
     pub fn spheres(
         &mut self,
         centres: &[Point3<f64>],
@@ -202,8 +203,8 @@ impl SphericalHash {
         })
     }
 
-    /// Adds the contacts of a line's segments with the triangles that they are nearer to than the radius. Segments that
-    /// are inside as a whole touch no triangle: ask for the [`spheres`](Self::spheres) of their vertices as well.
+    /// Adds the contacts of a line's segments with triangles nearer than the radius. Segments entirely inside touch no
+    /// triangle: query the [`spheres`](Self::spheres) of their vertices as well.
     pub fn line(&mut self, line: &Line<'_>, contacts: &mut Vec<SphericalContact>) {
         let Self { table, triangles, seen, bounds, .. } = self;
         let radius = line.radius();
@@ -300,7 +301,7 @@ impl SphericalHash {
         }
     }
 
-    /// The nearest triangle within `limit`, and the place on it.
+    /// The nearest triangle within `limit`, and the point on it.
     fn nearest(&mut self, point: &Point3<f64>, limit: f64) -> Option<(u32, Point3<f64>)> {
         let Self { table, triangles, seen, .. } = self;
         let from_centre = (point - table.centre).norm();
@@ -323,7 +324,7 @@ impl SphericalHash {
             match best {
                 Some((distance, triangle, found)) if distance <= reach => return Some((triangle, found)),
                 _ if reach >= limit => return None,
-                // From a width of nothing, at the centre, to the limit at once.
+                // At the centre, where the cell width is zero, the search uses the limit at once.
                 _ => reach = if reach > 0.0 { (2.0 * reach).min(limit) } else { limit },
             }
         }
@@ -342,7 +343,7 @@ fn unit_normal([a, b, c]: &Triangle) -> Vector3<f64> {
     (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::z)
 }
 
-/// The middle of where the edges of either triangle cross the other; where that is lost in rounding, the middle of the
+/// The midpoint of the edge–triangle intersections of two triangles; if rounding misses them, the midpoint of the
 /// nearest points.
 fn middle_of_common(first: &Triangle, second: &Triangle) -> Point3<f64> {
     let (mut sum, mut count) = (Vector3::zeros(), 0.0);

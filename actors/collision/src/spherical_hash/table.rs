@@ -1,17 +1,17 @@
-//! The table: space around a centre in cells of direction and radius, and which triangles lie in each.
+//! Hash table: cells of direction and radius around a centre, with the triangles in each.
 
 use nalgebra::{Point3, Vector3};
 
 use crate::primitive::{Triangle, closest_on_triangle};
 use crate::uniform_grid::Box3;
 
-/// Triangles over more cells than this are looked at by every query, which costs less than to hash them.
+/// Triangles over more cells than this are tested by every query, which costs less than hashing them.
 const CELLS_OF_ONE_MAX: usize = 512;
-/// Cells along a side of the cube of directions, at most.
+/// Largest number of cells along a side of the cube of directions.
 const SIDE_MAX: usize = 64;
-/// Layers of radius, at most.
+/// Largest number of radial layers.
 const SHELLS_MAX: usize = 64;
-/// What a range is widened by, as a share of the side of the cube: more than the rounding of a quotient.
+/// Widening of a range, as a share of the side of the cube: more than the rounding of a quotient.
 const ROUNDING: f64 = 1e-12;
 
 /// Cells of one face of the cube of directions, first and last: along its two axes, and outwards.
@@ -60,7 +60,7 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Takes the triangles anew, seen from `centre`.
+    /// Refills the table with triangles, seen from `centre`.
     pub fn rebuild(&mut self, centre: Point3<f64>, triangles: &[Triangle]) {
         self.centre = centre;
         self.radii.clear();
@@ -87,7 +87,7 @@ impl Table {
         }
         self.members.clear();
         self.members.resize(self.starts[cells] as usize, 0);
-        // Each start moves to the end of its cell, which is the start of the next: shifted back afterwards.
+        // Each start advances to the end of its cell, which is the start of the next; shifted back afterwards.
         for (range, index) in &self.ranges {
             each_cell(range, self.side, self.shells, |cell| {
                 self.members[self.starts[cell] as usize] = *index;
@@ -100,7 +100,7 @@ impl Table {
         self.starts[0] = 0;
     }
 
-    /// Cells about as large as the triangles, were they spread evenly: two triangles for each direction.
+    /// Chooses cells about as large as evenly spread triangles: two triangles per direction.
     fn choose_cells(&mut self, triangles: usize) {
         self.outermost = self.radii.iter().map(|[_, far]| *far).fold(0.0, f64::max);
         self.innermost = self.radii.iter().map(|[near, _]| *near).fold(self.outermost, f64::min);
@@ -118,7 +118,7 @@ impl Table {
         };
     }
 
-    /// How wide a cell is at a distance from the centre \[m\].
+    /// Width of a cell at a distance from the centre \[m\].
     pub fn width(&self, radius: f64) -> f64 {
         radius * std::f64::consts::FRAC_PI_2 / self.side.max(1) as f64
     }
@@ -128,7 +128,7 @@ impl Table {
         (((radius - self.innermost) * self.shells_per_metre) as usize).min(self.shells - 1)
     }
 
-    /// The cells that a box at these distances from the centre can have a part in.
+    /// The cells that a box at these distances from the centre may overlap.
     fn ranges_of(&self, of: &Box3, [near, far]: [f64; 2]) -> Ranges {
         let (min, max) = (of.min - self.centre, of.max - self.centre);
         let rounding = ROUNDING * (1.0 + far);
@@ -149,7 +149,7 @@ impl Table {
         found
     }
 
-    /// Offers every triangle that can have a part in a box; some of them more than once.
+    /// Visits every triangle that may overlap a box, some more than once.
     pub fn around(&self, of: &Box3, mut found: impl FnMut(u32)) {
         if self.starts.is_empty() {
             return;
@@ -175,8 +175,7 @@ impl Table {
         }
     }
 
-    /// Offers every triangle that a ray from the centre can meet at `radius` \[m\] or further out; some of them more
-    /// than once.
+    /// Visits every triangle that a ray from the centre may hit at `radius` \[m\] or further out, some more than once.
     pub fn along(&self, direction: &Vector3<f64>, radius: f64, mut found: impl FnMut(u32)) {
         if self.starts.is_empty() || radius > self.outermost {
             return;
@@ -205,12 +204,13 @@ impl Table {
 fn radii(centre: &Point3<f64>, triangle: &Triangle) -> [f64; 2] {
     let far = triangle.iter().map(|corner| (corner - centre).norm()).fold(0.0, f64::max);
     let near = (closest_on_triangle(centre, triangle).point - centre).norm();
-    // Of a thin triangle the nearest point errs; nothing of a triangle is nearer than its length from its farthest.
+    // The nearest point of a thin triangle is inaccurate; no point is nearer than the farthest distance minus its
+    // length.
     [near - 1e-7 * far, far]
 }
 
-/// First and last cell of what has one coordinate in `[from, to]` and is `[low, high]` in front of the centre, on a
-/// face of the cube that reaches from -1 to 1 at the distance 1; nothing where it is beside the face.
+/// First and last cell of an object with one coordinate in `[from, to]` and a distance `[low, high]` in front of the
+/// centre, on a face of the cube that spans -1 to 1 at the distance 1; `None` beside the face.
 fn span(from: f64, to: f64, low: f64, high: f64, side: usize) -> Option<[usize; 2]> {
     if from > high || to < -high {
         return None;
@@ -220,7 +220,7 @@ fn span(from: f64, to: f64, low: f64, high: f64, side: usize) -> Option<[usize; 
     };
     let first = if from >= 0.0 { quotient(from, high, 0.0) } else { quotient(from, low, -1.0) };
     let last = if to >= 0.0 { quotient(to, low, 1.0) } else { quotient(to, high, 0.0) };
-    // What is behind the centre as well looks everywhere.
+    // An object that also reaches behind the centre covers all cells.
     let (first, last) = if high > 0.0 { (first, last) } else { (-1.0, 1.0) };
     let cell = |place: f64| ((0.5 * (place + 1.0) * side as f64) as usize).min(side - 1);
     Some([cell(first - 2.0 * ROUNDING), cell(last + 2.0 * ROUNDING)])

@@ -1,13 +1,13 @@
-//! What a volume fills of each pixel: layers of depth, each from an entry to an exit.
+//! Depth layers of a volume in each pixel, each from an entry to an exit.
 
-/// Layers of each pixel, those of one after those of the other, disjoint and from near to far.
+/// Layers of all pixels in sequence, disjoint and from near to far.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Columns {
     starts: Vec<u32>,
     layers: Vec<[f64; 2]>,
-    /// What was drawn and not sorted yet: ranges of depth that are filled.
+    /// Filled depth ranges that are drawn but not sorted yet.
     sheets: Vec<(u32, [f64; 2])>,
-    /// Where the surface is passed in the middle of a pixel: the depth, and whether into (1) or out of the volume (-1).
+    /// Crossings of the surface at pixel centres: the depth, and whether into (1) or out of the volume (-1).
     passes: Vec<(u32, (f64, i32))>,
     sorted_sheets: ByPixel<[f64; 2]>,
     sorted_passes: ByPixel<(f64, i32)>,
@@ -27,7 +27,7 @@ impl<T: Copy> ByPixel<T> {
         self.items.clear();
         let Some((_, any)) = drawn.first() else { return };
         self.items.resize(drawn.len(), *any);
-        // Counted two further on, so that each start is where its pixel begins once its items are placed.
+        // Counts are offset by two, so that each start is correct once the items are placed.
         for (pixel, _) in drawn {
             self.starts[*pixel as usize + 2] += 1;
         }
@@ -65,8 +65,8 @@ impl Columns {
         self.passes.push((pixel as u32, (depth, into)));
     }
 
-    /// Between an entry and the exit that belongs to it a column is filled; the rest is what the sheets fill. What
-    /// never comes out again (of an open surface) ends where it began.
+    /// Fills columns between each entry and its exit, and where sheets fill them. An entry without exit (of an open
+    /// surface) ends at its own depth.
     pub fn finish(&mut self, pixels: usize) {
         self.sorted_passes.sort(&self.passes, pixels);
         for pixel in 0..pixels {
@@ -128,7 +128,7 @@ mod tests {
         columns.sheet(0, [1.0, 2.0]);
         columns.sheet(2, [1.0, 2.0]);
         columns.sheet(2, [1.5, 2.5]);
-        // Nested: in, in, out, out. Then one that is inside out, and one that never ends.
+        // Nested: in, in, out, out. Then an inverted one, and one without an exit.
         for (depth, into) in [(9.0, -1), (5.0, 1), (6.0, 1), (7.0, -1), (10.0, -1), (11.0, 1), (12.0, 1)] {
             columns.pass(1, depth, into);
         }

@@ -2,18 +2,18 @@
 //! 1995; layers of depth as in Heidelberger, Teschner, Gross 2004), rasterised on the CPU.
 //!
 //! The volume is drawn into an orthographic image whose pixels hold layers of depth, each from an entry to an exit: a
-//! closed surface seen along any direction ([`ZBuffer::draw_surface`]), or what a shaft sweeps over between two frames
-//! as it turns about its port ([`ZBuffer::draw_shaft`]), seen across the plane of its motion. A fast instrument so
-//! misses nothing that lies between its places. Triangles of the scene are then held against the layers of the pixels
-//! that they have a part in.
+//! closed surface seen along any direction ([`ZBuffer::draw_surface`]), or the swept volume of a shaft between two
+//! frames as it turns about its port ([`ZBuffer::draw_shaft`]), seen across the plane of its motion. So a fast
+//! instrument misses no triangle between its poses. Triangles of the scene are then compared with the layers of the
+//! pixels that they overlap.
 //!
 //! # Tolerance
-//! Rasterisation is conservative on both sides: a pixel counts with all of the volume and all of the triangle that is
-//! in its column, clipped exactly. So every triangle that has a point in common with the volume is reported, and
-//! whatever is reported has a point within [`ZBuffer::tolerance`] of the volume: the diagonal of a pixel, for a shaft
-//! less than a pixel more, and as much as its axis leaves the plane of motion where the port moves aside.
+//! Rasterisation is conservative on both sides: a pixel takes all of the volume and all of the triangle in its column,
+//! clipped exactly. So every triangle that intersects the volume is reported, and every reported triangle has a point
+//! within [`ZBuffer::tolerance`] of the volume: the diagonal of a pixel, for a shaft less than a pixel more, and as
+//! much as its axis leaves the plane of motion where the port moves aside.
 //!
-//! The image is that of whoever asks, the arithmetic `f64` on the CPU: the result is the same on every machine.
+//! The arithmetic is `f64` on the CPU: the result is the same on every machine.
 
 mod columns;
 mod raster;
@@ -27,22 +27,22 @@ use columns::Columns;
 use raster::{Place, View, middle_depth};
 pub use shaft::{ShaftError, ShaftSweep};
 
-/// What makes an image unusable.
+/// Why an image is invalid.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ZBufferError {
-    /// A pixel that is no square.
+    /// The pixel size is invalid.
     #[error("a pixel of {pixel} m is not one: its side is above 0 and finite")]
     Pixel {
-        /// What came \[m\].
+        /// The value given \[m\].
         pixel: f64,
     },
-    /// An image that nothing fits into.
+    /// The image size is invalid.
     #[error("an image of {pixels} pixels at most holds nothing: {} to {} are valid", PIXELS_MIN, PIXELS_MAX)]
     Pixels {
-        /// What came.
+        /// The value given.
         pixels: usize,
     },
-    /// A direction that leads nowhere.
+    /// The direction is zero or not finite.
     #[error("the direction of view has no length")]
     Direction,
 }
@@ -52,22 +52,21 @@ pub const PIXELS_MIN: usize = 64;
 /// Most pixels that an image may be limited to: 64 MB of columns.
 pub const PIXELS_MAX: usize = 1 << 24;
 
-/// A triangle of the scene that the volume meets.
+/// A triangle of the scene that intersects the volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VolumeHit {
-    /// Which triangle.
+    /// Its index.
     pub triangle: u32,
-    /// In how many pixels.
+    /// Number of pixels.
     pub pixels: u32,
-    /// Nearest and farthest depth along the direction of view of what the triangle and the volume have in common \[m\],
-    /// measured from the plane through the world's origin.
+    /// Nearest and farthest depth of the intersection along the direction of view \[m\], measured from the plane
+    /// through the world's origin.
     pub depths: [f64; 2],
-    /// A point of the triangle that is within the tolerance of the volume: in the pixel where it is longest in it
-    /// \[m\].
+    /// A point of the triangle within the tolerance of the volume, in the pixel of the longest overlap \[m\].
     pub point: Point3<f64>,
 }
 
-/// An image of a volume. Buffers are kept: drawing and asking as before does not allocate.
+/// An image of a volume. Buffers are reused: drawing and queries of similar size do not allocate.
 #[derive(Clone, Debug)]
 pub struct ZBuffer {
     pixel: f64,
@@ -79,10 +78,10 @@ pub struct ZBuffer {
 }
 
 impl ZBuffer {
-    /// An empty image whose pixels are `pixel` \[m\] wide, or as much wider as keeps it within `pixels_max`.
+    /// An empty image whose pixels are `pixel` \[m\] wide, or wider to stay within `pixels_max`.
     ///
     /// # Errors
-    /// A pixel without size, less than [`PIXELS_MIN`] or more than [`PIXELS_MAX`] pixels.
+    /// For a pixel without size, less than [`PIXELS_MIN`] or more than [`PIXELS_MAX`] pixels.
     pub fn new(pixel: f64, pixels_max: usize) -> Result<Self, ZBufferError> {
         if !(pixel.is_finite() && pixel > 0.0) {
             return Err(ZBufferError::Pixel { pixel });
@@ -94,7 +93,7 @@ impl ZBuffer {
         Ok(Self { pixel, pixels_max, view, columns, range: None, tolerance: 0.0 })
     }
 
-    /// How far from the volume a triangle can be that is reported \[m\].
+    /// Largest distance of a reported triangle from the volume \[m\].
     #[must_use]
     pub fn tolerance(&self) -> f64 {
         self.tolerance
@@ -106,17 +105,17 @@ impl ZBuffer {
         self.view.size
     }
 
-    /// Side of a pixel of the image \[m\]: what was asked for, or more where the volume is large.
+    /// Side of a pixel of the image \[m\]: as requested, or larger for a large volume.
     #[must_use]
     pub fn pixel(&self) -> f64 {
         self.view.pixel
     }
 
-    /// Draws the volume that a surface encloses, seen along `direction` (of any length). Of an open surface the volume
-    /// is between each sheet and the one behind it that closes it, and the sheets themselves.
+    /// Draws the volume that a surface encloses, seen along `direction` (of any length). For an open surface the volume
+    /// is between each sheet and the closing sheet behind it, plus the sheets themselves.
     ///
     /// # Errors
-    /// A direction without length; the image is then empty.
+    /// For a direction without length; the image is then empty.
     pub fn draw_surface(
         &mut self,
         surface: &Surface<'_>,
@@ -178,10 +177,10 @@ impl ZBuffer {
         self.finish(std::f64::consts::SQRT_2 * view.pixel + bulge + slack + thickness);
     }
 
-    /// All that is nearer than `radius` \[m\] to the hull of four points in the image, which lie between two depths.
+    /// Draws all points within `radius` \[m\] of the hull of four image points between two depths.
     fn draw_slice(&mut self, corners: &[Place; 4], [near, far]: [f64; 2], radius: f64) {
         let Self { view, columns, .. } = self;
-        // Nothing in a pixel is nearer than its middle by more than half of its diagonal.
+        // No point of a pixel is nearer than its centre by more than half of its diagonal.
         let diagonal = std::f64::consts::FRAC_1_SQRT_2 * (1.0 + 1e-9);
         let reach = radius / view.pixel + diagonal;
         let down = range_between(corners, 1, [f64::NEG_INFINITY, f64::INFINITY]);
@@ -197,7 +196,7 @@ impl ZBuffer {
             };
             for column in left..=right {
                 let middle = [column as f64 + 0.5, row as f64 + 0.5];
-                // Nothing in a pixel is nearer than its middle by more than half of its diagonal.
+                // No point of a pixel is nearer than its centre by more than half of its diagonal.
                 let apart =
                     distance_to_hull(corners, middle) - std::f64::consts::FRAC_1_SQRT_2 * (1.0 + 1e-9);
                 let apart = apart.max(0.0) * view.pixel;
@@ -209,7 +208,7 @@ impl ZBuffer {
         }
     }
 
-    /// Adds the triangles of a surface that the volume meets, in their order.
+    /// Adds the triangles of a surface that intersect the volume, in their order.
     pub fn hits(&self, surface: &Surface<'_>, hits: &mut Vec<VolumeHit>) {
         let Some([nearest, farthest]) = self.range else { return };
         for triangle in 0..surface.triangles().len() as u32 {
@@ -265,11 +264,11 @@ impl ZBuffer {
     }
 }
 
-/// The edges of the hull of four places, and its diagonals.
+/// The edges and diagonals of the hull of four points.
 const EDGES: [[usize; 2]; 6] = [[0, 1], [1, 2], [2, 3], [3, 0], [0, 2], [1, 3]];
 
-/// Range on one axis of the image of what the hull of four places has between two bounds on the other (of all of it,
-/// where the bounds are infinite).
+/// Range on one image axis of the part of the hull of four points between two bounds on the other axis (of all of it
+/// for infinite bounds).
 fn range_between(corners: &[Place; 4], axis: usize, [low, high]: [f64; 2]) -> Option<[f64; 2]> {
     let other = 1 - axis;
     let mut range: Option<[f64; 2]> = None;
@@ -293,7 +292,7 @@ fn range_between(corners: &[Place; 4], axis: usize, [low, high]: [f64; 2]) -> Op
     range
 }
 
-/// How far a place in the image is from the hull of four, in pixels; 0 within.
+/// Distance of an image point from the hull of four points, in pixels; 0 inside.
 fn distance_to_hull(corners: &[Place; 4], middle: [f64; 2]) -> f64 {
     let from = |corner: &Place| [corner[0] - middle[0], corner[1] - middle[1]];
     let [a, b, c, d] = corners.each_ref().map(from);
@@ -312,7 +311,7 @@ fn distance_to_hull(corners: &[Place; 4], middle: [f64; 2]) -> f64 {
     EDGES.iter().map(|[from, to]| distance_to_edge(places[*from], places[*to])).fold(f64::INFINITY, f64::min)
 }
 
-/// Three places in one line hold everything on it, not only what is between them.
+/// Three collinear points would contain their whole line, not only the part between them.
 fn is_flat(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> bool {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) == 0.0
 }

@@ -1,19 +1,19 @@
-//! Conservative rasterisation: every pixel that a triangle has a part in, with that part.
+//! Conservative rasterisation: every pixel that a triangle overlaps, with the part inside it.
 
 use nalgebra::{Point3, Vector3};
 
 use crate::primitive::Triangle;
 
-/// A place in the image: across and down in pixels, and the depth \[m\].
+/// A point in the image: across and down in pixels, and the depth \[m\].
 pub(super) type Place = [f64; 3];
 
-/// By how much of its width a pixel is taken to be wider, so that rounding loses nothing between two.
+/// Relative widening of a pixel, so that rounding leaves no gap between pixels.
 const SEAM: f64 = 1e-9;
 
 /// An orthographic view: pixels across and down, depth along the direction of view.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
-    /// Where the first pixel begins, at depth 0.
+    /// Corner of the first pixel, at depth 0.
     pub origin: Point3<f64>,
     /// Across, down, and away from the eye: unit vectors, right-handed.
     pub axes: [Vector3<f64>; 3],
@@ -24,7 +24,7 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Nothing to be seen.
+    /// An empty view.
     pub const EMPTY: Self = Self {
         origin: Point3::new(0.0, 0.0, 0.0),
         axes: [Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0), Vector3::new(0.0, 0.0, 1.0)],
@@ -52,7 +52,7 @@ impl View {
         if !extent.iter().all(|length| length.is_finite() && *length >= 0.0) {
             return None;
         }
-        // A pixel to spare on each side for what rounding puts outside.
+        // One spare pixel on each side for points that rounding puts outside.
         let sides = |pixel: f64| extent.map(|length| (length / pixel).ceil() + 2.0);
         let mut pixel = pixel;
         while sides(pixel).iter().product::<f64>() > pixels_max as f64 {
@@ -78,7 +78,7 @@ impl View {
         triangle.each_ref().map(|corner| self.place(corner))
     }
 
-    /// First and last pixel along one side that `[low, high]` has a part in; nothing outside the image.
+    /// First and last pixel along one side that `[low, high]` overlaps; `None` outside the image.
     pub fn span(&self, axis: usize, low: f64, high: f64) -> Option<[usize; 2]> {
         let last = self.size[axis].checked_sub(1)?;
         let (low, high) = (low - SEAM, high + SEAM);
@@ -87,7 +87,7 @@ impl View {
             .then(|| [(low as usize).min(last), (high as usize).min(last)])
     }
 
-    /// Each pixel that a triangle has a part in, and that part; of the pixels that are wanted.
+    /// Visits each wanted pixel that a triangle overlaps, with the part inside it.
     pub fn each_pixel(
         &self,
         triangle: &[Place; 3],
@@ -116,7 +116,7 @@ impl View {
     }
 }
 
-/// A convex polygon: a triangle less what six planes cut off.
+/// A convex polygon: a triangle clipped by six planes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Polygon {
     corners: [Place; 9],
@@ -134,7 +134,7 @@ impl Polygon {
         &self.corners[..self.count]
     }
 
-    /// Lowest and highest coordinate on one axis; nothing of nothing.
+    /// Lowest and highest coordinate on one axis; `None` if empty.
     pub fn range(&self, axis: usize) -> Option<[f64; 2]> {
         let empty = [f64::INFINITY, f64::NEG_INFINITY];
         let range = self
@@ -144,7 +144,7 @@ impl Polygon {
         (self.count > 0).then_some(range)
     }
 
-    /// What of it lies between two planes across one axis (Sutherland, Hodgman 1974).
+    /// Clips it between two planes perpendicular to one axis (Sutherland, Hodgman 1974).
     pub fn clipped(&self, axis: usize, low: f64, high: f64) -> Self {
         self.cut(axis, low, 1.0).cut(axis, high, -1.0)
     }
@@ -173,14 +173,14 @@ impl Polygon {
     }
 
     fn push(&mut self, place: Place) {
-        // Each plane adds one corner at most; rounding of what is nearly flat must not add more than there is room for.
+        // Each plane adds at most one corner; for nearly flat polygons rounding must not add more than fit.
         if self.count < self.corners.len() {
             self.corners[self.count] = place;
             self.count += 1;
         }
     }
 
-    /// The mean of its corners, which lies in it.
+    /// The mean of its corners, which is inside it.
     pub fn middle(&self) -> Option<Place> {
         let mean =
             |axis: usize| self.corners().iter().map(|corner| corner[axis]).sum::<f64>() / self.count as f64;
@@ -188,9 +188,9 @@ impl Polygon {
     }
 }
 
-/// Whether the middle of a pixel is under a triangle, at which depth, and whether that faces the eye (1) or not (-1).
-/// Of the triangles around an edge or a vertex exactly one counts for each sheet, wherever the middle falls: as if it
-/// were a little to the right of where it is, and less below.
+/// Whether the centre of a pixel is covered by a triangle, at which depth, and whether the triangle faces the eye (1)
+/// or not (-1). Of the triangles around an edge or a vertex exactly one counts for each sheet (fill rule): the centre
+/// counts as shifted a little to the right, and less downwards.
 pub(super) fn middle_depth(triangle: &[Place; 3], middle: [f64; 2]) -> Option<(f64, i32)> {
     let [a, b, c] = triangle;
     let sides = [left_of(a, b, middle), left_of(b, c, middle), left_of(c, a, middle)];
@@ -204,17 +204,17 @@ pub(super) fn middle_depth(triangle: &[Place; 3], middle: [f64; 2]) -> Option<(f
     let whole = weights[0] + weights[1] + weights[2];
     let depth = (weights[0] * a[2] + weights[1] * b[2] + weights[2] * c[2]) / whole;
     let (low, high) = (a[2].min(b[2]).min(c[2]), a[2].max(b[2]).max(c[2]));
-    // Of slivers the quotient is rounding, of none it is nothing.
+    // For slivers the quotient is dominated by rounding.
     let depth = if depth.is_finite() { depth.clamp(low, high) } else { low };
     Some((depth, if sides[0] { -1 } else { 1 }))
 }
 
-/// Whether a point is on the left of the line from `a` to `b`; the opposite of the answer for `b` to `a`.
+/// Whether a point is on the left of the line from `a` to `b`; the negation of the result for `b` to `a`.
 fn left_of(a: &Place, b: &Place, [x, y]: [f64; 2]) -> bool {
     let ordered = (a[0], a[1]) <= (b[0], b[1]);
     let (from, to) = if ordered { (a, b) } else { (b, a) };
     let side = (to[0] - from[0]) * (y - from[1]) - (to[1] - from[1]) * (x - from[0]);
-    // On the line: moved to the right it is on the right of a line that goes down, moved down it is on the left.
+    // On the line: shifted right, it is on the right of a downward line; shifted down, it is on the left.
     let left = side > 0.0 || (side == 0.0 && (to[1] < from[1] || (to[1] == from[1] && to[0] > from[0])));
     left == ordered
 }

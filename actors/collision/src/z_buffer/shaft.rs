@@ -1,23 +1,23 @@
-//! The volume that a shaft sweeps over as it turns about its port, in thin slices of time.
+//! Swept volume of a shaft as it turns about its port, in thin slices of time.
 
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
 use crate::continuous::Sweep;
 
-/// What makes the sweep of a shaft unusable.
+/// Why the sweep of a shaft is invalid.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ShaftError {
-    /// A port or tip is nowhere.
+    /// A port or tip is not finite.
     #[error("the {which} has a coordinate that is not a finite number")]
     NotFinite {
-        /// Which point.
+        /// The point.
         which: &'static str,
     },
-    /// A radius that no shaft has.
+    /// The radius is negative or not finite.
     #[error("a radius of {radius} m is not one: 0 and more is valid")]
     Radius {
-        /// What came \[m\].
+        /// The value given \[m\].
         radius: f64,
     },
 }
@@ -33,14 +33,14 @@ pub struct ShaftSweep {
     radius: f64,
 }
 
-/// Slices of a sweep, at most: half a turn in steps of 3°.
+/// Largest number of slices of a sweep: half a turn in steps of 3°.
 const SLICES_MAX: usize = 64;
 
 impl ShaftSweep {
-    /// Of the port and the tip in world \[m\] at both frames, and the radius \[m\].
+    /// A sweep from the port and the tip in world \[m\] at both frames, and the radius \[m\].
     ///
     /// # Errors
-    /// Coordinates that are not finite, a radius that is negative or not finite.
+    /// For non-finite coordinates, or a radius that is negative or not finite.
     pub fn new(
         port_in_world: Sweep<Point3<f64>>,
         tip_in_world: Sweep<Point3<f64>>,
@@ -62,7 +62,7 @@ impl ShaftSweep {
         let shafts = [tip_in_world.from - port_in_world.from, tip_in_world.to - port_in_world.to];
         let lengths = shafts.map(|shaft| shaft.norm());
         let units = shafts.map(|shaft| shaft.try_normalize(0.0));
-        // A tip in the port points wherever the other one does.
+        // A tip in the port takes the direction of the other frame.
         let first = units[0].or(units[1]).unwrap_or_else(Vector3::z);
         let second = units[1].unwrap_or(first);
         let angle = first.cross(&second).norm().atan2(first.dot(&second));
@@ -82,7 +82,7 @@ impl ShaftSweep {
         let [first, second] = self.directions;
         let aside = self.aside();
         let turned = self.angle * time;
-        // At the ends exactly what came.
+        // At the ends exactly the given points.
         let direction = match time {
             0.0 => first,
             1.0 => second,
@@ -91,7 +91,7 @@ impl ShaftSweep {
         [port, port + direction * (self.lengths[0] * (1.0 - time) + self.lengths[1] * time)]
     }
 
-    /// Across the first direction, towards the second; anywhere across it where they are parallel.
+    /// Perpendicular to the first direction, towards the second; any perpendicular if they are parallel.
     fn aside(&self) -> Vector3<f64> {
         let [first, second] = self.directions;
         let aside = second - first * first.dot(&second);
@@ -102,8 +102,8 @@ impl ShaftSweep {
         })
     }
 
-    /// Axes of a view across the plane of motion: along the shaft, aside, and across the plane. Of the planes that the
-    /// motion can be seen in, the one that the axis leaves least.
+    /// Axes of a view across the plane of motion: along the shaft, aside, and across the plane. Of the possible planes
+    /// of motion, the one that the axis leaves least.
     pub(super) fn axes(&self) -> [Vector3<f64>; 3] {
         let along = self.directions[0];
         let ends = [self.at(0.0), self.at(0.5), self.at(1.0)];
@@ -125,8 +125,8 @@ impl ShaftSweep {
         [along, normal.cross(&along), normal]
     }
 
-    /// Ends of the axis (port, tip) between thin slices of time, and by how much the motion within a slice can leave the
-    /// hull of its four ends \[m\]: at most about `tolerance`, which bounds how many there are.
+    /// Ends of the axis (port, tip) between thin slices of time, and by how much the motion within a slice can leave
+    /// the hull of its four ends \[m\]: at most about `tolerance`, which bounds their number.
     pub(super) fn slices(&self, tolerance: f64) -> (usize, f64) {
         let length = self.lengths[0].max(self.lengths[1]);
         let slide = (self.lengths[1] - self.lengths[0]).abs();
@@ -156,7 +156,7 @@ mod tests {
         let half = Point3::new(0.15, 0.15, 0.0) * std::f64::consts::FRAC_1_SQRT_2;
         assert!((shaft.at(0.5)[1] - half).norm() < 1e-15);
         assert!(shaft.axes()[2].xy().norm() < 1e-15);
-        // Within the slices the tip is as near to its chords as said.
+        // Within the slices the tip is as near to its chords as stated.
         let (slices, bulge) = shaft.slices(1e-4);
         assert!(slices > 1 && slices < SLICES_MAX && bulge <= 1e-4);
         for step in 0..1_000 {

@@ -1,7 +1,7 @@
-//! Force renderers: what the hand feels of a simulation that is slower than the hand.
+//! Force renderers, for simulations slower than the haptic rate.
 //!
-//! All of them answer the same question, once per haptic tick: given where the device wants the tip to be,
-//! which wrench acts on the hand *at the tip*? They differ in what they take from the simulation:
+//! In each haptic tick a renderer computes the wrench on the hand *at the tip*, given the device's pose of the tip.
+//! Renderers differ in their input from the simulation:
 //!
 //! | renderer | takes | fit for |
 //! |---|---|---|
@@ -23,30 +23,30 @@ use trocar_scene::{InstrumentForce, LocalContactModel, SimTime};
 
 use crate::spatial::{Twist, Wrench};
 
-/// What a renderer sees in a tick. Poses and velocities in world, at the tip.
+/// Input of a renderer in a tick. Poses and velocities in world, at the tip.
 #[derive(Clone, Copy, Debug)]
 pub struct RenderInput<'a> {
     /// Time of the tick.
     pub now: SimTime,
     /// Time between ticks \[s\].
     pub dt: f64,
-    /// Where the device has the tip: `world_from_tip`.
+    /// Tip pose by the device: `world_from_tip`.
     pub tip_in_world: Isometry3<f64>,
     /// Its velocity.
     pub tip_twist: Twist,
-    /// Stiffness at the tip that the device bears through the present lever \[N/m\].
+    /// Largest stable stiffness at the tip, through the current lever \[N/m\].
     pub stiffness_max: f64,
-    /// Damping at the tip that the device bears through the present lever \[N·s/m\].
+    /// Largest stable damping at the tip, through the current lever \[N·s/m\].
     pub damping_max: f64,
-    /// Apparent mass of the device, as it is at the tip through the present lever \[kg\].
+    /// Apparent mass of the device at the tip, through the current lever \[kg\].
     pub apparent_mass: f64,
-    /// Energy that the hand has put in and not got back \[J\]: what a force that grows by itself may spend.
+    /// Net energy put in by the hand \[J\], available to forces that grow by themselves.
     pub energy_available: f64,
-    /// Where the simulation has the instrument.
+    /// The simulated instrument.
     pub instrument: Option<SimulatedInstrument>,
-    /// The force that the simulation computed.
+    /// The simulation's force.
     pub instrument_force: Option<&'a InstrumentForce>,
-    /// The local model that the simulation published.
+    /// The simulation's local contact model.
     pub contact_model: Option<&'a LocalContactModel>,
 }
 
@@ -57,15 +57,15 @@ pub struct SimulatedInstrument {
     pub tip_in_world: Isometry3<f64>,
     /// Its velocity, in world.
     pub twist: Twist,
-    /// When it was there.
+    /// Time of the pose.
     pub at: SimTime,
 }
 
 /// Turns the simulation's state into a wrench on the hand, at the tip, in world.
 pub trait ForceRenderer: Send {
-    /// One haptic tick. Allocates nothing; a finite input gives a finite answer.
+    /// One haptic tick. Allocates nothing; finite input gives finite output.
     fn render(&mut self, input: &RenderInput<'_>) -> Wrench;
-    /// Forgets contacts and blends; the next tick starts afresh.
+    /// Clears contacts and blends.
     fn reset(&mut self);
     /// The name under which a scenario selects it.
     fn name(&self) -> &'static str;
@@ -75,7 +75,7 @@ pub trait ForceRenderer: Send {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum RendererConfig {
-    /// The simulation's last force, held (the paper's way).
+    /// The simulation's last force, held (the paper's method).
     Held,
     /// A spring and damper to the simulated instrument.
     VirtualCoupling(VirtualCouplingConfig),
@@ -100,9 +100,8 @@ impl RendererConfig {
     }
 }
 
-/// How much of a simulation's statement of age `age_secs` still counts: all of it for `fade_secs`, then less
-/// and less until nothing is left after twice that time. A simulation that died must not press on a hand
-/// for ever.
+/// Weight of simulation output of age `age_secs`: 1 up to `fade_secs`, then decreasing to 0 at twice that time, so that
+/// a dead simulation does not press on a hand for ever.
 fn freshness(age_secs: f64, fade_secs: f64) -> f64 {
     (2.0 - age_secs / fade_secs).clamp(0.0, 1.0)
 }

@@ -1,18 +1,17 @@
 //! Constraint proxy on a local contact model.
 //!
-//! Zilles & Salisbury 1995, "A constraint-based god-object method for haptic display"; Ruspini, Kolarov &
-//! Khatib 1997, "The haptic display of complex graphical environments". The simulation publishes up to four
-//! planes; the proxy is the point nearest to the device on their allowed side, and a spring pulls the hand
-//! to it. Since the planes are evaluated at the *present* device position, the delay of the wall is one
-//! haptic tick, however slow the physics is.
+//! Zilles & Salisbury 1995, "A constraint-based god-object method for haptic display"; Ruspini, Kolarov & Khatib 1997,
+//! "The haptic display of complex graphical environments". The simulation publishes up to four planes; the proxy is the
+//! point nearest to the device on their allowed side, and a spring pulls the hand to it. Since the planes are evaluated
+//! at the *present* device position, the delay of the wall is one haptic tick, even with slow physics.
 //!
-//! Each plane may yield. With coupling stiffness `K`, plane stiffness `k_i`, normals `n_i` and depths `δ_i`
-//! of the device, the normal forces `λ_i` solve
+//! Each plane may be compliant. With coupling stiffness `K`, plane stiffness `k_i`, normals `n_i` and depths `δ_i` of
+//! the device, the normal forces `λ_i` solve
 //!
 //! `0 ≤ λ_i  ⊥  Σ_j (n_i·n_j/K) λ_j + c_i λ_i − δ_i ≥ 0`,  `c_i = max(0, 1/k_i − 1/K)`:
 //!
-//! a rigid plane feels like `K`, a softer one like itself, and two detectors that report one plane twice do
-//! not double it. Friction holds the proxy back within Coulomb's cone.
+//! a rigid plane has the stiffness `K`, a softer one its own, and a plane reported by two detectors does not count
+//! twice. Friction holds the proxy within Coulomb's cone.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -25,19 +24,18 @@ use crate::spatial::Wrench;
 const SWEEPS: usize = 32;
 /// Age of a model after which it fades \[s\]; physics at 10 Hz renews it every 0.1 s.
 const FADE_SECS: f64 = 0.5;
-/// A depth over which contact damping sets in \[m\]: a damper that acts at once at the surface chatters.
+/// Depth over which contact damping ramps up \[m\]: full damping right at the surface would chatter.
 const DAMPING_DEPTH: f64 = 1e-4;
 
 /// Parameters of the proxy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProxyConfig {
-    /// Stiffness between device and proxy \[N/m\]: what a rigid wall feels like; bounded by what the device
-    /// bears.
+    /// Stiffness between device and proxy \[N/m\], and so of a rigid wall; bounded by the device's stable stiffness.
     pub stiffness: f64,
-    /// Damping ratio of the contact: device mass on the spring of the contact. A sampled and delayed spring
-    /// creates energy, about `K·1.5 ΔT` of negative damping, and this has to outweigh it. A plane with more
-    /// damping than that feels like itself, as far as the device bears it.
+    /// Damping ratio of the contact: device mass on the spring of the contact. A sampled and delayed spring generates
+    /// energy, like a negative damping of about `K·1.5 ΔT`, which this damping must exceed. A plane with more damping
+    /// keeps its own, up to the device's stable damping.
     pub damping_ratio: f64,
     /// Shortest and longest time constant with which a change of the model is blended in \[s\]; in between
     /// it is half of the time between two models.
@@ -54,19 +52,19 @@ impl Default for ProxyConfig {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Proxy {
     config: ProxyConfig,
-    /// Where friction holds the proxy, while in contact.
+    /// Friction anchor of the proxy, while in contact.
     anchor: Option<Vector3<f64>>,
-    /// The model of the tick before.
+    /// The previous tick's model.
     model: Option<LocalContactModel>,
-    /// What the previous models would add still to the planes' elastic force.
+    /// Remaining difference of the previous models' elastic force, being blended out.
     remainder: Vector3<f64>,
-    /// What they would add still to damping and base force.
+    /// The same for damping and base force.
     free_remainder: Vector3<f64>,
     blend_secs: f64,
 }
 
 impl Proxy {
-    /// Out of contact.
+    /// A proxy out of contact.
     pub fn new(config: ProxyConfig) -> Self {
         Self {
             config,
@@ -80,14 +78,14 @@ impl Proxy {
 
     /// Lets the remainders of the previous models decay.
     ///
-    /// Where that makes the force of the planes *grow*, as when a slow engine notices late that the hand is inside of a wall, the
-    /// growth pushes the hand out and so gives it energy. It goes on only as fast as the hand has paid: until then
-    /// the wall stands where the hand was met, and is as stiff there.
+    /// If the blend makes the planes' force *grow*, for instance when slow physics detects late that the hand is inside
+    /// a wall, the growth pushes the hand out and gives it energy. It proceeds only as fast as the hand's energy covers
+    /// it: until then the wall stays at the point of contact, with the same stiffness.
     fn blend(&mut self, force: &Vector3<f64>, input: &RenderInput<'_>) {
         let (size, missing) = (force.norm(), self.remainder.norm());
         let mut pace = 1.0;
         if self.remainder.dot(force) < 0.0 {
-            // The hand may leave a wall that stands too deep; it is never pulled back to it.
+            // The hand may leave a wall that is too deep; it is never pulled back to it.
             if missing > size {
                 self.remainder *= size / missing;
             }
@@ -96,14 +94,14 @@ impl Proxy {
                 pace = (input.energy_available / price).clamp(0.0, 1.0);
             }
         }
-        // The implicit step of an exponential decay: `exp` is not the same on every machine.
+        // An implicit step of exponential decay, because `exp` is not bit-identical on every machine.
         let rate = input.dt / self.blend_secs.max(1e-6);
         self.remainder /= 1.0 + pace * rate;
-        // A weight is felt whether the hand has paid or not, and damping costs nothing.
+        // A held weight is rendered regardless of the hand's energy, and damping only dissipates.
         self.free_remainder /= 1.0 + rate;
     }
 
-    /// What the planes of a model say at the device's present position.
+    /// Contact force of a model's planes at the device's current position.
     fn contact_force(&self, model: &LocalContactModel, input: &RenderInput<'_>) -> ContactForce {
         let tip = input.tip_in_world.translation.vector;
         let velocity = input.tip_twist.linear;
@@ -124,7 +122,7 @@ impl Proxy {
             let damping = damping.min(input.damping_max) * onset;
             let closing = -contact.normal.dot(&velocity);
             elastic += contact.normal * lambda;
-            // Never below zero: a contact that pulls would be felt as glue.
+            // Never negative: a pulling contact would feel like glue.
             damped += contact.normal * (lambda + damping * closing).max(0.0);
             friction = friction.max(contact.friction);
         }
@@ -145,14 +143,14 @@ impl Proxy {
     }
 }
 
-/// What planes say at one position.
+/// Contact force of planes at one position.
 #[derive(Clone, Copy, Debug, Default)]
 struct ContactForce {
-    /// By position, friction included \[N\].
+    /// Position-dependent part, with friction \[N\].
     elastic: Vector3<f64>,
-    /// By velocity \[N\].
+    /// Velocity-dependent part \[N\].
     viscous: Vector3<f64>,
-    /// Where friction then holds the proxy.
+    /// New friction anchor.
     anchor: Option<Vector3<f64>>,
 }
 
@@ -165,9 +163,9 @@ impl ForceRenderer for Proxy {
         let contact = self.contact_force(model, input);
         let free = contact.viscous + model.base_force;
         if self.model.as_ref().map(|before| before.at) != Some(model.at) {
-            // Old and new are compared at the same, present pose: comparing with the force of the tick
-            // before would blend the hand's own motion too, which delays the wall. Before the first model
-            // there is nothing, so a hand that comes back inside of a wall is led out gently.
+            // The old and the new model are compared at the same, current pose: a comparison with the previous tick's
+            // force would also blend the hand's own motion, which delays the wall. Before the first model the force is
+            // zero, so a hand that reconnects inside a wall is led out gently.
             let (elastic_before, free_before) = self.model.map_or(Default::default(), |before| {
                 let [shortest, longest] = self.config.blend_secs;
                 let renewal = model.at.since(before.at).as_secs_f64();
@@ -218,7 +216,7 @@ impl Contacts {
             }
             let normal = plane.normal_in_world / size;
             let depth = normal.dot(&(plane.point_in_world.coords - tip));
-            // Planes that the device has not reached stay in: pressed out of one, it may meet another.
+            // Planes not yet reached are kept: the proxy pushed out of one may meet another.
             *slot = Some(Contact {
                 normal,
                 depth,
@@ -284,7 +282,7 @@ mod tests {
         }
         model
     }
-    /// The settled force at a position.
+    /// The steady-state force at a position.
     fn force(proxy: &mut Proxy, model: &LocalContactModel, tip: Vector3<f64>) -> Vector3<f64> {
         let mut input = input_at(tip);
         input.contact_model = Some(model);
@@ -321,7 +319,7 @@ mod tests {
         let tip = Vector3::new(0.0002, 0.0, -0.002);
         // The nearest allowed point is the corner itself.
         assert!((force(&mut fresh(), &corner, tip) + tip * 1000.0).norm() < 1e-5);
-        // Outside of plane b's reach only plane a pushes: the proxy is its foot point.
+        // Outside plane b only plane a pushes: the proxy is its foot point.
         let tip = Vector3::new(-0.01, 0.0, 0.0);
         let foot = a * (-tip.dot(&a)) * 1000.0;
         assert!((force(&mut fresh(), &corner, tip) - foot).norm() < 1e-5);
@@ -336,7 +334,7 @@ mod tests {
         assert!((stuck - Vector3::new(-0.5, 0.0, 2.0)).norm() < 1e-6, "{stuck:?}");
         let sliding = force(&mut proxy, &rough, Vector3::new(0.01, 0.0, -0.002));
         assert!((sliding - Vector3::new(-1.0, 0.0, 2.0)).norm() < 1e-6, "{sliding:?}");
-        // The anchor was dragged along: going back a little is free of the old stretch.
+        // The anchor was dragged along: a small step back does not feel the old stretch.
         let back = force(&mut proxy, &rough, Vector3::new(0.009, 0.0, -0.002));
         assert!(back.x.abs() < 1e-6, "{back:?}");
     }

@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 use super::{ForceRenderer, RenderInput, freshness};
 use crate::spatial::{Twist, Wrench, small_rotation_vector};
 
-/// Age after which the coupling lets go \[s\].
+/// Age after which the coupling fades \[s\].
 const FADE_SECS: f64 = 0.25;
 
 /// Parameters of the coupling.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VirtualCouplingConfig {
-    /// Translational stiffness \[N/m\]; bounded by what the device bears.
+    /// Translational stiffness \[N/m\]; bounded by the device's stable stiffness.
     pub stiffness: f64,
     /// Translational damping \[N·s/m\].
     pub damping: f64,
@@ -47,7 +47,7 @@ pub struct VirtualCoupling {
 }
 
 impl VirtualCoupling {
-    /// With these parameters.
+    /// A coupling with these parameters.
     pub fn new(config: VirtualCouplingConfig) -> Self {
         Self { config }
     }
@@ -60,7 +60,7 @@ impl ForceRenderer for VirtualCoupling {
         let ahead = age.min(self.config.horizon_secs);
         let position = simulated.tip_in_world.translation.vector + simulated.twist.linear * ahead;
         let stretch = position - input.tip_in_world.translation.vector;
-        // Beyond the horizon the extrapolated instrument stands still, and so does its end of the damper.
+        // Beyond the horizon the extrapolated instrument is at rest, and so is its end of the damper.
         let simulated_twist = if age <= self.config.horizon_secs { simulated.twist } else { Twist::ZERO };
         let closing = simulated_twist - input.tip_twist;
         let turn =

@@ -1,7 +1,7 @@
-//! The simulation's force, held between its steps: the extended-MVC paper's own way.
+//! Zero-order hold of the simulation's force between its steps: the extended-MVC paper's method.
 //!
-//! A zero-order hold delays the wall by half a period of the *physics*, so its stiffness is bounded by
-//! `K ≲ 2b/T` (Colgate & Schenkel 1997): 50 ms of hold leave about 21 N/m. Honest at the hand's own rate.
+//! A zero-order hold delays the wall by half a period of the *physics*, so its stiffness is bounded by `K ≲ 2b/T`
+//! (Colgate & Schenkel 1997): 50 ms of hold leave about 21 N/m. Accurate only at the haptic rate.
 
 use super::{ForceRenderer, RenderInput, freshness};
 use crate::spatial::Wrench;

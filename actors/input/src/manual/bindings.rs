@@ -1,4 +1,4 @@
-//! Which key, button or stick means what, and how much: data that a person may replace.
+//! Bindings of keys, buttons and sticks to actions, with their rates: replaceable data.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ use super::control::Control;
 /// Most controls of one action.
 const CONTROLS_MAX: usize = 16;
 
-/// Bindings that cannot be.
+/// Why bindings are invalid.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum BindingsError {
     /// No TOML, an unknown key, action or control, or a value of another type.
@@ -31,7 +31,7 @@ pub enum BindingsError {
     /// Too many controls.
     #[error("{0} has more than {CONTROLS_MAX} controls")]
     TooMany(&'static str),
-    /// A figure that makes no sense.
+    /// A parameter is out of range.
     #[error("{field} = {value} is out of range ({min} to {max})")]
     Range {
         /// Which one.
@@ -45,7 +45,7 @@ pub enum BindingsError {
     },
 }
 
-/// What each control means, and how far a motion goes.
+/// Bindings of controls to actions, and rates of motions.
 ///
 /// ```
 /// use trocar_input::manual::Bindings;
@@ -66,15 +66,15 @@ pub struct Bindings {
     pub roll_speed: f64,
     /// Speed with which a key changes the opening of the released jaws \[shares of the largest one per second\].
     pub jaw_speed: f64,
-    /// Roll for a pointer that moves by a height of the picture to the right \[rad\].
+    /// Roll per pointer motion of one image height to the right \[rad\].
     pub roll_per_height: f64,
-    /// What a notch of the wheel adds to the logarithm of the distance from the eye.
+    /// Change of the logarithm of the distance from the eye per wheel notch.
     pub depth_per_notch: f64,
-    /// What is left of a motion while it shall be fine, as a share.
+    /// Scale of motions in fine mode.
     pub fine: f64,
-    /// Opening of the released jaws to begin with, as a share of the largest one.
+    /// Initial opening of the released jaws, as a share of the largest one.
     pub opening: f64,
-    /// The controls of each action. What a file does not mention keeps its own.
+    /// The controls of each action. Actions omitted in a file keep their defaults.
     #[serde(deserialize_with = "over_the_defaults")]
     pub controls: BTreeMap<PersonAction, Vec<Control>>,
 }
@@ -94,7 +94,7 @@ impl Default for Bindings {
     }
 }
 
-/// The controls of each action, unless a file says something else.
+/// Default controls of each action.
 const DEFAULTS: [(PersonAction, &[&str]); 17] = [
     (PersonAction::MoveLeft, &["KeyA", "ArrowLeft", "PadLeftStickLeft"]),
     (PersonAction::MoveRight, &["KeyD", "ArrowRight", "PadLeftStickRight"]),
@@ -130,8 +130,8 @@ where
 }
 
 impl Bindings {
-    /// Reads bindings from TOML; what is not mentioned stays as it is by default. A control that is bound anew
-    /// leaves the action that it had by default.
+    /// Reads bindings from TOML; omitted values keep their defaults. A rebound control is removed from its default
+    /// action.
     ///
     /// # Errors
     /// [`BindingsError`] names what is wrong, where, and the valid choices.
@@ -160,10 +160,10 @@ impl Bindings {
         Ok(bindings)
     }
 
-    /// Whether each control means one thing, and every figure makes sense.
+    /// Checks that each control has one action, and every parameter is in range.
     ///
     /// # Errors
-    /// [`BindingsError`] names what is wrong and what would be valid.
+    /// [`BindingsError`] names the problem and the valid range.
     pub fn check(&self) -> Result<(), BindingsError> {
         let figures = [
             ("speed", self.speed, 0.001, 10.0),
@@ -197,12 +197,12 @@ impl Bindings {
         Ok(())
     }
 
-    /// What the control means.
+    /// The action of a control.
     pub fn action_of(&self, control: Control) -> Option<PersonAction> {
         self.controls.iter().find(|(_, controls)| controls.contains(&control)).map(|(action, _)| *action)
     }
 
-    /// The bindings as a table for people, in Markdown.
+    /// The bindings as a Markdown table.
     pub fn table(&self) -> String {
         let mut table = String::from("| what | with |\n|---|---|\n");
         // Writing into a string cannot fail.
@@ -229,7 +229,7 @@ mod tests {
         for action in PersonAction::ALL {
             assert!(!bindings.controls[action].is_empty(), "{}", action.name());
         }
-        // A name that does not exist would be left out silently.
+        // An unknown name would be skipped silently.
         for (action, names) in DEFAULTS {
             let bound: Vec<&str> = bindings.controls[&action].iter().map(|control| control.name()).collect();
             assert_eq!(bound, names, "{}", action.name());

@@ -1,16 +1,17 @@
-//! What can be pressed or pushed: keys, pointer buttons, and the parts of a gamepad, by name.
+//! Named controls: keys, pointer buttons, and the parts of a gamepad.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// A key, a button, or a direction of a stick.
 ///
-/// Keys have the names of the W3C's `KeyboardEvent.code`: the place on the keyboard, whatever is printed there.
+/// Keys have the names of the W3C's `KeyboardEvent.code`: the physical position on the keyboard, independent of the
+/// layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Control(u8);
 
-/// Every control there is, in groups.
+/// All controls, in groups.
 const NAMES: &[&str] = &[
     "KeyA",
     "KeyB",
@@ -128,7 +129,7 @@ const NAMES: &[&str] = &[
     "PadRightStickDown",
 ];
 
-/// A name that no control has.
+/// Error for an unknown control name.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error(
     "no key, button or stick is called '{0}'; valid: keys by their place (KeyA to KeyZ, Digit0 to Digit9, ArrowUp, \
@@ -139,7 +140,7 @@ const NAMES: &[&str] = &[
 pub struct UnknownControl(pub String);
 
 impl Control {
-    /// How many there are.
+    /// Number of controls.
     pub const COUNT: usize = NAMES.len();
 
     /// The control of that name.
@@ -155,7 +156,7 @@ impl Control {
     pub fn index(self) -> usize {
         usize::from(self.0)
     }
-    /// Every control there is.
+    /// All controls.
     pub fn all() -> impl Iterator<Item = Self> {
         (0..NAMES.len()).filter_map(|index| u8::try_from(index).ok().map(Self))
     }

@@ -1,5 +1,4 @@
-//! The controller that schedules [`ManualHand`]: what a person has asked for → targets of the hands, and what
-//! is switched on at their instruments.
+//! Controller of [`ManualHand`]s: a person's input → targets of the hands and activation of their instruments.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -14,7 +13,7 @@ use nalgebra::{Isometry3, Vector3};
 
 use super::mapping::{HandLimits, ManualHand, Reach};
 
-/// Longest time that a hand catches up with \[s\]: what a controller that was away has missed.
+/// Longest time that a hand catches up after a pause of the controller \[s\].
 const CATCH_UP_MAX_SECS: f64 = 0.1;
 /// Name of the entity that [`sit_down`] creates.
 pub const PERSON: &str = "person";
@@ -22,17 +21,17 @@ pub const PERSON: &str = "person";
 /// Parameters of a person's hands in a scenario: [`HandLimits`].
 pub type ManualConfig = HandLimits;
 
-/// A scene in which there is nothing to drive.
+/// Error for a scene without hands.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 #[error("nobody can play a scene without hands: no entity has the component 'hand'")]
 pub struct NoHands;
 
-/// Everything that is needed to go on after a restart; lives on the controller's own entity.
+/// Restart state, on the controller's own entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ManualState {
-    /// Whose totals were seen last: [`PersonInput::source`].
+    /// Source of the totals seen last: [`PersonInput::source`].
     pub source: u32,
-    /// Until when the hands have moved.
+    /// Time up to which the hands have moved.
     pub stepped_at: SimTime,
     /// The hands: left, right; none where the scene has none.
     pub hands: [Option<ManualHand>; 2],
@@ -41,10 +40,10 @@ impl Component for ManualState {
     const NAME: &'static str = "manual_state";
 }
 
-/// Gives a scene its person, with a hand that exists in charge; one that has a person keeps it.
+/// Adds the person to a scene, with an existing hand active; does nothing if the scene has one.
 ///
 /// # Errors
-/// [`NoHands`] when there is nothing to drive.
+/// [`NoHands`] when the scene has no hands.
 pub fn sit_down(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
     let side = scene.iter::<Hand>().map(|(_, hand)| hand.side).min().ok_or(NoHands)?;
     if scene.iter::<PersonInput>().next().is_none() {
@@ -55,14 +54,14 @@ pub fn sit_down(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
     Ok(())
 }
 
-/// Moves the hands as a person asks by [`PersonInput`]; to be run at 100 Hz. Writes [`HandTarget`], and [`Activation`]
-/// where it changes.
+/// Moves the hands by a person's [`PersonInput`]; to be run at 100 Hz. Writes [`HandTarget`], and [`Activation`] where
+/// it changes.
 pub struct ManualController {
     limits: HandLimits,
     person: Entity,
     /// Left, right.
     hands: [Option<Entity>; 2],
-    /// Of the hands that there are.
+    /// Instruments of the existing hands.
     instruments: Vec<Entity>,
     state: ManualState,
 }
@@ -72,11 +71,11 @@ fn wrong(what: impl std::fmt::Display) -> ControllerError {
 }
 
 impl ManualController {
-    /// Finds the person and the hands in the scene, and goes on where an earlier life stopped; a first one takes the
-    /// hands over where they are.
+    /// Finds the person and the hands in the scene, and continues where an earlier life stopped; the first life takes
+    /// the hands over at their current poses.
     ///
     /// # Errors
-    /// Names what the scene lacks or what of the parameters is wrong.
+    /// Names the missing part of the scene or the invalid parameter.
     pub fn new(limits: &ManualConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         limits.check().map_err(wrong)?;
         let scene = context.scene;
@@ -111,7 +110,7 @@ fn rig_of(scene: &Snapshot, hand: Entity) -> Result<HandRig, ControllerError> {
     HandRig::read(scene, hand).map_err(wrong)
 }
 
-/// A hand as the scene has it now.
+/// Takes over a hand at its current pose in the scene.
 fn take_over(
     scene: &Snapshot,
     hand: Entity,
@@ -123,7 +122,7 @@ fn take_over(
     let axis = scene.world_pose(rig.instrument).rotation * Vector3::z();
     let target = scene.get::<HandTarget>(hand).map(|target| (target.handle_in_device, target.gripper));
     let measured = scene.get::<DeviceState>(hand).map(|state| (state.handle_in_device, state.gripper));
-    // Where nothing was ever measured the handle is at its device's origin, and the jaws may open to begin with.
+    // Without any measurement the handle is at its device's origin, and the jaws take their initial opening.
     let (handle, jaw, goal_jaw) = match target.or(measured) {
         Some((handle, jaw)) => (handle.isometry(), jaw, jaw),
         None => (Isometry3::identity(), 0.0, limits.opening * rig.jaw_angle_max),
@@ -132,7 +131,7 @@ fn take_over(
     Ok(ManualHand::at(&tip, jaw, goal_jaw, *input.hand(side)))
 }
 
-/// From where the person looks: as it says itself, or else as the scene's first camera.
+/// The person's viewpoint: its own, or else the scene's first camera.
 fn view_of(scene: &Snapshot, input: &PersonInput) -> Option<PersonView> {
     let camera = || {
         let (entity, camera) = scene.iter::<Camera>().next()?;
@@ -161,7 +160,7 @@ impl Controller for ManualController {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        // A person who was taken out of the scene asks for nothing more.
+        // A person removed from the scene gives no more input.
         let input = scene.get::<PersonInput>(self.person);
         let dt_secs = tick.time.since(self.state.stepped_at).as_secs_f64().min(CATCH_UP_MAX_SECS);
         if let Some(input) = input
@@ -191,7 +190,7 @@ impl Controller for ManualController {
             let place = hand.place(&reach);
             let handle_in_device = place.handle_in_device.into();
             out.put(entity, HandTarget { handle_in_device, gripper: place.gripper });
-            // Nobody there: nothing is on.
+            // Without a person nothing is active.
             let asked = input.map(|input| input.hand(side));
             let (level, mode) = asked.map_or((0.0, None), |asked| (asked.activation, asked.mode));
             let before = scene.get::<Activation>(rig.instrument).copied().unwrap_or_default();

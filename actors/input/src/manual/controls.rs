@@ -1,9 +1,9 @@
-//! From what is pressed to what is meant: a window, a gamepad or a test tells what happens, in the order in which it
-//! does, and takes the [`PersonInput`] that is to be written into the session.
+//! Controls: maps pressed keys, buttons and motions to actions. A window, a gamepad or a test reports input events in
+//! order, and takes the resulting [`PersonInput`] to write into the session.
 //!
-//! What changes the meaning of a motion (the hand in charge, the clutch, the button that rolls, fine motion) takes
-//! effect here, at the moment of the press, and not when somebody reads what came of it. Time passes by
-//! [`Controls::advance`] only, in which held keys and sticks move the hand at their rate.
+//! Modifiers of a motion (the active hand, the clutch, the roll button, fine motion) take effect here, at the moment of
+//! the press, and not when the result is read. Only [`Controls::advance`] advances time, in which held keys and sticks
+//! move the hand at their rate.
 
 use trocar_devices::gamepad::{GamepadButton, GamepadState};
 use trocar_scene::{
@@ -14,42 +14,42 @@ use trocar_scene::{
 use super::bindings::Bindings;
 use super::control::Control;
 
-/// Longest time that passes at once \[s\]: what a window that stood still has missed moves no hand.
+/// Longest time advanced at once \[s\], so that a window that hung does not move a hand afterwards.
 const ADVANCE_MAX_SECS: f64 = 0.1;
-/// Farthest that one event of a pointer or a wheel moves \[heights of the picture; notches\].
+/// Largest motion of one pointer or wheel event \[heights of the image; notches\].
 const EVENT_MAX: f64 = 4.0;
-/// From which amount on a stick or trigger counts as a key that is down.
+/// Amount from which a stick or trigger counts as pressed.
 const DOWN_FROM: f64 = 0.5;
-/// Below which amount a trigger is released.
+/// Amount below which a trigger counts as released.
 const RELEASED_BELOW: f64 = 0.02;
 
-/// Everything that is pressed, and what has been asked for by it so far.
+/// State of all controls, and the totals of their motions.
 #[derive(Clone, Debug)]
 pub struct Controls {
     bindings: Bindings,
     amounts: [f64; Control::COUNT],
     input: PersonInput,
-    /// Which hands there are, left and right.
+    /// Which hands exist, left and right.
     hands: [bool; 2],
     /// Opening of the jaws while they are released, left and right, as a share.
     released: [f64; 2],
-    /// Whether the press of the grip belongs to the hand in charge; one that another hand began is nobody's.
+    /// Whether the grip press belongs to the active hand; a press begun for the other hand is ignored.
     owns_grip: bool,
-    /// Likewise the press that switches the instrument on: of two pedals the one that was pressed last.
+    /// Likewise for the press that activates the instrument: of two pedals the last one pressed.
     owns_activation: Option<PersonAction>,
     pad: GamepadState,
 }
 
 impl Controls {
-    /// A source of input that goes on from what another one has left in the scene, for the hands that it has. The
-    /// first [`Controls::input`] is to be written at once.
+    /// A source of input that continues from an earlier one's state in the scene, for the scene's hands. Its first
+    /// [`Controls::input`] must be written at once.
     pub fn new(bindings: Bindings, scene: &Snapshot) -> Self {
         let before = scene.iter::<PersonInput>().next().map(|(_, input)| *input).unwrap_or_default();
         let has = |side| scene.iter::<Hand>().any(|(_, hand)| hand.side == side);
         Self::resuming(bindings, &before, [has(Side::Left), has(Side::Right)])
     }
 
-    /// A source of input after the one that left `before`, for these hands: left, right.
+    /// A source of input that continues after `before`, for these hands: left, right.
     pub fn resuming(bindings: Bindings, before: &PersonInput, hands: [bool; 2]) -> Self {
         let anew = |hand: &PersonHand| PersonHand { opening: hand.opening, ..PersonHand::default() };
         let mut input = PersonInput {
@@ -62,7 +62,7 @@ impl Controls {
         if !hands[input.in_charge as usize] && hands[input.in_charge.other() as usize] {
             input.in_charge = input.in_charge.other();
         }
-        // Jaws that were left open stay where they are until somebody says something else.
+        // Jaws that were left open stay so until the next jaw input.
         let released = [&before.left, &before.right]
             .map(|hand| hand.opening.filter(|opening| *opening > 0.0).unwrap_or(bindings.opening));
         Self {
@@ -77,16 +77,16 @@ impl Controls {
         }
     }
 
-    /// What each control means.
+    /// The bindings of controls to actions.
     pub fn bindings(&self) -> &Bindings {
         &self.bindings
     }
-    /// The hand in charge.
+    /// The active hand.
     pub fn in_charge(&self) -> Side {
         self.input.in_charge
     }
 
-    /// A control is now pressed as far as `amount` says, 0 to 1; whether it means anything.
+    /// Sets a control's amount, 0 to 1; returns whether it is bound.
     pub fn press(&mut self, control: Control, amount: f64) -> bool {
         let amount = if amount.is_finite() { amount.clamp(0.0, 1.0) } else { 0.0 };
         self.amounts[control.index()] = amount;
@@ -104,8 +104,8 @@ impl Controls {
         true
     }
 
-    /// Everything is released, as when a window loses the keyboard. The jaws stay as they are; what is switched on goes
-    /// off.
+    /// Releases all controls, as when a window loses the keyboard focus. The jaws stay as they are; an active
+    /// instrument is switched off.
     pub fn release_all(&mut self) {
         self.amounts = [0.0; Control::COUNT];
         self.input.held = Default::default();
@@ -114,7 +114,7 @@ impl Controls {
         self.pad = GamepadState::default();
     }
 
-    /// The pointer has moved, in heights of the picture.
+    /// Moves the pointer, in heights of the image.
     pub fn pointer_moved(&mut self, right: f64, down: f64) {
         if !(right.is_finite() && down.is_finite()) || self.holds(PersonAction::Clutch) {
             return;
@@ -127,7 +127,7 @@ impl Controls {
         }
     }
 
-    /// The wheel has turned by so many notches, away from the person.
+    /// Turns the wheel by `notches`, away from the person.
     pub fn scrolled(&mut self, notches: f64) {
         if notches.is_finite() && !self.holds(PersonAction::Clutch) {
             let away = notches.clamp(-EVENT_MAX, EVENT_MAX) * self.bindings.depth_per_notch;
@@ -135,15 +135,15 @@ impl Controls {
         }
     }
 
-    /// What the gamepad says now; `None` without one. One that is unplugged moves nothing on, and leaves the jaws as
-    /// they are.
+    /// Takes the gamepad's current state; `None` without one. An unplugged pad stops all its motions, and leaves the
+    /// jaws as they are.
     pub fn gamepad(&mut self, pad: Option<&GamepadState>) {
         if pad.is_none() && self.pad != GamepadState::default() {
             self.owns_grip = false;
             self.switch_off();
         }
         let (pad, before) = (pad.copied().unwrap_or_default(), self.pad);
-        // Only what has changed: another control of the same action may be down.
+        // Only changes, because another control of the same action may be pressed.
         for (button, name) in GamepadButton::ALL.into_iter().zip(PAD_BUTTONS) {
             if pad.is_pressed(button) != before.is_pressed(button) {
                 self.press_named(name, f64::from(u8::from(pad.is_pressed(button))));
@@ -168,9 +168,9 @@ impl Controls {
         self.pad = pad;
     }
 
-    /// Lets `secs` pass, in which what is held goes on.
+    /// Advances by `secs`, in which held controls continue to act.
     pub fn advance(&mut self, secs: f64) {
-        // Written so that a NaN passes nothing.
+        // Written so that NaN advances nothing.
         let secs = if secs > 0.0 { secs.min(ADVANCE_MAX_SECS) } else { return };
         let held = self.input.held;
         let way = self.bindings.speed * secs;
@@ -195,12 +195,12 @@ impl Controls {
         }
     }
 
-    /// What has been asked for so far, as it is to be written into the session at `now`.
+    /// The input so far, to be written into the session at `now`.
     pub fn input(&mut self, view: Option<PersonView>, now: SimTime) -> PersonInput {
         let far = |total: &f64| total.abs() > 0.5 * PERSON_TOTAL_MAX;
         let hands = [self.input.left, self.input.right];
         if hands.iter().any(|hand| hand.moved.iter().chain([&hand.rolled]).any(far)) {
-            // Only ever after days: what is lost is the motion of the last few milliseconds.
+            // Happens only after days, and loses the motion of the last few milliseconds.
             self.input.source = self.input.source.wrapping_add(1);
             for hand in [&mut self.input.left, &mut self.input.right] {
                 let PersonHand { opening, activation, mode, .. } = *hand;
@@ -239,8 +239,8 @@ impl Controls {
         self.input.hand_mut(self.input.in_charge).rolled += angle * fineness;
     }
 
-    /// The hand that was in charge stays as it is, but for what is switched on; what is pressed now moves nobody's jaws
-    /// and switches nothing on until it is released.
+    /// Switches the active hand. The previous hand stays as it is, but is deactivated; controls pressed now neither
+    /// move jaws nor activate instruments until they are released.
     fn switch_hand(&mut self) {
         let other = self.input.in_charge.other();
         if self.hands[other as usize] {
@@ -263,7 +263,7 @@ impl Controls {
         }
     }
 
-    /// Nothing is switched on by a press that nobody watches any more.
+    /// Deactivates the instrument, because its press is no longer tracked.
     fn switch_off(&mut self) {
         self.owns_activation = None;
         for hand in [&mut self.input.left, &mut self.input.right] {
@@ -409,7 +409,7 @@ mod tests {
         assert_eq!(opening(&mut controls, Side::Left), None);
         controls.press(control("MouseLeft"), 1.0);
         assert_eq!(opening(&mut controls, Side::Left), Some(0.0));
-        // The left one holds on while the button is released in the right one's turn.
+        // The left hand keeps its grip when the button is released during the right hand's turn.
         controls.press(control("Tab"), 1.0);
         controls.press(control("MouseLeft"), 0.0);
         assert_eq!(opening(&mut controls, Side::Left), Some(0.0));
@@ -420,7 +420,7 @@ mod tests {
         controls.press(control("Tab"), 1.0);
         controls.press(control("MouseLeft"), 0.0);
         assert_eq!([Side::Left, Side::Right].map(|side| opening(&mut controls, side)), [Some(0.0); 2]);
-        // A press and a release of its own opens it.
+        // A separate press and release opens it.
         controls.press(control("MouseLeft"), 1.0);
         controls.press(control("MouseLeft"), 0.0);
         assert_eq!(opening(&mut controls, Side::Left), Some(0.5));
@@ -439,7 +439,7 @@ mod tests {
         assert!((state(&mut controls).left.opening.expect("told") - 0.29).abs() < 1e-12);
         controls.gamepad(Some(&pad(0.0)));
         assert!((state(&mut controls).left.opening.expect("told") - 0.58).abs() < 1e-12);
-        // What it holds it keeps when the pad is unplugged.
+        // It keeps its grip when the pad is unplugged.
         controls.gamepad(Some(&pad(1.0)));
         controls.gamepad(None);
         assert_eq!(state(&mut controls).left.opening, Some(0.0));
@@ -456,7 +456,7 @@ mod tests {
         pad.press(GamepadButton::North, true);
         controls.gamepad(Some(&pad));
         assert_eq!(controls.in_charge(), Side::Right);
-        // Unplugged: nothing goes on.
+        // Unplugged: all motions stop.
         controls.gamepad(None);
         controls.advance(0.1);
         assert_eq!(state(&mut controls).right.moved, [0.0; 3]);

@@ -1,19 +1,19 @@
-//! A goal that jumps, followed smoothly: a slew limit, then a critically damped second-order filter.
+//! Smooth following of a jumping goal: a slew limit, then a critically damped second-order filter.
 //!
-//! The reference goes straight to the goal at no more than a given speed; the filter `ẍ + 2ω ẋ + ω² x = ω² r` follows
-//! the reference. Its impulse response is nowhere negative, so the follower, which starts at rest, is never faster than
-//! the reference's limit and never overshoots. Both parts are solved exactly over a step, in which the goal stands
-//! still: any division of a span into steps ends in the same place, but for rounding.
+//! The reference moves straight to the goal with limited speed; the filter `ẍ + 2ω ẋ + ω² x = ω² r` follows the
+//! reference. Its impulse response is nowhere negative, so the follower, which starts at rest, is never faster than the
+//! reference's limit and never overshoots. Both parts are solved exactly over a step, in which the goal is constant:
+//! any division of a span into steps gives the same result, up to rounding.
 
 use nalgebra::SVector;
 use serde::{Deserialize, Serialize};
 
-/// A point on its way to a goal.
+/// A point that follows a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Follower<const D: usize> {
-    /// What the filter follows: on its way to the goal at limited speed.
+    /// Reference of the filter: moves to the goal with limited speed.
     pub reference: SVector<f64, D>,
-    /// Where the follower is.
+    /// Position of the follower.
     pub position: SVector<f64, D>,
     /// Its velocity \[1/s\].
     pub velocity: SVector<f64, D>,
@@ -44,7 +44,7 @@ impl<const D: usize> Follower<D> {
         }
     }
 
-    /// The filter's exact response to a reference that moves on with a constant velocity.
+    /// The filter's exact response to a reference with constant velocity.
     fn filter(&mut self, reference_velocity: &SVector<f64, D>, secs: f64, rate: f64) {
         let lag = reference_velocity * (2.0 / rate);
         let offset = self.position - self.reference + lag;
@@ -56,7 +56,7 @@ impl<const D: usize> Follower<D> {
     }
 }
 
-/// `e^x` by a series with scaling and squaring: additions and multiplications only, the same bits on every machine.
+/// `e^x` by a series with scaling and squaring: additions and multiplications only, bit-identical on every machine.
 pub(crate) fn exp(x: f64) -> f64 {
     let (mut scaled, mut squarings) = (x.clamp(-700.0, 700.0), 0);
     while scaled.abs() > 0.125 {

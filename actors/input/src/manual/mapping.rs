@@ -1,9 +1,9 @@
-//! From what a person asks for in the picture to where a handle has to be.
+//! Mapping from a person's input in the image to the handle's pose.
 //!
-//! A person thinks of the tip. The tip's goal moves in the picture by as much as the pointer does: in the camera's
-//! projective coordinates `(x/z, y/z, log z)`, so that the tip stays under the pointer at any depth, and the wheel
-//! moves it along the ray through its own picture. From the goal the handle follows through the port, with
-//! the shaft swung by the least rotation from where it was at the start, and rolled about itself.
+//! The input controls the tip. The tip's goal moves in the image as the pointer does: in the camera's projective
+//! coordinates `(x/z, y/z, log z)`, so that the tip stays under the pointer at any depth, and the wheel moves it along
+//! its own line of sight. The handle's pose follows from the goal through the port, with the shaft rotated minimally
+//! from its initial direction, and rolled about itself.
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector1, Vector3};
 use serde::{Deserialize, Serialize};
@@ -14,19 +14,19 @@ use trocar_scene::{PersonHand, PersonView, Pose};
 
 use super::follower::{Follower, exp};
 
-/// Depths between which the tip can be moved along the line of sight \[m\].
+/// Range of the tip's depth along the line of sight \[m\].
 const DEPTH_MIN: f64 = 0.02;
 const DEPTH_MAX: f64 = 2.0;
-/// How often a goal is put back between the limits, which bend with the fulcrum.
+/// Iterations of the projection of a goal onto the limits, which are curved by the fulcrum.
 const PASSES: usize = 4;
-/// Where the eye is when no camera says it: so far before the tip \[m\].
+/// Distance of the eye from the tip without a camera \[m\].
 const FALLBACK_DEPTH: f64 = 0.25;
 
-/// Limits and smoothness of a hand that a person drives.
+/// Limits and smoothing of a manually controlled hand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct HandLimits {
-    /// Way of the tip's picture for a way of the pointer.
+    /// Motion of the tip's image per motion of the pointer.
     pub pointer_gain: f64,
     /// Largest speed of the tip \[m/s\].
     pub speed_max: f64,
@@ -34,9 +34,9 @@ pub struct HandLimits {
     pub roll_speed_max: f64,
     /// Largest speed of the jaws' opening \[rad/s\].
     pub jaw_speed_max: f64,
-    /// By how much the hand lags behind a steady motion \[s\]: what makes it smooth.
+    /// Lag of the hand behind a steady motion \[s\], which smooths it.
     pub smoothing_secs: f64,
-    /// How far a motion may lead the tip that is really there \[m\]: what is pressed against something gets no farther.
+    /// Largest lead of the goal over the actual tip \[m\], which limits pressing against an obstacle.
     pub lead_max: f64,
     /// Largest roll to either side \[rad\].
     pub roll_max: f64,
@@ -60,10 +60,10 @@ impl Default for HandLimits {
 }
 
 impl HandLimits {
-    /// Whether every figure makes sense.
+    /// Checks that every parameter is in range.
     ///
     /// # Errors
-    /// Names the first one that does not, and its range.
+    /// Names the first parameter out of range, and its range.
     pub fn check(&self) -> Result<(), String> {
         let figures = [
             ("pointer_gain", self.pointer_gain, 0.01, 10.0),
@@ -85,37 +85,37 @@ impl HandLimits {
     }
 }
 
-/// A hand as its device allows it to move.
+/// Kinematic limits of a hand by its device.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach<'a> {
     /// Device, handle, port, tip.
     pub rig: &'a HandRig,
-    /// Full extent of the device's workspace about its origin \[m\]; zero where nothing is known.
+    /// Full extent of the device's workspace about its origin \[m\]; zero if unknown.
     pub workspace: Vector3<f64>,
 }
 
-/// A hand that a person drives: where it shall go, and how far it has come.
+/// A manually controlled hand: its goal and its current state.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ManualHand {
-    /// `world_from_tip` of the shaft before it was swung and rolled.
+    /// Initial rotation `world_from_tip`, before swing and roll.
     pub rest_in_world: UnitQuaternion<f64>,
-    /// Where the tip shall go \[m\].
+    /// Goal of the tip \[m\].
     pub goal_in_world: Vector3<f64>,
-    /// The roll that it shall have \[rad\].
+    /// Goal of the roll \[rad\].
     pub goal_roll: f64,
-    /// Opening that the jaws shall have \[rad\].
+    /// Goal of the jaw opening \[rad\].
     pub goal_jaw: f64,
-    /// The tip on its way \[m\].
+    /// Smoothed tip position \[m\].
     pub tip_in_world: Follower<3>,
-    /// The roll on its way \[rad\].
+    /// Smoothed roll \[rad\].
     pub roll: Follower<1>,
-    /// The jaws on their way \[rad\].
+    /// Smoothed jaw opening \[rad\].
     pub jaw: Follower<1>,
-    /// What has been done of what the person asked for.
+    /// Input totals already processed.
     pub seen: PersonHand,
 }
 
-/// Where a hand shall be now.
+/// Target of a hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HandPlace {
     /// `device_from_handle`.
@@ -125,7 +125,7 @@ pub struct HandPlace {
 }
 
 impl ManualHand {
-    /// A hand at rest, of which everything that was asked for before is done.
+    /// A hand at rest, with all earlier input processed.
     pub fn at(tip_in_world: &Isometry3<f64>, jaw: f64, goal_jaw: f64, seen: PersonHand) -> Self {
         let position = tip_in_world.translation.vector;
         Self {
@@ -140,8 +140,7 @@ impl ManualHand {
         }
     }
 
-    /// Takes what the person has asked for since the last time, as it is seen from `view`; `actual` is where the tip
-    /// really is.
+    /// Takes the person's input since the last call, relative to `view`; `actual` is the actual tip position.
     pub fn ask(
         &mut self,
         asked: &PersonHand,
@@ -162,7 +161,7 @@ impl ManualHand {
             };
             let goal = moved_in_picture(&self.goal_in_world, &moved, view, limits.pointer_gain);
             let goal = self.within_reach(&goal, reach);
-            // Never farther from the real tip than it was, once it is beyond the lead.
+            // Beyond the lead limit the goal never moves farther from the actual tip.
             let lead = goal - actual;
             let allowed = limits.lead_max.max((self.goal_in_world - actual).norm());
             let length = lead.norm();
@@ -176,7 +175,7 @@ impl ManualHand {
         self.seen = *asked;
     }
 
-    /// Lets `dt_secs` pass.
+    /// Advances by `dt_secs`.
     pub fn advance(&mut self, dt_secs: f64, limits: &HandLimits) {
         let rate = 2.0 / limits.smoothing_secs;
         self.tip_in_world.advance(&self.goal_in_world, dt_secs, limits.speed_max, rate);
@@ -184,7 +183,7 @@ impl ManualHand {
         self.jaw.advance(&Vector1::new(self.goal_jaw), dt_secs, limits.jaw_speed_max, rate);
     }
 
-    /// Where the hand shall be now.
+    /// The hand's current target.
     pub fn place(&self, reach: &Reach<'_>) -> HandPlace {
         let tip = self.tip_pose(&self.tip_in_world.position, reach.rig);
         let mut handle = reach.rig.handle_in_device(&tip);
@@ -195,7 +194,7 @@ impl ManualHand {
         }
     }
 
-    /// `world_from_tip` of a tip at `position`, with the roll that it has now.
+    /// `world_from_tip` of a tip at `position`, with its current roll.
     fn tip_pose(&self, position: &Vector3<f64>, rig: &HandRig) -> Isometry3<f64> {
         let rest_axis = self.rest_in_world * Vector3::z();
         let swing = match &rig.coupling {
@@ -210,7 +209,7 @@ impl ManualHand {
         Isometry3::from_parts((*position).into(), swing * self.rest_in_world * roll)
     }
 
-    /// The tip position next to `goal` that the device's workspace and the port's insertion allow.
+    /// The tip position nearest to `goal` within the device's workspace and the port's insertion limits.
     fn within_reach(&self, goal: &Vector3<f64>, reach: &Reach<'_>) -> Vector3<f64> {
         let mut goal = *goal;
         for _ in 0..PASSES {
@@ -230,12 +229,12 @@ impl ManualHand {
     }
 }
 
-/// The point of the workspace next to `point`; no axis is limited that has no extent.
+/// The point of the workspace nearest to `point`; an axis without extent is unlimited.
 fn within(point: &Vector3<f64>, workspace: &Vector3<f64>) -> Vector3<f64> {
     point.zip_map(workspace, |x, extent| if extent > 0.0 { x.clamp(-0.5 * extent, 0.5 * extent) } else { x })
 }
 
-/// `point` \[m\] after its picture has moved by `moved` (right, down, away; see [`PersonHand::moved`]).
+/// `point` \[m\] after its image has moved by `moved` (right, down, away; see [`PersonHand::moved`]).
 pub fn moved_in_picture(
     point_in_world: &Vector3<f64>,
     moved: &Vector3<f64>,
@@ -244,7 +243,7 @@ pub fn moved_in_picture(
 ) -> Vector3<f64> {
     let world_from_view = view.world_from_view.isometry();
     let in_view = world_from_view.inverse_transform_point(&Point3::from(*point_in_world));
-    // What lies behind the eye has no picture; it is moved as if it were close before it.
+    // A point behind the eye has no image; it is moved as if it were close in front of it.
     let depth = in_view.z.max(DEPTH_MIN);
     let height = 2.0 * (0.5 * view.field_of_view).tan() * gain;
     let (right, down) = (in_view.x / depth + moved.x * height, in_view.y / depth + moved.y * height);
@@ -252,7 +251,7 @@ pub fn moved_in_picture(
     (world_from_view * Point3::new(right * depth, down * depth, depth)).coords
 }
 
-/// A view of a point from the front, where no camera says anything: x to the right, z up in the picture.
+/// A view of a point from the front, without a camera: x to the right, z up in the image.
 fn looking_ahead(point_in_world: &Vector3<f64>) -> PersonView {
     // z of the view is y of the world, y of the view is −z.
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);

@@ -29,7 +29,7 @@ fn view() -> PersonView {
     PersonView { world_from_view: Pose::new(Vector3::new(0.0, -0.14, 0.20), rotation), field_of_view: 1.05 }
 }
 
-/// Right and down in the picture, in its heights, and the depth \[m\].
+/// Image coordinates (right, down) in image heights, and the depth \[m\].
 fn picture(point: &Vector3<f64>, view: &PersonView) -> (f64, f64, f64) {
     let seen = view.world_from_view.isometry().inverse_transform_point(&Point3::from(*point));
     let height = 2.0 * (0.5 * view.field_of_view).tan();
@@ -45,7 +45,7 @@ fn asked(moved: [f64; 3], rolled: f64) -> PersonHand {
     PersonHand { moved, rolled, ..PersonHand::default() }
 }
 
-/// Asks and waits until the hand is there, with a tip that is always where it should be.
+/// Sends input and waits until the hand arrives, with a perfectly following tip.
 fn settle(hand: &mut ManualHand, wish: &PersonHand, rig: &HandRig, limits: &HandLimits) {
     let reach = Reach { rig, workspace: WORKSPACE };
     let actual = hand.tip_in_world.position;
@@ -115,7 +115,7 @@ fn a_hand_that_nobody_asks_keeps_still() {
     let mut hand = at_home(&rig);
     settle(&mut hand, &asked([0.05, 0.0, 0.0], 0.3), &rig, &HandLimits::default());
     let before = hand.place(&reach);
-    // Somebody pushes the tip away; its goal does not follow.
+    // The tip is pushed away; its goal does not follow.
     let pushed = hand.tip_in_world.position + Vector3::x() * 0.1;
     let seen = hand.seen;
     for _ in 0..100 {

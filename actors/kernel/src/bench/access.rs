@@ -1,4 +1,4 @@
-//! Reading: the latest snapshot and one component of a random entity.
+//! Read benchmark: loads the latest snapshot and one component of a random entity.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -50,7 +50,7 @@ pub(super) fn get(effort: Effort) -> Vec<Row> {
     let mut scenes = scenes;
     for _ in 0..blocks {
         for (published, order, results) in &mut scenes {
-            // The best of a few repeats: what interrupts a block is not the cost of reading.
+            // The best of a few repeats, because interruptions of a block are not the cost of reading.
             let best = (0..repeats).map(|_| block(published, order)).fold(f64::MAX, f64::min);
             results.push(best);
         }

@@ -1,5 +1,5 @@
-//! From a writer's submission to the reader's sight, beside a bare actix actor of the Model's own priority that stores what
-//! it is sent in an `ArcSwap`; and what a batch costs the Model.
+//! Write → visible latency, beside a bare actix actor of the Model's priority that stores each message in an `ArcSwap`;
+//! and the Model's CPU time per batch.
 
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -17,12 +17,12 @@ use crate::runtime::sched;
 use crate::spec::SessionSpec;
 use crate::supervision::RuntimeClass;
 
-/// Between two samples, so that everybody has gone to sleep.
+/// Pause between two samples, so that all threads are asleep.
 const PAUSE: Duration = Duration::from_micros(500);
-/// A sample that takes longer is given up.
+/// Limit after which a sample is discarded.
 const SAMPLE_MAX: Duration = Duration::from_millis(500);
 const GUEST: u16 = 7;
-/// Most that a write may take, relative to an actor of equal priority that only stores what it is sent.
+/// Largest latency of a write, relative to an actor of equal priority that only stores the message.
 const EQUAL_MAX: f64 = 1.2;
 
 struct Bench {
@@ -52,7 +52,7 @@ impl Bench {
         snapshots.load().get::<Mark>(self.me).is_some_and(|mark| mark.0 == self.next)
     }
 
-    /// µs from submission to sight; `None` when it took too long.
+    /// Latency from submission to visibility, µs; `None` when it took too long.
     fn sample(&mut self) -> Option<f64> {
         let snapshots = self.live.snapshots();
         let begun = Instant::now();
@@ -71,7 +71,7 @@ fn spin_until(begun: Instant, mut done: impl FnMut() -> bool) -> Option<f64> {
     Some(begun.elapsed().as_nanos() as f64 * 1e-3)
 }
 
-/// The floor: an actor on a thread of its own that stores what it is sent.
+/// The floor: an actor on its own thread that stores each message.
 struct Storer(Arc<ArcSwap<u64>>);
 impl Actor for Storer {
     type Context = Context<Self>;
@@ -116,7 +116,7 @@ impl Floor {
         let runtime = tokio::runtime::Builder::new_current_thread().build()?;
         Ok(Self { system, address, slot, runtime, next: 0 })
     }
-    /// µs until an awaited send has come back, after which everybody sees the value.
+    /// Time until an awaited send returns, after which the value is visible, µs.
     fn sample_awaited(&mut self) -> Option<f64> {
         self.next += 1;
         let begun = Instant::now();
@@ -124,7 +124,7 @@ impl Floor {
         let (slot, next) = (&self.slot, self.next);
         spin_until(begun, || **slot.load() == next)
     }
-    /// µs until a value that was sent without waiting is seen.
+    /// Time until a value sent without awaiting is visible, µs.
     fn sample(&mut self) -> Option<f64> {
         self.next += 1;
         let begun = Instant::now();
@@ -142,8 +142,8 @@ impl Drop for Floor {
 
 /// Write → visible at 100 and 10,000 populated entities, and the floors, sample by sample in turn.
 ///
-/// The floor is an actor whose thread has the Model's priority: the same wake-up, and one store. Two more rows, without a
-/// bar, compare with an actor on a plain arbiter: with actix's awaited `send`, and with sending and not waiting.
+/// The floor is an actor whose thread has the Model's priority: the same wake-up, and one store. Two more rows, without
+/// a bar, compare with an actor on a plain arbiter: with actix's awaited `send`, and with sending without awaiting.
 pub(super) fn write_to_visible(effort: Effort) -> Result<Vec<Row>, LiveError> {
     let (blocks, samples) = match effort {
         Effort::Smoke => (1, 60),
@@ -210,7 +210,7 @@ impl Bench {
         for _ in 0..batches {
             one(self);
         }
-        // Until the last one is through.
+        // Wait until the last batch is applied.
         self.sample();
         let spent = self.live.model_cpu().since(cpu).0 as f64;
         spent / (self.live.batches() - count).max(1) as f64

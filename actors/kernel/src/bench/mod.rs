@@ -1,5 +1,5 @@
-//! What the kernel costs, measured beside a floor of the same kind on the same machine in interleaved blocks:
-//! on a shared machine an absolute time says little, a ratio to the floor says much.
+//! Kernel benchmarks, measured in interleaved blocks beside a floor of the same kind on the same machine: on a shared
+//! machine the ratio to the floor is more meaningful than an absolute time.
 
 mod access;
 mod latency;
@@ -16,13 +16,13 @@ pub use rates::{BareRates, bare_rates};
 /// How long a suite may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
-    /// A few seconds: to see that it works.
+    /// A few seconds: a functional check.
     Smoke,
     /// A minute or so: for figures to be reported.
     Full,
 }
 
-/// Whether small or large values are good.
+/// Whether smaller or larger values are better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Better {
@@ -53,23 +53,22 @@ pub struct Row {
     pub value: f64,
     /// Unit of `value` and `floor`.
     pub unit: String,
-    /// What a bare loop of the same kind reached in blocks between ours.
+    /// Value of a bare loop of the same kind, in interleaved blocks.
     pub floor: Option<f64>,
     /// `value / floor`.
     pub ratio: Option<f64>,
-    /// What the ratio (or, without a floor, the value) is held against; null for figures that are only told.
+    /// Bar for the ratio (or, without a floor, for the value); null for informative figures.
     pub bar: Option<f64>,
-    /// Which side of the bar is good.
+    /// Which side of the bar passes.
     pub better: Better,
-    /// Whether the bar holds; true without a bar.
+    /// Whether the bar is met; true without a bar.
     pub holds: bool,
     /// (largest − smallest) / median of the blocks.
     pub spread: f64,
 }
 
 impl Row {
-    /// A figure, (median, spread) as [`median_and_spread`] gives them, that is held against a bar on the value
-    /// itself.
+    /// A figure, (median, spread) as [`median_and_spread`] gives them, compared with a bar on the value itself.
     pub fn on_value(
         name: impl Into<String>,
         unit: impl Into<String>,
@@ -82,7 +81,7 @@ impl Row {
         Self { name, value, unit, floor: None, ratio: None, bar, better, holds, spread }
     }
 
-    /// A figure that is held against a bar on its ratio to a floor that was measured beside it.
+    /// A figure compared with a bar on its ratio to a floor measured beside it.
     pub fn on_ratio(
         name: impl Into<String>,
         unit: impl Into<String>,
@@ -94,13 +93,13 @@ impl Row {
         let ratio = if floor != 0.0 { value / floor } else { f64::INFINITY };
         let holds = bar.is_none_or(|bar| better.holds(ratio, bar));
         let (name, unit) = (name.into(), unit.into());
-        // JSON has no infinity: a ratio to a floor of nothing is not known.
+        // JSON has no infinity: the ratio to a floor of zero is left unknown.
         let ratio = Some(ratio).filter(|ratio| ratio.is_finite());
         Self { name, value, unit, floor: Some(floor), ratio, bar, better, holds, spread }
     }
 }
 
-/// Median of several blocks, and (largest − smallest) / median; NaN and 0 of none.
+/// Median of several blocks, and (largest − smallest) / median; NaN and 0 for an empty slice.
 pub fn median_and_spread(values: &[f64]) -> (f64, f64) {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

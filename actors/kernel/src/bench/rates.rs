@@ -1,4 +1,4 @@
-//! Rates: controllers that tick in a live session, beside bare timer loops on equal threads.
+//! Rate benchmark: controllers ticking in a live session, beside bare timer loops on equal threads.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::runtime::{AtomicHistogram, Quantiles, sched, ticker};
 use crate::spec::{ControllerSpec, SessionOutcome, SessionSpec};
 use crate::supervision::RuntimeClass;
 
-/// What a toy hand writes at every tick: about as much as a real one.
+/// State that a toy hand writes at every tick, about the size of a real one.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct ToyState {
     position: [f64; 3],
@@ -49,7 +49,7 @@ fn hand(name: &str, id: u16, other: u16, rate_hz: f64) -> ControllerSpec {
     let mut spec = ControllerSpec::new(name, id, RuntimeClass::Haptics, rate_hz, move |_| {
         Ok(Box::new(ToyHand { other }) as Box<dyn Controller>)
     });
-    // Hands of one rate in turn: they and the Model do not all want a processor at the same instant.
+    // Hands of one rate are staggered, so that they and the Model do not need a processor at the same instant.
     spec.phase = SimTime(spec.period().0 / 2 * u64::from(id % 2));
     // A busy machine is no reason to replace a hand in the middle of a measurement.
     spec.child.heartbeat_limit = SimTime::from_millis(2_000);
@@ -58,7 +58,7 @@ fn hand(name: &str, id: u16, other: u16, rate_hz: f64) -> ControllerSpec {
 
 fn run(hands: Vec<ControllerSpec>, span: Duration) -> Result<SessionOutcome, LiveError> {
     let mut builder = RegistryBuilder::new();
-    // One name cannot clash with itself.
+    // A single name cannot conflict.
     let _ = builder.register::<ToyState>();
     let store = Store::new(builder.build());
     let live = LiveSession::start(SessionSpec::new("bench", 1, store, hands))?;
@@ -66,7 +66,7 @@ fn run(hands: Vec<ControllerSpec>, span: Duration) -> Result<SessionOutcome, Liv
     Ok(live.stop(0))
 }
 
-/// What bare timer loops reach on this machine.
+/// Results of bare timer loops on this machine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BareRates {
     /// Share of the scheduled ticks that started less than 1 ms late, the worst of the loops.
@@ -77,7 +77,7 @@ pub struct BareRates {
     pub lateness_us: Quantiles,
 }
 
-/// Runs `threads` bare timer loops at `rate_hz` for `span`, on threads of the priority that hands get.
+/// Runs `threads` bare timer loops at `rate_hz` for `span`, on threads of the same priority as hands.
 pub fn bare_rates(threads: usize, rate_hz: f64, span: Duration) -> BareRates {
     let period = crate::spec::period_of(rate_hz);
     let loops: Vec<_> = (0..threads)

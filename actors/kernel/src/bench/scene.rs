@@ -31,7 +31,7 @@ impl<const N: usize> Component for Filler<N> {
     const NAME: &'static str = NAMES[N];
 }
 
-/// How often a writer has written: what the latency is measured with.
+/// Number of writes of a writer, used to measure latency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Mark(pub(super) u64);
 impl Component for Mark {

@@ -1,4 +1,4 @@
-//! The plan's mirror in Rust: `FaultPlan::new(42).at(secs(3.0)).kill("haptics.left")`.
+//! Builder of fault plans in Rust: `FaultPlan::new(42).at(secs(3.0)).kill("haptics.left")`.
 
 use trocar_scene::SimTime;
 
@@ -24,7 +24,7 @@ pub fn secs(secs: f64) -> SimTime {
     SimTime::from_secs_f64(secs)
 }
 
-/// A fault whose time is said and whose kind is not yet.
+/// A fault with its time set and its kind still open.
 #[must_use]
 #[derive(Debug)]
 pub struct FaultAt {
@@ -35,7 +35,7 @@ pub struct FaultAt {
 }
 
 impl FaultAt {
-    /// It waits until this goes on.
+    /// Delays the fault until this condition holds.
     pub fn during(mut self, what: During) -> Self {
         self.during = Some(what);
         self
@@ -45,65 +45,65 @@ impl FaultAt {
         self.lasting = Some(span);
         self
     }
-    /// The target panics.
+    /// Makes the target panic.
     pub fn kill(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::Kill, target)
     }
-    /// The target's step does not return.
+    /// Makes a step of the target hang.
     pub fn stall(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::Stall, target)
     }
-    /// Each step of the target takes `step` longer.
+    /// Makes each step of the target `step` longer.
     pub fn slow(self, target: &str, step: SimTime) -> FaultPlan {
         self.having(FaultKind::Slow, target, |fault| fault.step = step)
     }
-    /// The device is gone.
+    /// Unplugs the device.
     pub fn unplug(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::Unplug, target)
     }
-    /// The writer's handle takes no batch.
+    /// Makes the writer's ring refuse every batch.
     pub fn queue_full(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::QueueFull, target)
     }
-    /// Numbers that the target hands over are not finite.
+    /// Makes the target's values NaN.
     pub fn nan(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::Nan, target)
     }
-    /// The recorder's disk takes no byte.
+    /// Makes the recorder's disk refuse every write.
     pub fn disk_full(self) -> FaultPlan {
         self.fault(FaultKind::DiskFull, RECORDER)
     }
-    /// The recorder's disk takes `bytes_per_sec` and no more.
+    /// Limits the recorder's disk to `bytes_per_sec`.
     pub fn disk_slow(self, bytes_per_sec: f64) -> FaultPlan {
         self.having(FaultKind::DiskSlow, RECORDER, |fault| fault.bytes_per_sec = bytes_per_sec)
     }
-    /// The share `probability` (0 to 1) of the target's messages is lost.
+    /// Loses the share `probability` (0 to 1) of the target's messages.
     pub fn drop(self, target: &str, probability: f64) -> FaultPlan {
         self.having(FaultKind::Drop, target, |fault| fault.probability = probability)
     }
-    /// The target's messages arrive later by `delay`.
+    /// Delays the target's messages by `delay`.
     pub fn delay(self, target: &str, delay: SimTime) -> FaultPlan {
         self.jitter(target, delay, SimTime::ZERO)
     }
-    /// The target's messages arrive later by `delay`, give or take up to `jitter`, which is at most the delay.
+    /// Delays the target's messages by `delay` ± `jitter`, which is at most the delay.
     pub fn jitter(self, target: &str, delay: SimTime, jitter: SimTime) -> FaultPlan {
         self.having(FaultKind::Delay, target, |fault| {
             (fault.delay, fault.jitter) = (delay, jitter.min(delay))
         })
     }
-    /// The share `probability` (0 to 1) of the target's messages arrives twice.
+    /// Duplicates the share `probability` (0 to 1) of the target's messages.
     pub fn duplicate(self, target: &str, probability: f64) -> FaultPlan {
         self.having(FaultKind::Duplicate, target, |fault| fault.probability = probability)
     }
-    /// The share `probability` (0 to 1) of the target's messages is overtaken by the next one.
+    /// Lets the next message overtake the share `probability` (0 to 1) of the target's messages.
     pub fn reorder(self, target: &str, probability: f64) -> FaultPlan {
         self.having(FaultKind::Reorder, target, |fault| fault.probability = probability)
     }
-    /// The share `probability` (0 to 1) of the target's messages is garbled, and so refused.
+    /// Corrupts the share `probability` (0 to 1) of the target's messages, which are then refused.
     pub fn corrupt(self, target: &str, probability: f64) -> FaultPlan {
         self.having(FaultKind::Corrupt, target, |fault| fault.probability = probability)
     }
-    /// No message of the target passes.
+    /// Blocks all messages of the target.
     pub fn partition(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::Partition, target)
     }

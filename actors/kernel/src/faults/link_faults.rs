@@ -1,11 +1,11 @@
-//! A bad link: messages are lost, late, doubled, overtaken or garbled, or none passes at all.
+//! Fault model of a network link: loss, delay, duplication, reordering, corruption and partition.
 //!
-//! Sans-IO and generic over the message, after NetEm (Hemminger, "Network emulation with NetEm", 2005): messages
-//! go in with the time at which they were sent, and come out when they are due. The seed of each fault and the
-//! messages themselves decide everything, so the same messages at the same times suffer the same fate.
+//! Sans-IO and generic over the message, after NetEm (Hemminger, "Network emulation with NetEm", 2005): messages go in
+//! with the time at which they were sent, and come out when they are due. Results depend only on the seeds of the
+//! faults and on the messages, so the same messages at the same times give the same result.
 //!
-//! A garbled message is garbled for real: its encoding gets flipped bits, and its checksum refuses it, as the
-//! receiver's would. A late one keeps its place in the line; only `reorder` lets one be overtaken.
+//! Corruption flips bits in a message's encoding, and its checksum then refuses it, as a receiver's would. A delayed
+//! message keeps its place in the queue; only `reorder` lets later messages overtake.
 
 use std::collections::VecDeque;
 
@@ -14,44 +14,44 @@ use trocar_scene::SimTime;
 use super::random::SplitMix64;
 use crate::spec::{FaultKind, FaultOrder};
 
-/// Most messages that wait on one link; what comes on top is lost and counted.
+/// Most messages in flight on one link; further messages are lost and counted.
 pub const LINK_WAITING_MAX: usize = 1_024;
-/// Longest time for which an overtaken message waits for the one that overtakes it.
+/// Longest time that a message held for reordering waits for the next message.
 const OVERTAKEN_MAX: SimTime = SimTime::from_millis(100);
-/// Most bits that are flipped in a garbled message.
+/// Most bits flipped in a corrupted message.
 const FLIPS_MAX: u64 = 3;
 
-/// Something that travels over a link.
+/// A message that can travel over a link.
 pub trait Message: Sized {
-    /// A second one like it; `None` when there can be none.
+    /// A duplicate; `None` when the message cannot be duplicated.
     fn duplicate(&self) -> Option<Self>;
-    /// What the receiver makes of it when `noise` has been at its encoded bytes; `None` when it is refused.
+    /// The message as received after `noise` changed its encoded bytes; `None` when the receiver refuses it.
     fn through(self, noise: &mut dyn FnMut(&mut [u8])) -> Option<Self>;
 }
 
-/// What became of the messages that did not just pass.
+/// Counts of the messages that a fault affected.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounts {
-    /// Never arrived: dropped, partitioned away, or one too many on the way.
+    /// Messages that never arrived: dropped, partitioned, or over the in-flight limit.
     pub lost: u64,
-    /// Garbled and refused by their checksum; these are lost as well, and not counted there.
+    /// Messages corrupted and refused by their checksum; not counted in `lost`.
     pub corrupted: u64,
-    /// Arrived later than they would have.
+    /// Messages that arrived late.
     pub delayed: u64,
-    /// Arrived twice.
+    /// Messages that arrived twice.
     pub duplicated: u64,
-    /// Were overtaken.
+    /// Messages that were overtaken.
     pub reordered: u64,
 }
 
 impl LinkCounts {
-    /// How often anything was done to a message.
+    /// Sum of all counts.
     pub fn sum(&self) -> u64 {
         self.lost + self.corrupted + self.delayed + self.duplicated + self.reordered
     }
 }
 
-/// One fault that acts on the link.
+/// One active fault of the link.
 #[derive(Clone, Debug)]
 struct Ailment {
     index: u32,
@@ -74,13 +74,13 @@ struct Waiting<M> {
     message: M,
 }
 
-/// The faults of one link, and the messages that are on their way over it.
+/// The active faults of one link, and its messages in flight.
 #[derive(Debug)]
 pub struct LinkFaults<M> {
     ailments: Vec<Ailment>,
-    /// In the order of their due times.
+    /// Messages in flight, ordered by due time.
     waiting: VecDeque<Waiting<M>>,
-    /// Waits for the next message to pass, until its time at the latest.
+    /// Message held for reordering until the next one passes, at most until its due time.
     overtaken: Option<Waiting<M>>,
     counts: LinkCounts,
 }
@@ -93,7 +93,7 @@ impl<M> Default for LinkFaults<M> {
 }
 
 impl<M: Message> LinkFaults<M> {
-    /// A fault begins or ends; one that is none of a link changes nothing.
+    /// A fault begins or ends; a fault of another kind is ignored.
     pub fn apply(&mut self, order: &FaultOrder) {
         if !order.kind.is_of_link() {
             return;
@@ -109,18 +109,18 @@ impl<M: Message> LinkFaults<M> {
                 random: SplitMix64::new(order.seed),
             });
         } else if let Some(overtaken) = &mut self.overtaken {
-            // Nobody may come any more.
+            // No later message may come, so the held one is due at once.
             overtaken.due = SimTime::ZERO;
         }
     }
 
-    /// Nothing acts on the link and nothing is on its way: messages need not be shown to it.
+    /// Whether the link has no active fault and no message in flight, so that messages can bypass it.
     pub fn is_idle(&self) -> bool {
         self.ailments.is_empty() && self.waiting.is_empty() && self.overtaken.is_none()
     }
 
-    /// A link of its own in the same state, for a branch of a session: the same faults with the same luck, and the
-    /// messages that are on their way, as `copy` makes second ones of them. What cannot be copied is lost on it.
+    /// Copy of the link for a branch of a session: the same faults with the same random state, and the messages in
+    /// flight, duplicated by `copy`. Messages that `copy` cannot duplicate are lost on the new link.
     pub fn fork(&self, copy: impl Fn(&M) -> Option<M>) -> Self {
         let mut lost = 0;
         let mut copied = |waiting: &Waiting<M>| {
@@ -134,12 +134,12 @@ impl<M: Message> LinkFaults<M> {
         Self { ailments: self.ailments.clone(), waiting, overtaken, counts }
     }
 
-    /// What has been done to messages so far.
+    /// Counts of affected messages so far.
     pub fn counts(&self) -> &LinkCounts {
         &self.counts
     }
 
-    /// A message is sent at `now`, which must not decrease. [`Self::due`] gives it back if it arrives.
+    /// Sends a message at `now`, which must not decrease. [`Self::due`] returns it if it arrives.
     pub fn send(&mut self, now: SimTime, message: M) {
         if self.ailments.iter().any(|ailment| ailment.kind == FaultKind::Partition)
             || self.strikes(FaultKind::Drop)
@@ -172,7 +172,7 @@ impl<M: Message> LinkFaults<M> {
         }
     }
 
-    /// The next message that has arrived by `now`; call it until it gives `None`.
+    /// The next message that has arrived by `now`; call it until it returns `None`.
     pub fn due(&mut self, now: SimTime) -> Option<M> {
         if let Some(Waiting { message, .. }) = self.overtaken.take_if(|overtaken| overtaken.due <= now) {
             self.line_up(now, message);
@@ -188,17 +188,17 @@ impl<M: Message> LinkFaults<M> {
         first.into_iter().chain(overtaken).min()
     }
 
-    /// How many messages are on their way.
+    /// Number of messages in flight.
     pub fn len(&self) -> usize {
         self.waiting.len() + usize::from(self.overtaken.is_some())
     }
 
-    /// Whether no message is on its way.
+    /// Whether no message is in flight.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Every fault of this kind gets its chance, so that one does not change the other's luck.
+    /// Draws for every fault of this kind, so that one fault does not change another's random stream.
     fn strikes(&mut self, kind: FaultKind) -> bool {
         let mut struck = false;
         for ailment in &mut self.ailments {
@@ -225,7 +225,7 @@ impl<M: Message> LinkFaults<M> {
         Some(message)
     }
 
-    /// How late a message is: of every delay its latency, spread evenly by its jitter.
+    /// Total delay of a message: each delay fault's latency plus uniform jitter.
     fn delay(&mut self) -> SimTime {
         let mut late = SimTime::ZERO;
         for ailment in self.ailments.iter_mut().filter(|ailment| ailment.kind == FaultKind::Delay) {
@@ -235,7 +235,7 @@ impl<M: Message> LinkFaults<M> {
         late
     }
 
-    /// Behind everybody who is on the way already: a link is one line.
+    /// Queues a message behind all messages in flight: a link is first-in, first-out.
     fn line_up(&mut self, due: SimTime, message: M) {
         if self.waiting.len() >= LINK_WAITING_MAX {
             self.counts.lost += 1;
@@ -280,7 +280,7 @@ mod tests {
         }
     }
 
-    /// One message per millisecond for a second; when each arrived \[ms\].
+    /// Sends one message per millisecond for a second; returns each arrival time \[ms\].
     fn second(link: &mut LinkFaults<Letter>) -> Vec<(u64, u64)> {
         let mut arrived = Vec::new();
         for ms in 0..1_500 {
@@ -343,7 +343,7 @@ mod tests {
         let arrived = second(&mut link);
         assert_eq!(arrived.len(), 1_000);
         let overtaken = arrived.windows(2).filter(|pair| pair[0].0 > pair[1].0).count() as u64;
-        // The last one may wait for nobody.
+        // The last message has no successor to overtake it.
         assert!(overtaken.abs_diff(link.counts().reordered) <= 1 && overtaken > 50, "{overtaken}");
         assert!(arrived.iter().all(|(number, at)| at - number <= 100));
     }

@@ -1,7 +1,7 @@
-//! Faults as data: a plan file, a schedule in simulated time, and what became of each fault.
+//! Fault injection as data: a plan file, a schedule in simulated time, and a log of each fault's outcome.
 //!
-//! The three parts know no threads and no clock. A driver (live or lock-step) asks the [`FaultSchedule`]
-//! what is due, does it at the seam concerned, and tells the [`FaultLog`] what it sees.
+//! The three parts use no threads and no clock. A driver (live or lock-step) asks the [`FaultSchedule`] for due orders,
+//! applies them at the component concerned, and reports what it observes to the [`FaultLog`].
 
 mod builder;
 mod link_faults;

@@ -1,4 +1,4 @@
-//! What became of each fault: injected → detected → restarted → resumed, and whether that is good enough.
+//! Outcome of each fault (injected → detected → restarted → resumed), and the check against the plan's expectations.
 
 use trocar_scene::SimTime;
 
@@ -8,28 +8,28 @@ use crate::spec::{FaultKind, FaultRecord, RECORDER};
 /// The life of one fault, in session time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultRow {
-    /// Its name in the plan.
+    /// The fault's id in the plan.
     pub id: String,
-    /// Whom it befell.
+    /// The fault's target.
     pub target: String,
-    /// What went wrong.
+    /// Kind of the fault.
     pub kind: FaultKind,
-    /// How long it was to last; `None` for one that strikes once, or lasts to the end.
+    /// Planned duration; `None` for an instant fault or one that lasts to the end.
     pub lasting: Option<SimTime>,
-    /// When it took effect.
+    /// Time of injection.
     pub injected: Option<SimTime>,
-    /// When it ended by itself.
+    /// Time at which it ended by itself.
     pub healed: Option<SimTime>,
-    /// When somebody noticed.
+    /// Time of detection.
     pub detected: Option<SimTime>,
-    /// When the target was started anew; never for faults that heal.
+    /// Time at which the target was restarted; `None` for faults that heal.
     pub restarted: Option<SimTime>,
-    /// When the target did good work again.
+    /// Time of the target's first good work after the fault.
     pub resumed: Option<SimTime>,
 }
 
 impl FaultRow {
-    /// From the moment at which nothing but recovery was left to do, to the first good work.
+    /// Recovery time: from the injection (or the healing, for faults that heal) to the first good work.
     pub fn recovery(&self) -> Option<SimTime> {
         let from = match (self.restarted, self.healed) {
             (None, Some(healed)) => healed,
@@ -38,7 +38,7 @@ impl FaultRow {
         Some(self.resumed?.since(from))
     }
 
-    /// Whether a session that ended at `ended` cut it off before its time was up.
+    /// Whether the session ended, at `ended`, before the fault's duration was over.
     fn is_cut_off(&self, ended: SimTime) -> bool {
         let until = self.injected.zip(self.lasting).map(|(from, span)| from + span);
         self.healed.is_none() && until.is_some_and(|until| until > ended)
@@ -64,7 +64,7 @@ impl FaultRow {
     }
 }
 
-/// Figures of a run that a plan's expectations are held against.
+/// Measured values of a run, compared with the plan's expectations.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Measured {
     /// Largest force at any driver after its clamp \[N\].
@@ -73,11 +73,11 @@ pub struct Measured {
     pub model_restarts: u64,
     /// Whether the exercise was completed.
     pub task_completed: bool,
-    /// When the run ended: a fault that it cut off is not held against it.
+    /// End of the run: faults that it cut off are not evaluated.
     pub ended: SimTime,
 }
 
-/// The rows of a plan, filled in as the driver sees things happen.
+/// Log with one row per fault of a plan, filled in from the driver's reports.
 ///
 /// Every report may come at any time and any number of times: only the first one after the injection
 /// counts, so a driver can report each good step without asking first.
@@ -104,12 +104,12 @@ impl FaultLog {
         Self { rows: plan.faults.iter().map(row).collect(), open: 0 }
     }
 
-    /// Whether any fault has begun and not yet been overcome. Cheap: ask before composing a report.
+    /// Whether any injected fault has not yet recovered. Cheap, so that drivers can check it before composing a report.
     pub fn is_open(&self) -> bool {
         self.open > 0
     }
 
-    /// Fault `index` of the plan has taken effect.
+    /// Records that fault `index` of the plan took effect.
     pub fn injected(&mut self, index: usize, now: SimTime) {
         if let Some(row) = self.rows.get_mut(index).filter(|row| row.injected.is_none()) {
             row.injected = Some(now);
@@ -117,14 +117,14 @@ impl FaultLog {
         }
     }
 
-    /// Fault `index` of the plan has ended by itself.
+    /// Records that fault `index` of the plan ended by itself.
     pub fn healed(&mut self, index: usize, now: SimTime) {
         if let Some(row) = self.rows.get_mut(index).filter(|row| row.begun()) {
             row.healed = Some(now);
         }
     }
 
-    /// A stall of the target ended by itself, before anybody replaced it.
+    /// Records that a stall of the target ended before the supervisor replaced it.
     pub fn stall_ended(&mut self, target: &str, now: SimTime) {
         if self.open > 0 {
             for row in self.begun(target).filter(|row| row.kind == FaultKind::Stall) {
@@ -133,8 +133,8 @@ impl FaultLog {
         }
     }
 
-    /// How a target that nobody restarts (a device, a disk) says that it is. When it is well again after a
-    /// fault that strikes once, that fault has ended by itself. The recorder's disk speaks only for itself.
+    /// Records the state that an unsupervised target (a device, a disk) reports. When it is sound again after an
+    /// instant fault, that fault has healed. The recorder's disk reports only faults of the disk.
     pub fn looked_at(&mut self, target: &str, sound: bool, now: SimTime) {
         if target == RECORDER {
             self.disk_looked_at(sound, now);
@@ -162,21 +162,21 @@ impl FaultLog {
         }
     }
 
-    /// Something is seen to be wrong with the target.
+    /// Records that a failure of the target was detected.
     pub fn detected(&mut self, target: &str, now: SimTime) {
         for row in self.begun(target).filter(|row| row.detected.is_none()) {
             row.detected = Some(now);
         }
     }
 
-    /// The target was started anew.
+    /// Records a restart of the target.
     pub fn restarted(&mut self, target: &str, now: SimTime) {
         for row in self.begun(target).filter(|row| row.detected.is_some() && row.restarted.is_none()) {
             row.restarted = Some(now);
         }
     }
 
-    /// The target did good work: its batch was applied, its sample was sound, its tick came on time.
+    /// Records good work of the target: its batch was applied, its sample was sound, its tick came on time.
     pub fn resumed(&mut self, target: &str, now: SimTime) {
         if self.open == 0 {
             return;
@@ -194,14 +194,14 @@ impl FaultLog {
         &self.rows
     }
 
-    /// What the target itself suffers from: a disk that is full is not mended by restarting who writes to it.
+    /// The target's own active faults: restarting the writer does not cure a full disk.
     fn begun(&mut self, target: &str) -> impl Iterator<Item = &mut FaultRow> {
         self.rows.iter_mut().filter(move |row| row.begun() && row.target == target && !row.kind.is_of_disk())
     }
 }
 
 impl Expect {
-    /// What was expected and did not happen, one sentence each; empty when all holds.
+    /// Failed expectations, one sentence each; empty when all hold.
     pub fn failures(&self, rows: &[FaultRow], measured: &Measured) -> Vec<String> {
         let mut failures = Vec::new();
         if let Some(limit) = self.recovery_secs_max {
@@ -249,7 +249,7 @@ fn recovery_failure(row: &FaultRow, limit: f64, ended: SimTime, failures: &mut V
             row.target,
             span.as_secs_f64()
         )),
-        // Cut off by the end of the run before its time was up: nothing can be said.
+        // The run ended before the fault did: no verdict is possible.
         None if row.is_cut_off(ended) => {}
         None if ended.since(row.healed.unwrap_or(injected)).as_secs_f64() < limit => {}
         None => failures.push(format!("fault '{}': '{}' never resumed", row.id, row.target)),

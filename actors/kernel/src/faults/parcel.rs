@@ -1,4 +1,4 @@
-//! A batch on its way from its writer to the Model, as links see it.
+//! A batch in flight from its writer to the Model, as the message type of faulty links.
 
 use trocar_scene::{Batch, Commands, SimTime};
 
@@ -11,8 +11,8 @@ pub(crate) struct Parcel {
     pub(crate) batch: Box<Batch>,
 }
 
-/// A second batch like this one, by way of its encoding, in `empty` buffers. Of one with preconditions there is none:
-/// they are no part of the encoding.
+/// Duplicates a batch through its encoding, into `empty` buffers. A batch with preconditions cannot be duplicated: the
+/// encoding does not contain them.
 pub(crate) fn second_of(batch: &Batch, empty: Commands) -> Option<Box<Batch>> {
     if batch.commands.error().is_some() || !batch.commands.conditions().is_empty() {
         return None;
@@ -34,7 +34,7 @@ fn read_back(batch: &Batch, bytes: &[u8], mut empty: Commands) -> Option<Box<Bat
 
 impl Message for Parcel {
     fn duplicate(&self) -> Option<Self> {
-        // Its buffers go to the writer in the end, who spawns through them.
+        // Its buffers return to the writer, which allocates entities from them.
         let batch = second_of(&self.batch, self.batch.commands.another())?;
         Some(Self { batch, ..*self })
     }
@@ -44,10 +44,10 @@ impl Message for Parcel {
         let mut bytes = sent.clone();
         noise(&mut bytes);
         if bytes == sent {
-            // Flips that undid each other. Preconditions, too, are still there.
+            // The flips cancelled each other: the batch and its preconditions are intact.
             return Some(self);
         }
-        // Should the checksum ever miss it, the Model's own checks are what is left.
+        // If the checksum misses the corruption, the Model's own checks remain.
         if crc32fast::hash(&bytes) != crc32fast::hash(&sent) {
             return None;
         }

@@ -1,4 +1,4 @@
-//! The fault plan: a TOML file, and its mirror in Rust.
+//! The fault plan: TOML file format and Rust type.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ const MAX_SECS: f64 = 1e6;
 /// Fastest slow disk, in bytes per second: beyond any disk.
 const MAX_BYTES_PER_SEC: f64 = 1e12;
 
-/// Whether a fault of this kind can end by itself, and so may have `for_secs`.
+/// Whether a fault of this kind can heal, and so may have `for_secs`.
 const fn can_heal(kind: FaultKind) -> bool {
     !matches!(kind, FaultKind::Kill)
 }
@@ -28,16 +28,16 @@ const fn takes_probability(kind: FaultKind) -> bool {
     matches!(kind, FaultKind::Drop | FaultKind::Duplicate | FaultKind::Reorder | FaultKind::Corrupt)
 }
 
-/// What must be going on for a fault to strike.
+/// Condition in the scene that a fault waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum During {
-    /// Some instrument holds something.
+    /// An instrument is grasping.
     Grasp,
 }
 
 impl During {
-    /// Whether it is going on in a scene.
+    /// Whether the condition holds in a scene.
     pub fn holds(self, scene: &Snapshot) -> bool {
         match self {
             Self::Grasp => scene.iter::<Grasp>().next().is_some(),
@@ -48,32 +48,32 @@ impl During {
 /// One fault of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec {
-    /// How the report names it; unique within the plan.
+    /// Id in the report; unique within the plan.
     pub id: String,
     /// When it begins.
     pub at: SimTime,
-    /// It waits from then on until this goes on.
+    /// From `at` on, the fault waits for this condition.
     pub during: Option<During>,
-    /// How long it lasts; `None` lasts until the end of the session (or until the supervisor mends it).
+    /// Duration; `None`: until the end of the session, or until the supervisor recovers the target.
     pub lasting: Option<SimTime>,
     /// Name of a controller, a device, `model`, `recorder`, `viewer` or a link.
     pub target: String,
     /// What goes wrong.
     pub kind: FaultKind,
-    /// [`FaultKind::Slow`]: by how much each step is longer.
+    /// [`FaultKind::Slow`]: extra time of each step.
     pub step: SimTime,
     /// [`FaultKind::Drop`], [`FaultKind::Duplicate`], [`FaultKind::Reorder`], [`FaultKind::Corrupt`]:
     /// share of messages concerned, 0 to 1.
     pub probability: f64,
-    /// [`FaultKind::Delay`]: by how much messages are later.
+    /// [`FaultKind::Delay`]: extra latency of messages.
     pub delay: SimTime,
-    /// [`FaultKind::Delay`]: by how much that varies, either way; at most the delay itself.
+    /// [`FaultKind::Delay`]: variation of the delay, ±; at most the delay itself.
     pub jitter: SimTime,
-    /// [`FaultKind::DiskSlow`]: what the disk takes [bytes/s].
+    /// [`FaultKind::DiskSlow`]: write rate of the disk [bytes/s].
     pub bytes_per_sec: f64,
 }
 
-/// What a run under faults must still achieve; a figure left out is not checked.
+/// What a run under faults must still achieve; omitted values are not checked.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expect {
@@ -88,7 +88,7 @@ pub struct Expect {
     pub task_completed: Option<bool>,
 }
 
-/// Faults, when they happen, and what must hold all the same.
+/// A fault plan: faults with their times, and the expectations that must still hold.
 ///
 /// ```
 /// use trocar_kernel::faults::{FaultPlan, secs};
@@ -99,11 +99,11 @@ pub struct Expect {
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
-    /// Seed of whatever is random in the faults.
+    /// Seed of all randomness of the faults.
     pub seed: u64,
     /// The faults in the order of the file.
     pub faults: Vec<FaultSpec>,
-    /// What must hold.
+    /// Expectations of the run.
     pub expect: Expect,
 }
 
@@ -134,12 +134,12 @@ pub enum FaultPlanError {
         /// Line, column, what is wrong and what is valid.
         message: String,
     },
-    /// Another version of the format.
+    /// An unsupported version of the format.
     #[error("{file}: schema = {found} is not known; this version reads schema = {SCHEMA}")]
     Schema {
         /// The file.
         file: String,
-        /// What it says.
+        /// The version found.
         found: u32,
     },
     /// More faults than allowed.
@@ -147,10 +147,10 @@ pub enum FaultPlanError {
     TooMany {
         /// The file.
         file: String,
-        /// How many it has.
+        /// The number found.
         found: usize,
     },
-    /// A value that makes no sense.
+    /// A value out of its valid range.
     #[error("{file}: fault '{id}': {key}: {problem}")]
     Value {
         /// The file.
@@ -162,7 +162,7 @@ pub enum FaultPlanError {
         /// What is wrong and what is valid.
         problem: String,
     },
-    /// Nothing in the session has this name.
+    /// No target of the session has this name.
     #[error("fault '{id}': unknown target '{target}'; targets are: {valid}")]
     UnknownTarget {
         /// The fault.
@@ -172,14 +172,14 @@ pub enum FaultPlanError {
         /// The names that exist.
         valid: String,
     },
-    /// The target cannot fail in this way.
+    /// The target does not support this kind of fault.
     #[error("fault '{id}': '{target}' is a {class} and cannot have '{kind}'; a {class} can have: {valid}")]
     KindNotApplicable {
         /// The fault.
         id: String,
         /// The target.
         target: String,
-        /// What the target is.
+        /// Class of the target.
         class: &'static str,
         /// The kind given.
         kind: FaultKind,
@@ -223,7 +223,7 @@ impl FaultPlan {
         Self { seed, ..Self::default() }
     }
 
-    /// Sets what must hold.
+    /// Sets the expectations.
     pub fn expecting(mut self, expect: Expect) -> Self {
         self.expect = expect;
         self

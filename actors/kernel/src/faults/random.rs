@@ -1,7 +1,7 @@
-//! Randomness of faults: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
-//! 2014). Small, and the same on every machine.
+//! Random numbers of faults: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
+//! 2014). Small and platform-independent.
 
-/// A stream of numbers that its seed decides.
+/// A random stream from a seed.
 #[derive(Clone, Debug)]
 pub(crate) struct SplitMix64(u64);
 
@@ -22,7 +22,7 @@ impl SplitMix64 {
         (self.next() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Uniform in 0..`count`; 0 of none.
+    /// Uniform in 0..`count`; 0 when `count` is 0.
     pub(crate) fn below(&mut self, count: u64) -> u64 {
         self.next() % count.max(1)
     }

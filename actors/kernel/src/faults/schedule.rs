@@ -1,4 +1,4 @@
-//! When each fault of a plan begins and ends: `due(now) → orders`.
+//! Fault schedule: begin and end orders of a plan's faults, as `due(now) → orders`.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use trocar_scene::{SimTime, Snapshot};
 use super::plan::{During, FaultPlan, FaultPlanError, FaultSpec, seed_of};
 use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER, VIEWER};
 
-/// What a target is, and so how it can fail.
+/// Class of a fault target, which determines the applicable faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TargetClass {
-    /// A controller with its handle, and the link from there to the Model.
+    /// A controller with its handle and its link to the Model.
     Controller,
     /// A device and its driver.
     Device,
@@ -25,7 +25,7 @@ pub enum TargetClass {
 }
 
 impl TargetClass {
-    /// How messages call it.
+    /// Name in messages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Controller => "controller",
@@ -37,7 +37,7 @@ impl TargetClass {
         }
     }
 
-    /// What a target that takes faults itself is, by its name: `recorder`, `viewer`, `network.…`, or else a device.
+    /// Class of a fault sink by its name: `recorder`, `viewer`, `network.…`, or else a device.
     pub fn of_sink(name: &str) -> Self {
         match name {
             RECORDER => Self::Recorder,
@@ -47,7 +47,7 @@ impl TargetClass {
         }
     }
 
-    /// The faults that can befall it.
+    /// The kinds of fault that apply to it.
     pub const fn kinds(self) -> &'static [FaultKind] {
         use FaultKind as K;
         match self {
@@ -67,19 +67,19 @@ impl TargetClass {
             Self::Device => &[K::Kill, K::Stall, K::Unplug, K::Nan],
             Self::Model => &[K::Kill, K::Stall],
             Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull, K::DiskSlow],
-            // Unplugged is what it draws with.
+            // For a viewer, `unplug` takes away the graphics device.
             Self::Viewer => &[K::Kill, K::Unplug],
             Self::Link => &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition],
         }
     }
 }
 
-/// Everything in a session that faults can be aimed at.
+/// All fault targets of a session.
 #[derive(Clone, Debug, Default)]
 pub struct Targets(BTreeMap<String, TargetClass>);
 
 impl Targets {
-    /// The Model, and nothing else yet.
+    /// Targets with the Model only.
     pub fn new() -> Self {
         Self::default().with(MODEL, TargetClass::Model)
     }
@@ -89,13 +89,13 @@ impl Targets {
         self.0.insert(name.to_owned(), class);
         self
     }
-    /// What a name stands for.
+    /// Class of the target of this name.
     pub fn class(&self, name: &str) -> Option<TargetClass> {
         self.0.get(name).copied()
     }
 }
 
-/// A fault that waits for something to go on.
+/// A fault that waits for its condition.
 #[derive(Clone, Debug)]
 struct Waiting {
     from: SimTime,
@@ -104,10 +104,10 @@ struct Waiting {
     lasting: Option<SimTime>,
 }
 
-/// The orders of a plan in the order of their time.
+/// The orders of a plan, sorted by time.
 #[derive(Clone, Debug, Default)]
 pub struct FaultSchedule {
-    /// Sorted by time; those that were given stand at the front.
+    /// Sorted by time; orders already given are at the front.
     orders: Vec<(SimTime, FaultOrder)>,
     next: usize,
     waiting: Vec<Waiting>,
@@ -141,7 +141,7 @@ impl FaultSchedule {
                 });
             }
             let begin = order(plan.seed, index, fault);
-            // A stall carries its length with it, a kill has none: neither needs an order to end.
+            // A stall carries its length with it, a kill has none: neither needs an end order.
             let lasting = fault.lasting.filter(|_| !fault.kind.is_instant());
             if let Some(during) = fault.during {
                 waiting.push(Waiting { from: fault.at, during, begin, lasting });
@@ -156,8 +156,8 @@ impl FaultSchedule {
         Ok(Self { orders, next: 0, waiting })
     }
 
-    /// Goes on at `now` in a session that has come so far without this schedule: what had struck and was over is
-    /// left out, what lasts begins at once. What waits for something goes on waiting.
+    /// Starts the schedule at `now` in a running session: faults that are already over are skipped, lasting faults
+    /// begin at once, and conditional faults keep waiting.
     pub fn skip_to(&mut self, now: SimTime) {
         let lasts: Vec<u32> = self
             .orders
@@ -174,22 +174,22 @@ impl FaultSchedule {
         self.next = 0;
     }
 
-    /// When the next order is due; `None` when all are given or wait for something.
+    /// Time of the next order; `None` when all were given or wait for a condition.
     pub fn next_at(&self) -> Option<SimTime> {
         self.orders.get(self.next).map(|(at, _)| *at)
     }
 
-    /// Whether some fault may strike at any moment from `now` on: look often.
+    /// Whether a conditional fault may strike at any time from `now` on, so that the driver must poll often.
     pub fn is_waiting(&self, now: SimTime) -> bool {
         self.waiting.iter().any(|waiting| waiting.from <= now)
     }
 
-    /// When the first of those that wait begins to.
+    /// Time from which the first conditional fault waits.
     pub fn next_waiting(&self) -> Option<SimTime> {
         self.waiting.iter().map(|waiting| waiting.from).min()
     }
 
-    /// The next order that is due at `now`, in the scene as it is; call it until it gives `None`.
+    /// The next order that is due at `now`, given the current scene; call it until it returns `None`.
     pub fn due(&mut self, now: SimTime, scene: &Snapshot) -> Option<FaultOrder> {
         let met = |waiting: &Waiting| waiting.from <= now && waiting.during.holds(scene);
         if let Some(at) = self.waiting.iter().position(met) {
@@ -208,7 +208,7 @@ impl FaultSchedule {
     }
 }
 
-/// Where an order stands: ends first, so that of two faults back to back the later one stays.
+/// Sort key of an order: at equal times ends come first, so that of two adjacent faults the later one stays active.
 fn place((at, order): &(SimTime, FaultOrder)) -> (SimTime, bool, u32) {
     (*at, order.begins, order.index)
 }
@@ -217,7 +217,7 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
     let span = match fault.kind {
         FaultKind::Slow => fault.step,
         FaultKind::Delay => fault.delay,
-        // A stall that nobody ends lasts for ever; the supervisor replaces the thread.
+        // A stall without a duration lasts for ever; the supervisor replaces the thread.
         FaultKind::Stall => fault.lasting.unwrap_or(SimTime(u64::MAX)),
         _ => SimTime::ZERO,
     };
@@ -279,7 +279,7 @@ mod tests {
         assert_eq!(schedule.next_at(), None);
     }
 
-    /// A scene in which nothing is held, and one in which something is.
+    /// A scene without a grasp, and one with a grasp.
     fn scenes() -> (Snapshot, Snapshot) {
         let mut registry = RegistryBuilder::new();
         trocar_scene::components::register(&mut registry).expect("distinct names");

@@ -1,9 +1,8 @@
-//! Plain actix actors in a live session: each with a thread and an actix system of its own, built again when it
-//! dies, ended with the session.
+//! Plain actix actors in a live session: each with its own thread and actix system, rebuilt when it dies, ended with
+//! the session.
 //!
-//! actix forgets an actor that panics. Here somebody looks, and builds the next one, from the scene as it is
-//! then. What an actor does on its thread, be it an endless loop, concerns nobody else: to the Model it is a
-//! [`Guest`].
+//! actix drops an actor that panics. Here a monitor thread rebuilds it from the current scene. An actor that blocks its
+//! thread, even in an endless loop, affects no other thread: to the Model it is a [`Guest`].
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -17,15 +16,15 @@ use super::guest::{Guest, Invitation};
 use super::shared::lock;
 use crate::runtime::{guarded, panics};
 
-/// How often it is looked whether an actor still lives, and whether its session does.
+/// Period of the check that an actor and its session are still alive.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
-/// After this many restarts within [`RESTART_WINDOW`] an actor is given up.
+/// An actor is given up after this many restarts within [`RESTART_WINDOW`].
 const RESTARTS_MAX: usize = 5;
 /// See [`RESTARTS_MAX`].
 const RESTART_WINDOW: Duration = Duration::from_secs(10);
 /// Pause before the first restart; doubled with each further one within the window.
 const BACKOFF: Duration = Duration::from_millis(20);
-/// Longest wait for an actor's thread when it shall end.
+/// Longest wait for an actor's thread to end.
 const END_MAX: Duration = Duration::from_millis(100);
 
 /// An actor that takes part in a session. Dropping it ends the actor.
@@ -45,7 +44,7 @@ struct Seat {
 }
 
 impl HostedActor {
-    /// Starts a thread on which `build` makes the actor, at the start and whenever it has died.
+    /// Starts a thread on which `build` makes the actor, at the start and after each death.
     pub(super) fn start<A>(
         invitation: Invitation,
         build: impl Fn(Guest) -> A + Send + 'static,
@@ -53,7 +52,7 @@ impl HostedActor {
     where
         A: Actor<Context = Context<A>>,
     {
-        // Here, so that a contradiction is an error of whoever starts it.
+        // Declared here, so that an access conflict is returned to the caller.
         let first = invitation.accept()?;
         let (name, seat) = (invitation.name.clone(), Arc::new(Seat::default()));
         let given = seat.clone();
@@ -70,23 +69,23 @@ impl HostedActor {
     pub fn name(&self) -> &str {
         &self.name
     }
-    /// Whether it is there to be spoken to.
+    /// Whether it is alive and takes messages.
     pub fn is_alive(&self) -> bool {
         self.seat.alive.load(Ordering::Relaxed)
     }
-    /// How often it had to be built again.
+    /// Number of restarts.
     pub fn restarts(&self) -> u32 {
         self.seat.restarts.load(Ordering::Relaxed)
     }
-    /// Why nobody builds it again, if that is so.
+    /// Why it is no longer restarted, if it was given up.
     pub fn given_up(&self) -> Option<String> {
         lock(&self.seat.given_up).clone()
     }
-    /// Asks it to end and does not wait.
+    /// Asks it to end, without waiting.
     pub fn ask_to_end(&self) {
         self.seat.stop.store(true, Ordering::Relaxed);
     }
-    /// Ends it; `false` when it hangs and its thread had to be left behind.
+    /// Ends it; `false` when it hangs and its thread was abandoned.
     pub fn end(mut self) -> bool {
         self.finish()
     }
@@ -101,7 +100,7 @@ impl HostedActor {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
-        // What it died of has been noted on its seat.
+        // The cause of its death is recorded on its seat.
         let _ = thread.join();
         true
     }
@@ -113,7 +112,7 @@ impl Drop for HostedActor {
     }
 }
 
-/// One life after the other, until the session ends or the actor fails too often.
+/// Runs one life after the other, until the session ends or the actor fails too often.
 fn run<A>(invitation: &Invitation, first: Guest, build: &dyn Fn(Guest) -> A, seat: &Seat)
 where
     A: Actor<Context = Context<A>>,

@@ -1,9 +1,9 @@
-//! Guests: those who take part in a live session without being ticked, such as a console, a viewer, a device's
-//! own program, or a plain actix actor.
+//! Guests: participants of a live session that are not ticked, such as a console, a viewer, a device's own program, or
+//! a plain actix actor.
 //!
-//! A guest reads the latest snapshot and sends batches through a ring of its own, like a controller. It cannot
-//! slow anybody down: reading is loading a pointer, a full ring refuses its own batch, and the Model drains all
-//! rings in turn.
+//! A guest reads the latest snapshot and sends batches through a ring of its own, like a controller. It cannot delay
+//! others: reading is loading a pointer, a full ring refuses the guest's own batch, and the Model drains all rings
+//! round-robin.
 
 use std::fmt;
 use std::sync::Arc;
@@ -20,10 +20,10 @@ use super::shared::Shared;
 use crate::handle::{LaneStatus, Submitted, WriterHandle};
 use crate::token_bucket::FlowLimit;
 
-/// Longest wait for the Model's answer to somebody who introduces himself.
+/// Longest wait for the Model's answer to a guest's declaration.
 const ANSWER_MAX: Duration = Duration::from_secs(1);
 
-/// Who a guest is: what it keeps through all its lives.
+/// Identity of a guest, which it keeps through all its lives.
 #[derive(Clone)]
 pub(super) struct Invitation {
     pub(super) shared: Arc<Shared>,
@@ -34,7 +34,7 @@ pub(super) struct Invitation {
 }
 
 impl Invitation {
-    /// Introduces the guest and waits for the Model's answer, at most a second.
+    /// Declares the guest and waits for the Model's answer, at most a second.
     pub(super) fn accept(&self) -> Result<Guest, LiveError> {
         let refused = |reason: String| LiveError::Controller { name: self.name.clone(), reason };
         let mut answer = self.shared.introduce(&self.name, self.id, &self.access);
@@ -61,10 +61,10 @@ impl Invitation {
     }
 }
 
-/// Takes part in a live session without being ticked: reads the latest snapshot, and sends batches through a ring of
-/// its own. It can slow nobody down: reading is loading a pointer, and a full ring refuses its own batch only.
+/// A participant of a live session that is not ticked: it reads the latest snapshot, and sends batches through its own
+/// ring. It cannot delay others: reading is loading a pointer, and a full ring refuses only its own batch.
 ///
-/// It outlives a Model that died or had to be left behind: the next one knows it.
+/// It stays valid when the Model is replaced: the next Model knows it.
 pub struct Guest {
     invitation: Invitation,
     handle: WriterHandle,
@@ -79,7 +79,7 @@ impl Guest {
     pub fn name(&self) -> &str {
         &self.invitation.name
     }
-    /// Its own entity, for what it has to remember.
+    /// Its own entity, for its own components.
     pub fn me(&self) -> Entity {
         Entity::of_writer(self.invitation.shared.station, self.invitation.id.0)
     }
@@ -87,21 +87,21 @@ impl Guest {
     pub fn now(&self) -> SimTime {
         self.invitation.shared.clock.now()
     }
-    /// Whether the session has ended; nothing that is sent from then on arrives.
+    /// Whether the session has ended; later batches do not arrive.
     pub fn has_ended(&self) -> bool {
         self.invitation.shared.over.load(Ordering::Relaxed)
     }
-    /// The latest snapshot. Loads a pointer; to keep one for long keeps its memory.
+    /// The latest snapshot. Only loads a pointer; holding it keeps its memory alive.
     pub fn snapshot(&self) -> Arc<Snapshot> {
         self.invitation.shared.published.load_full()
     }
-    /// Batches that found the ring full.
+    /// Number of batches refused because the ring was full.
     pub fn dropped(&self) -> u64 {
         self.status.dropped()
     }
 
-    /// What happened since the last call (since it joined, in the first), oldest first. The log is bounded: who
-    /// does not ask for the span of some 4,096 events misses the oldest.
+    /// Events since the last call (the first time: since it joined), oldest first. The log holds about 4,096 events; a
+    /// guest that calls too rarely misses the oldest.
     pub fn events(&mut self) -> Vec<Event> {
         let scene = self.invitation.shared.published.load();
         let events = scene.events().since(self.seen).map(|(_, event)| event.clone()).collect();
@@ -109,11 +109,11 @@ impl Guest {
         events
     }
 
-    /// Sends one batch: `command` sees the latest snapshot and fills the commands, which the Model applies as a
-    /// whole or not at all. Never waits: [`Submitted::Dropped`] means that the ring is full.
+    /// Sends one batch: `command` sees the latest snapshot and fills the commands, which the Model applies as a whole
+    /// or not at all. Never blocks: [`Submitted::Dropped`] means that the ring is full.
     ///
     /// # Errors
-    /// The first command that is wrong in itself, such as a number that is not finite; nothing is sent then.
+    /// The first invalid command, such as one with a non-finite number; nothing is sent then.
     pub fn write(
         &mut self,
         command: impl FnOnce(&Snapshot, &mut Commands),
@@ -128,7 +128,7 @@ impl Guest {
         Ok(self.handle.submit(self.batches, now, scene.revision()))
     }
 
-    /// Its bare way to the Model, for measurements.
+    /// Its plain writer handle, for measurements.
     pub fn into_handle(self) -> WriterHandle {
         self.handle
     }

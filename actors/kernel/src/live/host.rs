@@ -1,5 +1,5 @@
-//! The host of a controller: an actix actor with an arbiter of its own. Lives through its controller's
-//! panics, errors and restarts; only a stall takes its thread with it.
+//! Host of a controller: an actix actor on its own arbiter. It survives its controller's panics, errors and restarts;
+//! only a stall costs its thread.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -20,7 +20,7 @@ const LATE_WINDOW: u32 = 128;
 /// Late or missed ticks within the window that make a controller late.
 const LATE_MAX: u64 = 8;
 
-/// Begin a life.
+/// Message that begins a life.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(super) struct Live(pub(super) Arc<Life>);
@@ -98,7 +98,7 @@ async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
     drop_after(body.controller, cause)
 }
 
-/// The first tick of a session is the next one of the schedule; a later life goes on where the last stood.
+/// The first tick of a session is the next one of the schedule; a later life continues where the last one stopped.
 fn schedule(shared: &Shared, writer: &Writer, life: &Life) -> Schedule {
     let (phase, period) = (writer.spec.phase, writer.spec.period());
     let now = shared.clock.now();
@@ -140,7 +140,7 @@ fn drop_after(controller: Box<dyn Controller>, cause: Cause) -> Cause {
     }
 }
 
-/// An injected stall: a step that does not end, until its time is up or nobody is left to care.
+/// An injected stall: blocks until its duration is over, the life is abandoned or the session ends.
 pub(super) fn stall(shared: &Shared, span: SimTime) {
     let begun = shared.clock.now();
     while shared.clock.now().since(begun) < span && !shared.over.load(Ordering::Relaxed) {
@@ -203,7 +203,7 @@ impl Body<'_> {
             };
             let ended = self.shared.clock.now();
             self.life.bump(ended);
-            // After the beat: who saw it the other way round would take a long first step for a stall.
+            // Set after the beat: in the other order the watchdog would take a long first step for a stall.
             if !held {
                 self.life.settled.store(true, Ordering::Release);
             }
@@ -213,7 +213,7 @@ impl Body<'_> {
             let step = ended.since(begun);
             let lateness = begun.since(due.at);
             if let Err(cause) = outcome {
-                // The next life begins with the tick that this one died in, rather than wait for another.
+                // The next life repeats the tick in which this one died, instead of waiting for another.
                 self.writer.next_tick.store(due.number, Ordering::Relaxed);
                 return cause;
             }
@@ -229,7 +229,8 @@ impl Body<'_> {
                 Verdict::Keep => {}
                 Verdict::StopSpinning => ticker.set_spinning(false),
                 Verdict::Spin => ticker.set_spinning(true),
-                // It goes on without, and the report says so. Who had no such priority loses none.
+                // The controller continues without real-time priority, and the report shows it. Only a thread that had
+                // the priority is demoted.
                 Verdict::Demote => {
                     if sched::is_real_time() && sched::normal_current().is_ok() {
                         stats.demoted();
@@ -239,7 +240,7 @@ impl Body<'_> {
         }
     }
 
-    /// No ticks until the session goes on, or this life ends.
+    /// Waits without ticks until the session resumes or this life ends.
     async fn rest(&self, ticker: &mut Ticker) -> std::io::Result<()> {
         self.life.at_rest.store(true, Ordering::Release);
         let mut outcome = Ok(());
@@ -247,7 +248,7 @@ impl Body<'_> {
             outcome = ticker.rest().await;
         }
         ticker.skip_to_now();
-        // From here on the watchdog looks again: a beat tells it that this life has just begun to work.
+        // The watchdog checks again from here on; the beat restarts its limit.
         let now = self.shared.clock.now();
         self.life.bump(now);
         self.life.bump(now);
@@ -255,7 +256,7 @@ impl Body<'_> {
         outcome
     }
 
-    /// One step, from the snapshot to the ring. Once warmed it allocates nothing of its own.
+    /// One step, from the snapshot to the ring. After warm-up it allocates nothing of its own.
     fn step(&mut self, due: Due) -> Result<(), Cause> {
         let seam = &self.writer.seat.seam;
         if seam.take_kill() {

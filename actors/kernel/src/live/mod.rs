@@ -1,8 +1,8 @@
 //! The live driver: real time, one thread per controller, actix underneath.
 //!
-//! [`LiveSession::start`] takes the same [`SessionSpec`] as lock-step. Nobody in here waits for anybody: a
-//! controller reads the latest snapshot, pushes its batch into its ring and goes on; the Model drains the
-//! rings and publishes; a watchdog sees who hangs; the supervisor replaces who fails.
+//! [`LiveSession::start`] takes the same [`SessionSpec`] as lock-step. No thread blocks another: a controller reads the
+//! latest snapshot, pushes its batch into its ring and continues; the Model drains the rings and publishes; a watchdog
+//! detects hanging threads; the supervisor replaces failed ones.
 
 mod actors;
 mod guest;
@@ -45,7 +45,7 @@ pub use actors::HostedActor;
 pub use guest::Guest;
 pub use operator::{OPERATORS_MAX, Operator};
 
-/// Longest wait for a session to end; beyond it the forces are set to zero from here and it is left behind.
+/// Longest wait for a session to end; after it this thread sets the forces to zero and abandons the session.
 pub const STOP_MAX: Duration = Duration::from_millis(1_900);
 /// Batches of an actor that may wait for the Model.
 const ACTOR_CAPACITY: usize = 64;
@@ -57,7 +57,7 @@ const MESSAGES_MAX: usize = 256;
 /// Why a session did not start.
 #[derive(Debug, Error)]
 pub enum LiveError {
-    /// Two controllers of one name or number, or a rate that is none.
+    /// Two controllers with one name or number, or an invalid rate.
     #[error("controller '{name}': {reason}")]
     Controller {
         /// Which one.
@@ -65,7 +65,7 @@ pub enum LiveError {
         /// What is wrong.
         reason: String,
     },
-    /// A tree that makes no sense, or whose children are not those of the session.
+    /// An invalid tree, or one whose children are not those of the session.
     #[error(transparent)]
     Tree(#[from] TreeError),
     /// A fault plan that does not fit the session.
@@ -88,14 +88,14 @@ pub struct LiveSession {
     board: Arc<Board>,
     tree: Arc<GroupSpec>,
     zero_forces: Vec<crate::spec::ZeroForces>,
-    /// In the order of the session, which is not that of the ids.
+    /// Indices in the order of the session, which differs from the order of ids.
     order: Vec<usize>,
     begun: Instant,
     stopped: bool,
 }
 
 impl LiveSession {
-    /// Starts everything and returns when every child runs.
+    /// Starts the session and returns when every child runs.
     ///
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
@@ -111,7 +111,7 @@ impl LiveSession {
         Self::start_on(spec, Clock::since(origin))
     }
 
-    /// Like [`Self::start_at`], with the clock that the session goes by: device drivers stand still with it.
+    /// Like [`Self::start_at`], with the session's clock, which device drivers share and which pauses them as well.
     ///
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
@@ -209,7 +209,7 @@ impl LiveSession {
     pub fn snapshot(&self) -> Arc<Snapshot> {
         self.shared.published.load_full()
     }
-    /// Where the latest snapshot always is: for viewers and other readers on threads of their own.
+    /// Shared pointer to the latest snapshot, for viewers and other readers on their own threads.
     pub fn snapshots(&self) -> Arc<ArcSwap<Snapshot>> {
         self.shared.published.clone()
     }
@@ -235,7 +235,7 @@ impl LiveSession {
             })
             .collect()
     }
-    /// The Model's row: it has no rate; its ticks are the passes that it was woken for.
+    /// The Model's row: it has no rate; its ticks are its wake-ups.
     pub fn model_stats(&self) -> ControllerReport {
         self.shared.model.stats.report(self.elapsed())
     }
@@ -251,11 +251,11 @@ impl LiveSession {
     pub fn tree(&self) -> &Arc<GroupSpec> {
         &self.tree
     }
-    /// How every child is, by name.
+    /// Health of every child, by name.
     pub fn health(&self) -> Vec<(String, Health)> {
         lock(&self.board.status).health.iter().map(|(name, health)| (name.clone(), *health)).collect()
     }
-    /// How one child is.
+    /// Health of one child.
     pub fn health_of(&self, name: &str) -> Option<Health> {
         lock(&self.board.status).health.get(name).copied()
     }
@@ -276,16 +276,16 @@ impl LiveSession {
     pub fn inject(&self, order: FaultOrder) {
         let _ = self.shared.reports.try_send(Report::Inject(order));
     }
-    /// Pauses a controller or lets it go on; `false` when there is none of that name.
+    /// Pauses or resumes a controller; `false` when there is none of that name.
     pub fn hold(&self, name: &str, held: bool) -> bool {
         let seat = self.shared.writers.iter().map(|writer| &writer.seat).find(|seat| seat.name == name);
         seat.is_some_and(|seat| self.shared.reports.try_send(Report::Hold(seat.child, held)).is_ok())
     }
-    /// Whether it has ended, by itself or otherwise.
+    /// Whether the session has ended.
     pub fn has_ended(&self) -> bool {
         lock(&self.board.status).ended.is_some()
     }
-    /// Waits until it has ended, at most `limit`; tells whether it has.
+    /// Waits for the end of the session, at most `limit`; returns whether it has ended.
     pub fn wait(&self, limit: Duration) -> bool {
         let until = Instant::now() + limit;
         let mut status = lock(&self.board.status);
@@ -302,9 +302,8 @@ impl LiveSession {
         true
     }
 
-    /// Lets somebody take part who is no controller: a console, a viewer, a measurement. A guest is neither
-    /// ticked nor supervised, and has no flow limit but its ring. `capacity` is how many of its batches may wait for
-    /// the Model.
+    /// Adds a participant that is no controller: a console, a viewer, a measurement. A guest is neither ticked nor
+    /// supervised, and has no flow limit but its ring. `capacity` is how many of its batches may wait for the Model.
     ///
     /// # Errors
     /// When the name or number is taken, the access overlaps with others', or the Model does not answer.
@@ -318,8 +317,8 @@ impl LiveSession {
         self.invitation(name, id, access, capacity).accept()
     }
 
-    /// Lets a plain actix actor take part, on a thread and in an actix system of its own. `build` makes it from
-    /// the guest that it acts through, at the start and whenever it has died; it ends with the session.
+    /// Adds a plain actix actor, on its own thread and actix system. `build` makes it from its guest handle, at the
+    /// start and after each death; it ends with the session.
     ///
     /// # Errors
     /// As [`Self::guest`], and when the system gives no thread.
@@ -341,8 +340,8 @@ impl LiveSession {
         Invitation { shared, name, id, access, capacity }
     }
 
-    /// A way to write whatever one likes into the running session, from any thread: for a researcher's
-    /// program, a tuning panel, a console. See [`Operator::apply`].
+    /// A handle that may write any row of the running session, from any thread: for a researcher's program, a tuning
+    /// panel, a console. See [`Operator::apply`].
     ///
     /// # Errors
     /// [`OperatorError::TooMany`] when [`OPERATORS_MAX`] of them exist.
@@ -350,7 +349,7 @@ impl LiveSession {
         Operator::new(self.shared.clone())
     }
 
-    /// Ends the session within two seconds, whatever hangs: forces to zero first, controllers, Model,
+    /// Ends the session within two seconds, even if threads hang: first forces to zero, then controllers, Model,
     /// recording. `code` is the exit code unless the supervisor has given up before.
     pub fn stop(mut self, code: i32) -> SessionOutcome {
         self.end(code);
@@ -385,7 +384,7 @@ impl LiveSession {
         }
     }
 
-    /// The faults of the plan as they stand; complete after the end.
+    /// The faults of the plan so far; complete after the end.
     pub fn faults(&self) -> Vec<FaultRow> {
         lock(&self.board.status).faults.clone()
     }
@@ -395,7 +394,7 @@ impl LiveSession {
             return;
         }
         self.stopped = true;
-        // Limits of time count for the end as well.
+        // Time limits apply to the end as well.
         self.shared.clock.go_on();
         let asked = self.shared.reports.try_send(Report::Event(Event::ShutdownRequested { code })).is_ok();
         let ended = if asked { self.wait(STOP_MAX) } else { self.has_ended() };
@@ -515,7 +514,7 @@ fn share(
     }))
 }
 
-/// The actix system on a thread of its own: the main thread belongs to whoever has a window.
+/// Starts the actix system on its own thread: the main thread belongs to the windows.
 fn start_system() -> Result<System, LiveError> {
     let (send, receive) = sync_channel(1);
     std::thread::Builder::new().name("trocar-system".into()).spawn(move || {
@@ -528,7 +527,7 @@ fn start_system() -> Result<System, LiveError> {
     receive.recv().map_err(|_| LiveError::Start("the actor system did not start".to_owned()))
 }
 
-/// A thread that prints: nobody else in the session does.
+/// Starts the log thread, the only one of the session that prints.
 fn start_log() -> Result<SyncSender<String>, LiveError> {
     let (send, receive) = sync_channel::<String>(MESSAGES_MAX);
     std::thread::Builder::new().name("trocar-log".into()).spawn(move || {

@@ -21,13 +21,13 @@ use crate::snapshot_reclaimer::Retired;
 use crate::state_hash::StateHash;
 use crate::supervision::{Cause, Event};
 
-/// Retired snapshots kept for their readers before the reaper gets them.
+/// Retired snapshots kept for their readers before the reclaimer frees them.
 const RETIRED_MAX: usize = 64;
-/// How often, and after which pause, a published scene is looked at for its hash.
+/// Number of polls, and the pause between them, for the hash of a published scene.
 const HASH_TRIES: u32 = 200;
 const HASH_PAUSE: Duration = Duration::from_micros(100);
 
-/// Somebody rang.
+/// The doorbell rang.
 pub(super) struct Rung;
 
 /// The doorbell as a stream; polling it allocates nothing.
@@ -50,7 +50,7 @@ impl Stream for Bell {
     }
 }
 
-/// Begin a life.
+/// Message that begins a life.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub(super) struct Live(pub(super) Arc<Life>);
@@ -67,11 +67,11 @@ struct Desk {
 pub(super) struct ModelActor {
     shared: Arc<Shared>,
     life: Option<Arc<Life>>,
-    /// Survives panics: the core falls back to what it published last.
+    /// Survives panics: the core rolls back to the last published state.
     desk: Option<Desk>,
-    /// The core of a new Model, made before its thread.
+    /// The core of a new Model, built before its thread.
     first: Option<ModelCore>,
-    /// Whose batch is being applied, where it came in, and its tick.
+    /// Writer, lane and tick of the batch being applied.
     culprit: Option<(WriterId, LaneIndex, u64)>,
     resumed: bool,
 }
@@ -93,7 +93,7 @@ impl ModelActor {
                 desk.lanes.answer(lane, Receipt { tick, outcome: None });
             }
             if let Some(index) = culprit.and_then(|(id, ..)| self.shared.writer_index(id)) {
-                // The batch that killed it is not tried again.
+                // The batch that caused the panic is not retried.
                 let writer = &self.shared.writers[index];
                 writer.seat.stats.rejected();
                 writer.taken.store(0, Ordering::Relaxed);
@@ -103,25 +103,26 @@ impl ModelActor {
             }
             return Ok(());
         }
-        // A predecessor that was left behind takes no batch any more.
+        // An abandoned predecessor takes no more batches.
         let lanes = self.shared.intake.take();
         let retired = Retired::new(RETIRED_MAX).map_err(|error| error.to_string())?;
         let (mut core, mut from) = match self.first.take() {
             Some(core) => (core, self.shared.published.load_full()),
             None => {
-                // What waits in the rings is ours now; what it had taken out of them and not published is gone.
+                // Batches waiting in the rings are ours now; batches that the predecessor took and did not publish are
+                // lost.
                 self.shared.writers.iter().for_each(|writer| writer.lose_unpublished());
                 self.rebuild()?
             }
         };
         let mut desk = loop {
-            // Takes the place of what an abandoned Model published, so that it can publish nothing any more.
+            // Replaces the snapshot published by an abandoned Model, so that it can publish nothing more.
             let snapshot = core.publish();
             let before = self.shared.published.compare_and_swap(&from, snapshot.clone());
             if Arc::ptr_eq(&before, &from) {
                 break Desk { core, lanes, retired, spare: CommitBuffer::new(), last: snapshot };
             }
-            // Its last words came while we were reading the ones before.
+            // The predecessor published once more while we read its previous state.
             (core, from) = self.rebuild()?;
         };
         desk.core.keep_commits(self.shared.has_sink);
@@ -130,13 +131,13 @@ impl ModelActor {
         Ok(())
     }
 
-    /// A core for a Model whose predecessor is out of reach, from what everybody can see; and what that is.
+    /// Builds a core from the last published state when the predecessor is unreachable; returns that snapshot as well.
     fn rebuild(&self) -> Result<(ModelCore, Arc<Snapshot>), String> {
         let (scene, head) = self.published()?;
         let mut core = ModelCore::new(Store::from_snapshot(&scene), self.shared.station)
             .map_err(|error| error.to_string())?;
         if let Some(head) = head {
-            // The log goes on, and so does the chain over it.
+            // The commit log continues, and so does its hash chain.
             core = core.with_chain(head);
         }
         for writer in &self.shared.writers {
@@ -151,7 +152,7 @@ impl ModelActor {
         Ok((core, scene))
     }
 
-    /// The published scene with its own hash; a predecessor may be just about to tell the hash.
+    /// The published scene with its hash, which a predecessor may be about to publish.
     fn published(&self) -> Result<(Arc<Snapshot>, Option<StateHash>), String> {
         for _ in 0..HASH_TRIES {
             let scene = self.shared.published.load_full();
@@ -165,7 +166,7 @@ impl ModelActor {
         Err("a Model that was left behind published a scene and not its hash".to_owned())
     }
 
-    /// One pass: everything that waits, published in between as the rule says.
+    /// One pass: applies all waiting batches and publishes as the publication rule says.
     fn pass(&mut self, life: &Life) {
         let Some(desk) = &mut self.desk else { return };
         let shared = &*self.shared;
@@ -181,10 +182,10 @@ impl ModelActor {
         }
         let mut now = shared.clock.now();
         if shared.declares_waiting.take() {
-            // A new life that declares something else must not keep its predecessor's contributions alive.
+            // A new life with another declaration must not keep its predecessor's contributions.
             desk.raise_fences(shared, now);
             desk.hear_declarations(shared);
-            // Who is new to the Model may have been fenced before.
+            // A writer new to this Model may have been fenced before.
             shared.fences_waiting.raise();
         }
         desk.lanes.begin_pass();
@@ -200,12 +201,12 @@ impl ModelActor {
                 writer.taken.store(1, Ordering::Relaxed);
                 writer.seat.stats.waited(now.since(sealed_at));
             }
-            // Raised between the pass's beginning and this batch: it must not slip through.
+            // A fence raised since the pass began must also stop this batch.
             if writer.is_some_and(|w| w.epoch.load(Ordering::Acquire) > batch.provenance.epoch) {
                 desk.raise_fences(shared, now);
             }
             let outcome = desk.core.apply(&mut batch, now);
-            // Guests have no row in the report, and a Model that was left behind counts no more.
+            // Guests have no row in the report, and an abandoned Model no longer counts.
             if let Some(writer) = writer.filter(|_| desk.lanes.is_current()) {
                 match &outcome {
                     Outcome::Applied { .. } => {
@@ -217,7 +218,7 @@ impl ModelActor {
                 }
                 writer.taken.store(0, Ordering::Relaxed);
             }
-            // Whoever waits for an answer may read the scene when it has it, and what it was told must stand.
+            // A writer may read the scene as soon as it has its receipt, so the receipt must follow the publication.
             if desk.lanes.wants_receipt(lane) && desk.publish(shared) {
                 desk.lanes.answer(lane, Receipt { tick, outcome: Some(outcome) });
             }
@@ -299,7 +300,7 @@ impl Desk {
         }
     }
 
-    /// Brings the core's epochs up to those that the supervisor ordered.
+    /// Raises the core's epochs to those ordered by the supervisor.
     fn raise_fences(&mut self, shared: &Shared, now: SimTime) {
         for writer in &shared.writers {
             let ordered = writer.epoch.load(Ordering::Acquire);
@@ -309,12 +310,12 @@ impl Desk {
         }
     }
 
-    /// Publish is commit: readers first, then who records. `false` when another Model has taken over.
+    /// Publish is commit: readers first, then the recorder. `false` when another Model has taken over.
     fn publish(&mut self, shared: &Shared) -> bool {
         let snapshot = self.core.publish();
         let before = shared.published.compare_and_swap(&self.last, snapshot.clone());
         if !Arc::ptr_eq(&before, &self.last) {
-            // What this one thinks no longer counts.
+            // This Model is superseded: its state no longer counts.
             return false;
         }
         drop(before);
@@ -362,7 +363,7 @@ impl Handler<Live> for ModelActor {
                 self.resumed = false;
                 life.running.store(true, Ordering::Release);
                 shared.report(Event::Started { child, incarnation });
-                // What came while nobody listened.
+                // Batches that arrived while no Model was listening.
                 self.rung(ctx);
             }
         }

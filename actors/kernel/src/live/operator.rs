@@ -1,4 +1,4 @@
-//! The operator of a live session: a ring of its own to the Model, and one of answers back.
+//! The operator of a live session: its own ring to the Model, and a ring of receipts back.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -11,17 +11,16 @@ use super::shared::Shared;
 use crate::handle::{LaneStatus, Receipt, Submitted, WriterHandle};
 use crate::operator::{OPERATOR, OPERATOR_EPOCH, OperatorError, answer};
 
-/// Most operators of a session at a time.
+/// Most operator handles of a session at a time.
 pub const OPERATORS_MAX: u32 = 16;
 
-/// Batches that may wait for the Model; one, unless answers stay out.
+/// Batches that may wait for the Model; normally one, more when answers time out.
 const CAPACITY: usize = 4;
 
-/// Between two looks at whether the answer has come.
+/// Polling period for the answer.
 const LOOK_EVERY: Duration = Duration::from_micros(50);
 
-/// A handle for writing into a live session from any thread. Neither the Model nor any controller ever waits for
-/// it.
+/// A handle for writing into a live session from any thread. It never blocks the Model or a controller.
 pub struct Operator {
     shared: Arc<Shared>,
     handle: WriterHandle,
@@ -40,19 +39,19 @@ impl Operator {
         Ok(Self { shared, handle, answers })
     }
 
-    /// Writes what `write` commands as one batch, all of it or nothing, and waits for the Model's answer, at most
-    /// `limit`. With the answer the batch is published. Commanding nothing changes nothing.
+    /// Sends the commands of `write` as one atomic batch, and waits for the Model's answer, at most `limit`. When the
+    /// answer arrives, the batch is published. An empty batch changes nothing.
     ///
     /// # Errors
-    /// [`OperatorError`] says why nothing of it is in the scene; only after [`OperatorError::NoAnswer`] it may still
-    /// get there.
+    /// [`OperatorError`] says why the batch was not applied; only after [`OperatorError::NoAnswer`] it may still be
+    /// applied.
     pub fn apply(
         &mut self,
         limit: Duration,
         write: impl FnOnce(&mut Commands),
     ) -> Result<Revision, OperatorError> {
         let until = Instant::now() + limit;
-        // Answers that came too late.
+        // Discards late answers to earlier batches.
         while self.answers.pop().is_ok() {}
         let now = self.shared.clock.now();
         write(self.handle.begin(now));

@@ -1,21 +1,20 @@
-//! A session that rests: its controllers do not tick, its time stands still, and hardly any processor is used.
+//! Pausing a session: controllers do not tick, session time stands still, and CPU use is near zero.
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::LiveSession;
 
-/// Longest wait for controllers in the middle of a step; one that hangs is not waited for.
+/// Longest wait for controllers in the middle of a step; hanging ones are not waited for.
 const REST_MAX: Duration = Duration::from_millis(250);
 const LOOK: Duration = Duration::from_millis(1);
 
 impl LiveSession {
-    /// Lets the session rest. No controller begins another tick; when none is in the middle of one any more, `quiet` is
-    /// called while time still passes – for devices whose forces fade – and then time stands still. Ticks that fall
-    /// into a pause do not exist: they are neither run nor missed. The Model, the supervisor and the operator's
-    /// writes go on.
+    /// Pauses the session. No controller begins another tick; when all running ticks have ended, `quiet` is called
+    /// while time still passes – for devices whose forces fade – and then the clock pauses. Ticks that would fall into
+    /// the pause are neither run nor counted as missed. The Model, the supervisor and the operator's writes continue.
     ///
-    /// False when it rests already, or has ended.
+    /// False when the session is already paused, or has ended.
     pub fn pause(&self, quiet: impl FnOnce()) -> bool {
         if self.has_ended() || self.shared.resting.swap(true, Ordering::AcqRel) {
             return false;
@@ -36,7 +35,7 @@ impl LiveSession {
         true
     }
 
-    /// Lets the session go on where it stood, within 50 ms. False when it does not rest.
+    /// Resumes the session within 50 ms. False when it is not paused.
     pub fn resume(&self) -> bool {
         if !self.is_paused() {
             return false;
@@ -46,7 +45,7 @@ impl LiveSession {
         true
     }
 
-    /// Whether it rests.
+    /// Whether the session is paused.
     pub fn is_paused(&self) -> bool {
         self.shared.resting.load(Ordering::Acquire)
     }

@@ -1,5 +1,5 @@
-//! What the threads of a live session share. Everything that a tick touches is an atomic or an `ArcSwap`;
-//! the locks here belong to starting and ending.
+//! State shared by the threads of a live session. Ticks use only atomics and `ArcSwap`; the locks are for starting and
+//! ending.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
@@ -18,24 +18,24 @@ use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
 use crate::state_hash::StateHash;
 use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 
-/// One life of a child, from its construction to its end; an abandoned thread keeps its own.
+/// One life of a child, from its construction to its end; an abandoned thread keeps its own record.
 #[derive(Default)]
 pub(crate) struct Life {
     pub(crate) incarnation: u32,
     pub(crate) heart: Heartbeat,
-    /// Thread number; 0 before it runs.
+    /// Thread id; 0 before it runs.
     pub(crate) tid: AtomicU32,
-    /// Constructed: the watchdog may look.
+    /// Construction is done: the watchdog may check it.
     pub(crate) running: AtomicBool,
-    /// It came through its first step.
+    /// Its first step is done.
     pub(crate) settled: AtomicBool,
-    /// It shall end in good order.
+    /// It is asked to end in good order.
     pub(crate) stop: AtomicBool,
-    /// Nobody waits for it any more.
+    /// It was abandoned.
     pub(crate) abandoned: AtomicBool,
     /// It misses ticks.
     pub(crate) late: AtomicBool,
-    /// It does not tick, because the session rests.
+    /// It does not tick, because the session is paused.
     pub(crate) at_rest: AtomicBool,
 }
 
@@ -49,20 +49,20 @@ impl Life {
     pub(crate) fn is_abandoned(&self) -> bool {
         self.abandoned.load(Ordering::Acquire)
     }
-    /// A step begins or ends.
+    /// Records that a step begins or ends.
     pub(crate) fn bump(&self, now: SimTime) {
         self.heart.bump(now.0);
     }
 }
 
-/// A child's place: what stays while its lives change.
+/// State of a child that persists across its lives.
 pub(crate) struct Seat {
     pub(crate) child: ChildId,
     pub(crate) name: String,
     pub(crate) class: RuntimeClass,
-    /// Longest silence before and after the first step of a life.
+    /// Heartbeat limits before and after the first step of a life.
     pub(crate) limits: [SimTime; 2],
-    /// Whether its heart beats without anybody asking.
+    /// Whether it ticks periodically rather than on messages.
     pub(crate) ticks: bool,
     pub(crate) life: ArcSwap<Life>,
     pub(crate) stats: TickStats,
@@ -70,13 +70,13 @@ pub(crate) struct Seat {
 }
 
 impl Seat {
-    /// Longest silence of a life that has, or has not yet, come through its first step.
+    /// Heartbeat limit of a life, depending on whether its first step is done.
     pub(crate) fn limit(&self, settled: bool) -> SimTime {
         self.limits[usize::from(settled)]
     }
 }
 
-/// Where faults are injected: flags that the host looks at, so that controllers need no annotations.
+/// Injection point of faults: flags that the host checks, so that controllers need no annotations.
 #[derive(Default)]
 pub(crate) struct Seam {
     kill: AtomicBool,
@@ -130,25 +130,25 @@ impl Seam {
     }
 }
 
-/// A controller's side of the Model.
+/// A controller's writer state, shared with the Model.
 pub(crate) struct Writer {
     pub(crate) seat: Seat,
     pub(crate) spec: ControllerSpec,
     pub(crate) id: WriterId,
     pub(crate) allocator: EntityAllocator,
     pub(crate) lane: Arc<LaneStatus>,
-    /// The lowest epoch that the Model hears.
+    /// The lowest epoch that the Model accepts.
     pub(crate) epoch: AtomicU32,
-    /// Batches applied, for telling that a fault is over.
+    /// Batches applied, to detect the end of a fault.
     pub(crate) applied: AtomicU64,
-    /// A batch is in the Model's hands.
+    /// 1 while the Model is applying a batch of this writer, else 0.
     pub(crate) taken: AtomicU64,
     /// Batches that the Model has applied and not yet published.
     pub(crate) unpublished: AtomicU64,
-    /// Where the next life goes on.
+    /// Tick at which the next life continues.
     pub(crate) next_tick: AtomicU64,
     pub(crate) events_seen: AtomicU64,
-    /// What the Model has been told that it writes.
+    /// Access declared to the Model.
     pub(crate) declared: Mutex<Option<Access>>,
 }
 
@@ -164,7 +164,7 @@ impl Writer {
         });
         self.seat.stats.report(elapsed)
     }
-    /// What the Model had taken and not published went with it: nobody has seen it.
+    /// Counts batches as lost that the Model took and did not publish before it failed.
     pub(crate) fn lose_unpublished(&self) {
         let unpublished = self.unpublished.swap(0, Ordering::Relaxed);
         self.applied.fetch_sub(unpublished, Ordering::Relaxed);
@@ -172,7 +172,7 @@ impl Writer {
     }
 }
 
-/// Somebody who writes without being a controller, for a Model that takes over from one out of reach.
+/// A declared guest, recorded for a Model that takes over from an unreachable one.
 #[derive(Clone)]
 pub(crate) struct Visitor {
     pub(crate) name: String,
@@ -180,7 +180,7 @@ pub(crate) struct Visitor {
     pub(crate) access: Access,
 }
 
-/// What all handles of the operator share.
+/// State shared by all handles of the operator.
 pub(crate) struct OperatorSeat {
     pub(crate) allocator: EntityAllocator,
     /// Number of its next batch.
@@ -195,7 +195,7 @@ impl OperatorSeat {
     }
 }
 
-/// A writer that introduces itself to the Model.
+/// Message that declares a writer to the Model.
 pub(crate) struct Declare {
     pub(crate) name: String,
     pub(crate) id: WriterId,
@@ -203,15 +203,15 @@ pub(crate) struct Declare {
     pub(crate) reply: oneshot::Sender<Result<(), String>>,
 }
 
-/// What the supervisor's thread hears.
+/// Message to the supervisor's thread.
 pub(crate) enum Report {
     /// Something happened to a child.
     Event(Event),
-    /// A fault from outside of the plan.
+    /// A fault injected outside of the plan.
     Inject(FaultOrder),
-    /// Pause a child, or let it go on.
+    /// Pause or resume a child.
     Hold(ChildId, bool),
-    /// What the operating system said to a thread's wish.
+    /// The operating system's answer to a thread's request for priority.
     Permission(Permission),
 }
 
@@ -229,23 +229,23 @@ pub(crate) struct Shared {
     pub(crate) declares: Mutex<Vec<Declare>>,
     pub(crate) guests: Mutex<Vec<Visitor>>,
     pub(crate) declares_waiting: Signal,
-    /// A fence was raised that the Model has not looked at.
+    /// A fence was raised that the Model has not handled yet.
     pub(crate) fences_waiting: Signal,
     pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
     pub(crate) has_sink: bool,
-    /// The state hash of what is published, for a Model that takes over from one out of reach.
+    /// State hash of the published scene, for a Model that takes over from an unreachable one.
     pub(crate) published_hash: Mutex<Option<(Revision, StateHash)>>,
-    /// Left behind by the Model when it ends.
+    /// Final state hash, set when the Model ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,
     pub(crate) operator: OperatorSeat,
-    /// The session has ended: injected stalls let go.
+    /// The session has ended: injected stalls return.
     pub(crate) over: AtomicBool,
-    /// The session rests: no controller ticks.
+    /// The session is paused: no controller ticks.
     pub(crate) resting: AtomicBool,
 }
 
-/// Nothing is left half changed under these locks by a panic: they guard single values.
+/// Ignores poisoning: these locks guard single values, which a panic leaves consistent.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -263,13 +263,13 @@ impl Shared {
     pub(crate) fn writer_index(&self, id: WriterId) -> Option<usize> {
         self.writers.binary_search_by_key(&id, |writer| writer.id).ok()
     }
-    /// Every child's seat: the Model's, then the writers'.
+    /// All seats: the Model's, then the writers'.
     pub(crate) fn seats(&self) -> impl Iterator<Item = &Seat> {
         std::iter::once(&self.model).chain(self.writers.iter().map(|writer| &writer.seat))
     }
 
-    /// From now on the devices and the Model refuse what `child` says in an epoch below `epoch`.
-    /// Devices first: they have hands in them. Neither waits nor allocates.
+    /// Makes the devices and the Model refuse output of `child` below `epoch`. Devices first, because users hold them.
+    /// Neither blocks nor allocates.
     pub(crate) fn fence(&self, child: ChildId, epoch: u32) {
         let Some(writer) = self.writer_of(child) else { return };
         for fence in &writer.spec.fences {
@@ -281,7 +281,7 @@ impl Shared {
         self.bell.notify_one();
     }
 
-    /// Tells the supervisor. The queue is long, and its thread always reads it.
+    /// Sends an event to the supervisor. The queue is long, and its thread always reads it.
     pub(crate) fn report(&self, event: Event) {
         let _ = self.reports.send(Report::Event(event));
     }
@@ -289,7 +289,7 @@ impl Shared {
         self.report(Event::Died { child: seat.child, incarnation: life.incarnation, cause });
     }
 
-    /// The session is over: what nobody has taken by now nobody will.
+    /// Counts all batches still waiting as lost, because the session is over.
     pub(crate) fn lose_rest(&self) {
         let mut lanes = self.intake.take();
         lanes.begin_pass();
@@ -300,7 +300,7 @@ impl Shared {
         }
     }
 
-    /// A new ring for this life of the writer.
+    /// Opens a new ring for this life of the writer.
     pub(crate) fn open(&self, writer: &Writer, life: &Life) -> WriterHandle {
         self.intake.open(
             writer.id,
@@ -311,7 +311,7 @@ impl Shared {
         )
     }
 
-    /// Asks the Model to take a writer; the answer comes when it does.
+    /// Declares a writer to the Model; the answer arrives when the Model accepts it.
     pub(crate) fn introduce(
         &self,
         name: &str,
@@ -325,7 +325,7 @@ impl Shared {
         answer
     }
 
-    /// Introduces a writer to the Model and waits for its answer, without waiting when nothing changed.
+    /// Declares a writer to the Model and waits for its answer; returns at once if the declaration is unchanged.
     pub(crate) async fn declare(&self, writer: &Writer, access: &Access) -> Result<(), String> {
         if lock(&writer.declared).as_ref() == Some(access) {
             return Ok(());

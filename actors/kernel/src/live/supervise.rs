@@ -1,4 +1,4 @@
-//! The thread that carries out what the supervisor core orders: it starts and abandons arbiters, raises
+//! Supervisor thread of a live session: executes the supervisor core's actions. It starts and abandons arbiters, raises
 //! fences, injects the plan's faults and ends the session.
 
 use std::collections::BTreeMap;
@@ -19,16 +19,16 @@ use crate::runtime::{Permission, guarded, sched};
 use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, StopWhen, ZeroForces};
 use crate::supervision::{Action, Cause, ChildId, Event, Health, Incident, RuntimeClass, Supervisor as Tree};
 
-/// Longest pause between two looks at anything.
+/// Longest pause between two polls.
 const PAUSE_MAX: SimTime = SimTime::from_millis(500);
-/// Between two looks at a fault that has begun and is not over.
+/// Polling period while a fault is active.
 const FAULT_PAUSE: SimTime = SimTime::from_millis(2);
 /// Longest wait for a recording to be closed.
 const CLOSE_MAX: Duration = Duration::from_millis(900);
-/// Ticks at which a session's last words are waited for.
+/// Ticks for which the session's last publication is awaited.
 const SINK_TRIES: u32 = 60;
 
-/// What the outside may see of the session at any time.
+/// Publicly visible status of the session.
 #[derive(Default)]
 pub(super) struct Status {
     pub(super) health: BTreeMap<String, Health>,
@@ -50,7 +50,7 @@ pub(super) struct Ended {
     pub(super) recording_complete: Option<bool>,
 }
 
-/// The status, and a bell for its end.
+/// The status, with a notification of its end.
 #[derive(Default)]
 pub(super) struct Board {
     pub(super) status: Mutex<Status>,
@@ -60,12 +60,12 @@ pub(super) struct Board {
 /// The plan's counters of one target when its fault began.
 #[derive(Clone, Copy, Default)]
 struct Counters {
-    /// Batches applied, or ticks of one that commits nothing.
+    /// Batches applied, or ticks for a target that commits nothing.
     good: u64,
     dropped: u64,
     rejected: u64,
     slow: u64,
-    /// Batches that a bad link lost, delayed or doubled.
+    /// Batches that a faulty link lost, delayed or duplicated.
     link: u64,
 }
 
@@ -90,7 +90,7 @@ enum Addressee {
     Host(Addr<HostActor>),
 }
 
-/// State that the thread keeps beside its crew.
+/// Further state of the supervisor thread.
 struct Run {
     addresses: BTreeMap<ChildId, Addressee>,
     next_check: SimTime,
@@ -161,7 +161,7 @@ impl SupervisorThread {
         }
     }
 
-    /// Feeds the tree and does what it orders.
+    /// Feeds an event to the tree and executes its actions.
     fn tell(&mut self, event: Event, run: &mut Run) {
         let now = self.shared.clock.now();
         self.note_for_faults(&event, now);
@@ -266,7 +266,7 @@ impl SupervisorThread {
         }
     }
 
-    /// A thread, a runtime and an actor for `child`.
+    /// Starts a thread, a runtime and an actor for `child`.
     fn arbiter(&mut self, child: ChildId, run: &mut Run) -> Result<(), String> {
         let shared = self.shared.clone();
         let Some(seat) = shared.seat(child) else { return Ok(()) };
@@ -287,12 +287,12 @@ impl SupervisorThread {
             let make = move |_: &mut Context<HostActor>| HostActor::new(shared, writer);
             Addressee::Host(HostActor::start_in_arbiter(&arbiter.handle(), make))
         };
-        // Dropping the arbiter detaches its thread: a thread that hangs must never be waited for.
+        // Dropping the arbiter detaches its thread, because a hanging thread must never be joined.
         run.addresses.insert(child, address);
         Ok(())
     }
 
-    /// What is due by time rather than by report.
+    /// Handles everything that is due by time rather than by report.
     fn look_around(&mut self, run: &mut Run) {
         let now = self.shared.clock.now();
         while let Some(order) = self.schedule.due(now, &self.shared.published.load()) {
@@ -306,13 +306,13 @@ impl SupervisorThread {
             self.inject(&order);
         }
         if self.shared.intake.is_any_link_bad() {
-            // Nobody rings for what is late.
+            // No doorbell announces delayed messages.
             self.shared.bell.notify_one();
         }
         let open = self.faults.is_open();
         if open || run.faults_shown_open {
             self.look_at_faults(run, now);
-            // Once more after the last one is over, or nobody would see that it is.
+            // One more poll after the last fault ends, to record its end.
             run.faults_shown_open = open;
             lock(&self.board.status).faults = self.faults.rows().to_vec();
         }
@@ -334,7 +334,7 @@ impl SupervisorThread {
     fn inject(&self, order: &FaultOrder) {
         if order.target == MODEL {
             self.shared.model.seam.apply(order);
-            // A Model at rest would not look at it.
+            // An idle Model would not notice the change otherwise.
             self.shared.bell.notify_one();
         } else if let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == order.target) {
             writer.seat.seam.apply(order);
@@ -346,7 +346,7 @@ impl SupervisorThread {
                 self.shared.bell.notify_one();
             }
         }
-        // The recorder is both: a controller, and the disk behind it.
+        // The recorder is both a controller and the disk behind it.
         for (_, sink) in self.sinks.iter().filter(|(name, _)| *name == order.target) {
             sink.fault(order);
         }
@@ -362,7 +362,7 @@ impl SupervisorThread {
         count(writer)
     }
 
-    /// Faults that nobody dies of: noticed by what they cost, over when batches are applied again.
+    /// Handles non-fatal faults: detected by lost or late batches, resumed when batches are applied again.
     fn look_at_faults(&mut self, run: &mut Run, now: SimTime) {
         let open: Vec<(String, bool)> = self
             .faults
@@ -424,7 +424,7 @@ impl SupervisorThread {
         Some(false)
     }
 
-    /// Puts the tree's state where everybody can see it.
+    /// Publishes the tree's state.
     fn show(&mut self, run: &mut Run) {
         let incidents = self.tree.incidents();
         for incident in &incidents[run.incidents_told.min(incidents.len())..] {
@@ -452,13 +452,13 @@ impl SupervisorThread {
     }
 
     fn print(&self, line: String) {
-        // A full queue of messages loses one; that is better than waiting here.
+        // A full log queue loses a message, which is better than blocking here.
         let _ = self.log.try_send(line);
     }
 
     fn end(self, run: &Run) {
         self.shared.over.store(true, Ordering::Relaxed);
-        // Whoever still listens stops; whoever hangs is left behind.
+        // Responsive threads stop; hanging threads are abandoned.
         self.system.stop();
         let mut status = lock(&self.board.status);
         status.faults = self.faults.rows().to_vec();

@@ -1,5 +1,5 @@
-//! The watchdog: an operating-system thread at high priority that reads heartbeats and never awaits
-//! anything, so that it sees a thread that hangs in the middle of a step.
+//! The watchdog: an operating-system thread at high priority that reads heartbeats and never awaits, so that it detects
+//! threads that hang within a step.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -11,17 +11,17 @@ use super::shared::{Life, Report, Seat, Shared};
 use crate::runtime::sched;
 use crate::supervision::{Event, RuntimeClass};
 
-/// Bounds of the pause between two looks; towards the end of somebody's limit it is shorter.
+/// Bounds of the pause between two checks; it is shorter when a child is close to its limit.
 const PAUSE_MIN: SimTime = SimTime::from_millis(1);
 const PAUSE_MAX: SimTime = SimTime::from_millis(10);
-/// Shortest pause: what a sleep is late anyway.
+/// Shortest pause: about the lateness of any sleep.
 const PAUSE_LAST: SimTime = SimTime::from_micros(50);
-/// Limits after which even a thread that is only kept waiting is replaced.
+/// Number of limits after which even a starved thread is replaced.
 const STARVED_MAX: u64 = 20;
-/// Between two looks at a session that rests.
+/// Pause between two checks of a paused session.
 const PAUSE_RESTING: Duration = Duration::from_millis(100);
 
-/// What was seen of one child last time.
+/// Last observation of one child.
 #[derive(Clone)]
 struct Watch {
     life: Arc<Life>,
@@ -58,7 +58,7 @@ fn watch(shared: &Shared) {
             last = SimTime::ZERO;
         }
         let now = shared.clock.now();
-        // When this thread itself was kept waiting, the others may have been as well: count anew.
+        // If this thread itself was starved, the others may have been as well: restart the limits.
         let blind = now.since(last).0 > 4 * pause.0;
         last = now;
         next = now + pause;
@@ -81,7 +81,7 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         watch.since = now;
         return;
     }
-    // Before the beat: a first step that ends in between has then beaten as well.
+    // Read before the beat: if the first step ends in between, its beat is seen as well.
     let limit = limit_of(seat, watch);
     let (beat, beat_at) = watch.life.heart.look();
     let late = watch.life.late.load(Ordering::Relaxed);
@@ -89,7 +89,7 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         watch.late = late;
         let _ = shared.reports.try_send(Report::Event(Event::Late { child: seat.child, late }));
     }
-    // Who is woken by messages may rest as long as it likes.
+    // A message-driven child may be idle for any time.
     let resting = !seat.ticks && beat.is_multiple_of(2);
     if beat != watch.beat || resting || blind {
         watch.beat = beat;
@@ -113,8 +113,8 @@ fn cpu_of(life: &Life) -> SimTime {
     sched::thread_cpu(life.tid.load(Ordering::Relaxed)).unwrap_or_default()
 }
 
-/// A thread that wants to run and is not let is no stall, however late it is: on a busy machine replacing it
-/// would make things worse. It counts as one when it has computed for half its limit, or waited too long.
+/// Whether a thread is runnable but not scheduled. That is no stall: on a busy machine a replacement would make it
+/// worse. It counts as a stall when the thread has used CPU time of half its limit, or has waited too long.
 fn is_starved(watch: &Watch, limit: SimTime, now: SimTime) -> bool {
     let used = cpu_of(&watch.life).since(watch.cpu);
     now.since(watch.since).0 < STARVED_MAX * limit.0

@@ -1,4 +1,4 @@
-//! What a branch promises, one test per promise.
+//! Tests of the guarantees of branches, one per guarantee.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -18,16 +18,17 @@ use crate::testing::{self, Count, Level, Pairs};
 const RING: Entity = Entity::new(0, 0, 1);
 const PEG: Entity = Entity::new(0, 0, 2);
 
-/// The one of this program.
+/// The registry of this test program.
 fn registry() -> Arc<Registry> {
     static REGISTRY: OnceLock<Arc<Registry>> = OnceLock::new();
     REGISTRY.get_or_init(testing::registry).clone()
 }
 
-/// Everything that it needs is in the scene; says what it hears and when it ticks, spawns now and then.
+/// A controller whose whole state is in the scene; it records the events it gets and its ticks, and spawns now and
+/// then.
 struct Counter {
     on: Entity,
-    /// The time that it was built for.
+    /// Session time at which it was built.
     built: SimTime,
 }
 impl Controller for Counter {
@@ -101,7 +102,7 @@ fn a_branch_of_resumable_controllers_ends_where_its_parent_does_to_the_bit() {
         for session in [&mut parent, &mut branch] {
             session.step_until(secs(1.0));
         }
-        // What a counter says of its own age is the only thing that is not in the scene.
+        // Only the counter's record of its own age is not in the scene.
         assert_eq!(pairs(&branch, 1), pairs(&parent, 1), "from {seconds} s");
         assert_eq!(pairs(&branch, 2), pairs(&parent, 2), "from {seconds} s");
         assert_eq!(branch.view().revision(), parent.view().revision());
@@ -168,7 +169,7 @@ fn the_past_can_be_branched_and_a_snapshot_that_was_given_out_keeps_its_time_and
     assert_eq!(past.view().get::<Count>(RING), parent.view().get::<Count>(RING));
     assert_eq!(past.view().get::<Count>(PEG), parent.view().get::<Count>(PEG));
     assert!(past.view().entities().eq(parent.view().entities()));
-    // One that nobody has given out: complete at the time of its last batch, hashed by what it holds.
+    // An unpublished snapshot: complete at the time of its last batch, hashed by its content.
     let stranger = at(0.25).view().clone();
     let moment = parent.moment_of(&stranger).expect("fits");
     assert_eq!(moment.at(), SimTime(stranger.time().0 + 1));
@@ -246,7 +247,7 @@ fn a_batch_that_came_twice_does_not_lead_to_names_that_are_given_out_twice() {
     let mut session = LockstepSession::new(spec).expect("starts");
     session.step_until(secs(1.0));
     let outcome = session.finish();
-    // Copies of batches that spawn are refused, as what they spawn is there; every tenth does.
+    // Duplicates of batches that spawn are refused, because their entities exist; every tenth batch spawns.
     assert_eq!(outcome.controllers[0].rejected, 40);
     let spawned = outcome.snapshot.entities().filter(|entity| entity.spawner() == 1).count();
     assert_eq!(spawned, 100);

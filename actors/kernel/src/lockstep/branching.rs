@@ -1,10 +1,9 @@
-//! Sessions that go on from where another one stands, or stood.
+//! Branching: sessions that continue from the current or an earlier state of another session.
 //!
-//! What a controller needs to resume is in the scene, so a branch starts everybody anew from a snapshot, as a restart
-//! does. Beside the scene there is little: whose tick is due when, which events each has heard, which names have been
-//! given out, what has been handed over, which faults are under way, what is on its way over a bad link. That is a
-//! [`Moment`]. Devices are not the
-//! kernel's: whoever branches a session brings peers that stand where those of the other one do.
+//! The scene holds all that a controller needs to resume, so a branch starts every controller from a snapshot, like a
+//! restart. A [`Moment`] adds the rest: due times of ticks, event cursors, allocated entities, transferred rows, active
+//! faults, and batches in flight on faulty links. Devices are outside the kernel: the caller provides peers in the same
+//! state as those of the other session.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,13 +22,13 @@ use crate::state_hash::{Chain, StateHash};
 use super::operating::OperatorDesk;
 use super::session::SessionError;
 
-/// Snapshots that a session remembers having given out.
+/// Number of issued snapshots that a session remembers.
 const GIVEN_MAX: usize = 256;
 
-/// Why there is no branch.
+/// Why a branch is not possible.
 #[derive(Debug, Error)]
 pub enum BranchError {
-    /// A snapshot of a program that knows other components.
+    /// The snapshot is from a program with other components.
     #[error("the snapshot is of a session with other components than this one's")]
     OtherComponents,
     /// The scene cannot be encoded, so nothing can be hashed from there on.
@@ -37,7 +36,7 @@ pub enum BranchError {
     Scene(#[from] ComponentError),
 }
 
-/// A snapshot that was given out: when, and the chain of hashes that led there.
+/// An issued snapshot: its time and state hash.
 #[derive(Clone, Copy)]
 pub(super) struct Given {
     revision: Revision,
@@ -45,8 +44,7 @@ pub(super) struct Given {
     head: StateHash,
 }
 
-/// Where a session stands: its scene, and the little that is not in there. Costs a few references, whatever the scene
-/// holds.
+/// State of a session: its scene, and the state beside it. It costs a few references, whatever the size of the scene.
 pub struct Moment {
     scene: Snapshot,
     at: SimTime,
@@ -55,17 +53,17 @@ pub struct Moment {
     slots: Vec<SlotMoment>,
     operator: (EntityAllocator, u64),
     given: Vec<Given>,
-    /// Only of the present.
+    /// Only for the current state.
     present: Option<Present>,
 }
 
 struct SlotMoment {
     name: String,
-    /// What it has heard of the events; of the past that follows from the time of its last tick.
+    /// Its event cursor; for a past moment it follows from the time of its last tick.
     cursor: Option<u64>,
     allocator: EntityAllocator,
     ailments: ActiveFaults,
-    /// What is on its way to the Model, or waits for one that is down.
+    /// Batches in flight to the Model, or waiting for one that is down.
     link: LinkFaults<Parcel>,
     queue: VecDeque<Box<Batch>>,
 }
@@ -73,8 +71,8 @@ struct SlotMoment {
 /// Epoch of the first life of a controller in a session.
 const FIRST_EPOCH: u32 = 1;
 
-/// A second batch like one of the present life of its writer, as the writer's first life in a branch would send it.
-/// What an earlier life sent would be refused here, and is left behind.
+/// Copies a batch of its writer's current life as if sent by the writer's first life in a branch. Batches of earlier
+/// lives would be refused, and are not copied.
 fn for_a_branch(batch: &Batch, epoch: u32, empty: impl FnOnce() -> Commands) -> Option<Box<Batch>> {
     let mut second = (batch.provenance.epoch == epoch).then(|| second_of(batch, empty()))??;
     second.provenance.epoch = FIRST_EPOCH;
@@ -94,11 +92,11 @@ impl Moment {
     pub fn scene(&self) -> &Snapshot {
         &self.scene
     }
-    /// The time of the session; what is due then is still to come.
+    /// Session time; everything due at that time is still pending.
     pub fn at(&self) -> SimTime {
         self.at
     }
-    /// Whether it is where the session stands, rather than where it once stood.
+    /// Whether it is the session's current state, rather than a past one.
     pub fn is_present(&self) -> bool {
         self.present.is_some()
     }
@@ -109,7 +107,7 @@ impl Moment {
 }
 
 impl LockstepSession {
-    /// Where the session stands.
+    /// The current state of the session.
     pub fn present(&self) -> Moment {
         let slot = |slot: &Slot| {
             let allocator = slot.allocator.fork();
@@ -142,13 +140,13 @@ impl LockstepSession {
         }
     }
 
-    /// Where a session stood when its scene was `snapshot`: this one, one that it was branched from or into, or a
+    /// State of a session when its scene was `snapshot`: of this session, one that it was branched from or into, or a
     /// recorded one.
     ///
-    /// The present is the [present](Self::present). Of the last 256 snapshots that this session and those before it
-    /// gave out the time is known; any other is taken to be complete at the time of its last batch. Who had heard
-    /// which events follows from the time, so that one of the last tick's instant may be heard twice; faults that were
-    /// planned for an earlier time and are over do not come again, those that last begin again.
+    /// The present is the [present](Self::present). The times of the last 256 snapshots issued by this session and its
+    /// ancestors are known; any other is taken as complete at the time of its last batch. Event cursors follow from the
+    /// time, so an event at the instant of the last tick may be delivered twice; planned faults that are over do not
+    /// recur, lasting ones begin again.
     ///
     /// # Errors
     /// [`BranchError`].
@@ -186,17 +184,17 @@ impl LockstepSession {
             head,
             transfers: Arc::default(),
             slots: self.slots.iter().map(slot).collect(),
-            // Its number only has to be another one than before.
+            // Its number only has to differ from earlier ones.
             operator: (allocator(OPERATOR.0), self.operator.tick),
             given: self.given.iter().filter(|given| given.at <= at).copied().collect(),
             present: None,
         })
     }
 
-    /// Starts everybody of `spec` in the scene of a moment, at its time. `spec` is as for a new session of the same
-    /// controllers: its scene is the moment's, its peers stand where those of the moment stood.
+    /// Starts the controllers of `spec` in the scene of a moment, at its time. `spec` is as for a new session of the
+    /// same controllers; the scene is the moment's, and its peers must be in the state of the moment.
     ///
-    /// Nothing is shared with the session that the moment is of, but what never changes.
+    /// Shares only immutable data with the session of the moment.
     ///
     /// # Errors
     /// As [`Self::new`].
@@ -205,12 +203,12 @@ impl LockstepSession {
         Self::begin(SessionSpec { scene, ..spec }, Some(moment))
     }
 
-    /// Who else is stepped, in order.
+    /// The peers, in stepping order.
     pub fn peers(&self) -> impl Iterator<Item = &dyn Peer> {
         self.peers.iter().map(|slot| &*slot.peer)
     }
 
-    /// Takes over what a moment says, before anybody is built.
+    /// Restores the state of a moment, before controllers are built.
     pub(super) fn go_on_from(&mut self, moment: Moment) {
         let Moment { scene, at, mut slots, operator, given, present, .. } = moment;
         self.resuming = true;
@@ -255,7 +253,7 @@ impl LockstepSession {
         }
     }
 
-    /// Remembers the snapshot that is being given out.
+    /// Remembers the issued snapshot.
     pub(super) fn remember(&mut self) {
         let given = Given { revision: self.core.view().revision(), at: self.now, head: self.core.hash() };
         if self.given.back().is_some_and(|last| (last.revision, last.at) == (given.revision, given.at)) {

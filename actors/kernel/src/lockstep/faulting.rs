@@ -1,4 +1,4 @@
-//! Faults in virtual time: what a live session does to threads, devices and rings is done here to slots.
+//! Fault injection in virtual time: the live session's faults of threads, devices and rings, applied to slots.
 
 use std::sync::Arc;
 
@@ -10,16 +10,16 @@ use crate::faults::{FaultLog, Parcel, TargetClass, Targets};
 use crate::spec::{FaultKind, FaultOrder, MODEL};
 use crate::supervision::Event;
 
-/// A Model in a step that does not end.
+/// A Model that hangs in a step.
 #[derive(Clone, Copy)]
 pub(super) struct Hang {
     until: SimTime,
-    /// When the watchdog gives up on it.
+    /// Time at which the watchdog abandons it.
     given_up_at: SimTime,
 }
 
 impl LockstepSession {
-    /// Everything that faults can be aimed at in this session.
+    /// All fault targets of this session.
     pub fn fault_targets(&self) -> Targets {
         let mut targets = Targets::new();
         for slot in &self.slots {
@@ -31,7 +31,7 @@ impl LockstepSession {
         targets
     }
 
-    /// What has become of the faults so far.
+    /// Outcomes of the faults so far.
     pub fn fault_log(&self) -> &FaultLog {
         &self.fault_log
     }
@@ -81,7 +81,7 @@ impl LockstepSession {
         }
     }
 
-    /// Does to the Model what was ordered, as soon as there is one that it can be done to.
+    /// Applies the ordered fault to the Model, as soon as a Model is running.
     pub(super) fn harm_model(&mut self) {
         if !self.model_up {
             return;
@@ -96,7 +96,7 @@ impl LockstepSession {
         }
     }
 
-    /// A Model that hangs gets on, or is given up; those that were given up end.
+    /// Resumes or abandons a hanging Model, and ends abandoned ones.
     pub(super) fn look_at_model(&mut self) {
         let before = self.model_zombies.len();
         self.model_zombies.retain(|until| *until > self.now);
@@ -121,7 +121,7 @@ impl LockstepSession {
         self.harm_model();
     }
 
-    /// When [`Self::look_at_model`] has something to do.
+    /// Time at which [`Self::look_at_model`] is next needed.
     pub(super) fn model_wakes_at(&self) -> SimTime {
         let harmed = self.model_up && (self.model_kill || self.model_stall > SimTime::ZERO);
         let at = if harmed { self.now } else { NEVER };
@@ -129,7 +129,7 @@ impl LockstepSession {
         self.model_zombies.iter().fold(at.min(hangs), |at, until| at.min(*until))
     }
 
-    /// A batch of slot `index` goes onto its link.
+    /// Sends a batch of slot `index` over its link.
     pub(super) fn send(&mut self, index: usize, batch: Box<Batch>) {
         let slot = &mut self.slots[index];
         slot.sent += 1;
@@ -146,7 +146,7 @@ impl LockstepSession {
         self.deliver(index);
     }
 
-    /// What has come over the link of slot `index` by now.
+    /// Delivers the batches that have arrived over the link of slot `index`.
     pub(super) fn deliver(&mut self, index: usize) {
         while let Some(parcel) = self.slots[index].link.due(self.now) {
             self.arrive(index, parcel.batch);
@@ -162,7 +162,7 @@ impl LockstepSession {
         }
     }
 
-    /// Asks the targets that take faults themselves how they are.
+    /// Polls the state of the fault sinks.
     pub(super) fn look_at_sinks(&mut self) {
         for (name, sink) in &self.fault_sinks {
             if let Some(sound) = sink.is_sound() {
@@ -171,7 +171,7 @@ impl LockstepSession {
         }
     }
 
-    /// Somebody noticed what a fault of `kind` does to slot `index`.
+    /// Records that the effect of a fault of `kind` on slot `index` was detected.
     pub(super) fn notice(&mut self, index: usize, kind: FaultKind) {
         if !self.fault_log.is_open() {
             return;

@@ -1,9 +1,9 @@
-//! Lock-step: the whole session on one thread in virtual time, the same bits every time.
+//! Lock-step: the whole session on one thread in virtual time, bit-reproducible.
 //!
-//! At each instant, in this order: faults that are due, the supervisor's deadlines, batches that a slow step
-//! finishes, device peers, then controllers in the order of the specification. A controller sees everything
-//! that was applied before it, also in the same instant. Nothing depends on the machine: time passes by the
-//! schedule alone, and pauses before restarts are spread by the session's seed.
+//! At each instant, in this order: faults that are due, the supervisor's deadlines, batches that a slow step finishes,
+//! device peers, then controllers in the order of the specification. A controller sees everything applied before it,
+//! even within the same instant. Results do not depend on the machine: time advances by the schedule alone, and the
+//! jitter of restart pauses comes from the session's seed.
 //!
 //! The cores are those of the live session: [`ModelCore`](crate::ModelCore),
 //! [`Supervisor`](crate::supervision::Supervisor), [`FaultSchedule`](crate::faults::FaultSchedule).

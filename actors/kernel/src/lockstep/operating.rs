@@ -1,4 +1,4 @@
-//! What somebody outside writes into a lock-step session, at the instant at which it stands.
+//! Operator writes into a lock-step session, at its current instant.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use super::session::LockstepSession;
 use super::slot::blank;
 use crate::operator::{OPERATOR, OPERATOR_EPOCH, OperatorError, answer};
 
-/// The operator's side of the Model.
+/// The operator's writer state.
 pub(super) struct OperatorDesk {
     pub(super) allocator: EntityAllocator,
     /// Number of its next batch.
@@ -27,12 +27,12 @@ impl OperatorDesk {
 }
 
 impl LockstepSession {
-    /// Writes what `write` commands as one batch, all of it or nothing, now: whoever ticks from here on sees it.
-    /// Any component of any entity may be written; a controller that writes the same row does so again at its next
-    /// tick. Commanding nothing changes nothing.
+    /// Applies the commands of `write` as one atomic batch, now: all later ticks see it. Any component of any entity
+    /// may be written; a controller that owns the same row overwrites it at its next tick. An empty batch changes
+    /// nothing.
     ///
     /// # Errors
-    /// [`OperatorError`] says why nothing of it is in the scene.
+    /// [`OperatorError`] says why the batch was not applied.
     pub fn apply(&mut self, write: impl FnOnce(&mut Commands)) -> Result<Revision, OperatorError> {
         if self.exit.is_some() {
             return Err(OperatorError::Ended);
@@ -59,7 +59,7 @@ impl LockstepSession {
                 self.operator.spare = Some(batch);
                 answer(outcome)
             }
-            // The batch and whatever is in it goes no further.
+            // The batch is discarded.
             Err(text) => {
                 self.model_died(Some(OPERATOR), text);
                 Err(OperatorError::Quarantined)

@@ -1,4 +1,4 @@
-//! The session: its parts, its clock, its order.
+//! The lock-step session: its parts, its clock and its event order.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,12 +23,12 @@ use crate::spec::{
 use crate::state_hash::StateHash;
 use crate::supervision::{Action, ChildId, Event, GroupSpec, Supervisor, TreeError};
 
-/// How often the Model publishes when nobody asks: what a fall-back after a panic can cost at most.
-/// On a grid of its own, as looking for the goal is: neither depends on who else is due when, so that somebody
-/// who only looks on (a recorder) changes nothing.
+/// Publication period of the Model, and so the most that a roll-back after a panic can lose. Publications and goal
+/// checks have their own time grid, independent of other due times, so that a read-only participant (a recorder)
+/// changes nothing.
 const PUBLISH_EVERY: SimTime = SimTime::from_millis(10);
 
-/// Longest wait for a recording to be closed: nobody waits for the end of a session in virtual time.
+/// Longest wait for closing a recording; long, because virtual time has no deadline.
 const CLOSE_MAX: Duration = Duration::from_secs(60);
 
 /// Why a session cannot begin.
@@ -40,7 +40,7 @@ pub enum SessionError {
     /// The supervisor tree is wrong.
     #[error("{0}")]
     Tree(#[from] TreeError),
-    /// A rate that cannot be scheduled.
+    /// A rate cannot be scheduled.
     #[error("controller '{name}': rate {rate_hz} Hz; valid: above 0, up to 1e6")]
     Rate {
         /// The controller.
@@ -48,13 +48,13 @@ pub enum SessionError {
         /// Its rate.
         rate_hz: f64,
     },
-    /// A peer whose steps take no time.
+    /// A peer has a period of zero.
     #[error("device '{0}': its period is 0 ns; valid: above 0")]
     Period(String),
-    /// A controller that the tree does not hold.
+    /// A controller is missing from the tree.
     #[error("controller '{0}' does not stand in the supervisor tree")]
     NotSupervised(String),
-    /// A fault that fits nothing in the session.
+    /// A fault does not fit the session.
     #[error(transparent)]
     Fault(#[from] FaultPlanError),
     /// A first start failed.
@@ -80,12 +80,12 @@ pub struct LockstepSession {
     pub(super) model: ChildId,
     pub(super) model_up: bool,
     pub(super) model_resumed: bool,
-    /// What a fault has ordered for the Model and could not be done yet.
+    /// A kill of the Model is ordered and pending.
     pub(super) model_kill: bool,
     pub(super) model_stall: SimTime,
-    /// It hangs.
+    /// The hang of the Model, if it hangs.
     pub(super) model_hangs: Option<Hang>,
-    /// When those that were given up end.
+    /// Times at which abandoned Models end.
     pub(super) model_zombies: Vec<SimTime>,
     /// Whether a batch may be waiting for the Model.
     pub(super) queued: bool,
@@ -99,9 +99,9 @@ pub struct LockstepSession {
     pub(super) stop_when: Option<StopWhen>,
     pub(super) next_stop_check: SimTime,
     pub(super) until: SimTime,
-    /// While the first lives of a session that goes on from a moment are built.
+    /// Whether the first lives of a resumed session are being built.
     pub(super) resuming: bool,
-    /// The latest snapshots that were given out, oldest first.
+    /// The latest issued snapshots, oldest first.
     pub(super) given: VecDeque<Given>,
     pub(super) exit: Option<i32>,
     actions: Vec<Action>,
@@ -113,15 +113,15 @@ pub struct LockstepSession {
 }
 
 impl LockstepSession {
-    /// Takes a session at time zero and starts everybody in it.
+    /// Starts a session at time zero with all its controllers.
     ///
     /// # Errors
-    /// [`SessionError`]; a controller whose first construction fails ends the session as it would live.
+    /// [`SessionError`]; a controller whose first construction fails ends the session, as in live mode.
     pub fn new(spec: SessionSpec) -> Result<Self, SessionError> {
         Self::begin(spec, None)
     }
 
-    /// Starts everybody at time zero, or at the moment that another session had come to.
+    /// Starts all controllers at time zero, or at the moment of another session.
     pub(super) fn begin(mut spec: SessionSpec, moment: Option<Moment>) -> Result<Self, SessionError> {
         let children = spec.children();
         let mut core = match &moment {
@@ -206,8 +206,8 @@ impl LockstepSession {
         }
     }
 
-    /// Simulates everything that is due before `until` and says whether the session goes on: `false` once
-    /// its goal is reached, its time is up, or the supervisor gave up.
+    /// Simulates everything due before `until` and returns whether the session continues: `false` once its goal is
+    /// reached, its time is up, or the supervisor gave up.
     pub fn step_until(&mut self, until: SimTime) -> bool {
         while self.exit.is_none() {
             let until = until.min(self.until);
@@ -222,22 +222,22 @@ impl LockstepSession {
         self.is_running()
     }
 
-    /// Whether anything is still to come.
+    /// Whether the session is still running.
     pub fn is_running(&self) -> bool {
         self.exit.is_none() && self.now < self.until
     }
 
-    /// How far the session has come.
+    /// Current session time.
     pub fn now(&self) -> SimTime {
         self.now
     }
 
-    /// The scene as it is now, without sharing it.
+    /// The current scene, by reference.
     pub fn view(&self) -> &Snapshot {
         self.core.view()
     }
 
-    /// The scene as it is now, to keep.
+    /// A snapshot of the current scene.
     pub fn snapshot(&mut self) -> Arc<Snapshot> {
         self.publish();
         self.remember();
@@ -264,12 +264,12 @@ impl LockstepSession {
         if self.exit.is_none() {
             self.tell(Event::ShutdownRequested { code: 0 });
         }
-        // The devices' next step, which finds that nothing may be rendered any more.
+        // The devices' last step, which finds that no force may be rendered.
         for slot in &mut self.peers {
             slot.peer.step(slot.next);
             slot.peer.finish(slot.next);
         }
-        // Whoever is stuck in a step is left behind when its limit is over.
+        // A controller stuck in a step is abandoned after its limit.
         while self.exit.is_none() {
             let Some(at) = self.supervisor.next_deadline(self.now) else { break };
             self.now = at;
@@ -293,23 +293,23 @@ impl LockstepSession {
             held: self.supervisor.given_up(),
             zombies: self.supervisor.zombies(),
             recording_complete: self.recording_complete,
-            // Nothing here needs a priority.
+            // Lock-step needs no thread priority.
             permission: Permission { fifo: false, refused: String::new() },
         }
     }
 
-    /// One row per controller, in the order of the session, as it is now. Lateness is zero by construction; step
-    /// times are of the machine.
+    /// One row per controller, in the order of the session, as it is now. Lateness is zero by construction; step times
+    /// are measured on the machine.
     pub fn reports(&self) -> Vec<ControllerReport> {
         self.slots.iter().map(|slot| slot.report(self.now)).collect()
     }
 
-    /// What every controller has counted so far, in the order of the session.
+    /// Statistics of every controller so far, in the order of the session.
     pub fn statistics(&self) -> impl Iterator<Item = &TickStats> {
         self.slots.iter().map(|slot| &slot.stats)
     }
 
-    /// When anything is due next.
+    /// The next instant at which anything is due.
     fn next_instant(&self) -> SimTime {
         let mut at = self.deadline.min(self.next_publish).min(self.model_wakes_at());
         if self.stop_when.is_some() {
@@ -330,7 +330,7 @@ impl LockstepSession {
         at.max(self.now)
     }
 
-    /// Everything that is due at `at`, in order.
+    /// Runs everything due at `at`, in order.
     fn instant(&mut self, at: SimTime) {
         self.now = at;
         self.inject_due_faults();
@@ -368,7 +368,7 @@ impl LockstepSession {
         {
             self.next_stop_check = at + stop.every;
             if (stop.check)(self.core.view()) {
-                // Everything of this instant is done; the next one is beyond the end.
+                // This instant is complete; the next one is beyond the end.
                 self.until = at;
             }
         }
@@ -381,7 +381,7 @@ impl LockstepSession {
             self.missed_tick(index);
             return;
         }
-        // A life that could begin at once takes the tick that its predecessor died in, as it does live.
+        // A life that starts at once repeats the tick in which its predecessor died, as in live mode.
         let lived =
             self.attempt(index, number) || (self.slots[index].is_free() && self.attempt(index, number));
         if !lived {
@@ -389,7 +389,7 @@ impl LockstepSession {
         }
     }
 
-    /// One step of slot `index`; whether it lived through it.
+    /// Runs one step of slot `index`; returns whether it survived.
     fn attempt(&mut self, index: usize, number: u64) -> bool {
         let slot = &mut self.slots[index];
         let begun = Instant::now();
@@ -438,7 +438,7 @@ impl LockstepSession {
         }
     }
 
-    /// Lets the Model decide about a batch of slot `index`.
+    /// Submits a batch of slot `index` to the Model.
     pub(super) fn commit(&mut self, index: usize, mut batch: Box<Batch>) {
         let outcome = self.decide(&mut batch);
         let slot = &mut self.slots[index];
@@ -460,7 +460,7 @@ impl LockstepSession {
                 self.notice(index, FaultKind::Nan);
                 self.step_is_over(index);
             }
-            // The batch and whatever is in it goes no further.
+            // The batch is discarded.
             Err(text) => {
                 slot.stats.rejected();
                 let writer = slot.writer;
@@ -474,7 +474,7 @@ impl LockstepSession {
         guarded(|| core.apply(batch, now))
     }
 
-    /// A batch of a life that is over: the Model refuses it by its epoch.
+    /// Submits a batch of an ended life, which the Model refuses by its epoch.
     pub(super) fn apply_stale(&mut self, index: usize, mut batch: Box<Batch>) {
         if batch.commands.is_empty() {
             return;
@@ -486,7 +486,7 @@ impl LockstepSession {
         }
     }
 
-    /// Tells the supervisor, and does what it orders until it orders nothing more.
+    /// Sends an event to the supervisor, and executes its actions until none is left.
     pub(super) fn tell(&mut self, event: Event) {
         let mut actions = std::mem::take(&mut self.actions);
         self.supervisor.apply(event, self.now, &mut actions);

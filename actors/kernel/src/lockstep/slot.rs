@@ -1,4 +1,4 @@
-//! One controller of a lock-step session: its life, the batch it is working on, its jobs.
+//! Slot of one controller in a lock-step session: its life, its current batch, its jobs.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use crate::spec::ControllerSpec;
 use crate::supervision::{Cause, ChildId};
 use crate::token_bucket::{TokenBucket, count};
 
-/// When something is due that never will be.
+/// Due time of an event that never happens.
 pub(super) const NEVER: SimTime = SimTime(u64::MAX);
 
-/// A step that is held up, as by a thread that does not get on: what it reads and says it does when it gets on.
+/// A delayed step, as on a stalled thread: it reads the scene and sends its batch when the delay ends.
 #[derive(Clone, Copy)]
 pub(super) struct Pending {
     pub(super) at: SimTime,
@@ -28,7 +28,7 @@ pub(super) struct Pending {
     due: SimTime,
 }
 
-/// A life that was abandoned in the middle of a step.
+/// A life abandoned during a step.
 pub(super) struct Zombie {
     pub(super) slot: usize,
     pub(super) pending: Pending,
@@ -41,7 +41,7 @@ pub(super) struct Zombie {
 }
 
 impl Zombie {
-    /// It gets on after all, does its step and is gone; what it says is in the batch.
+    /// Finishes the delayed step and ends the life; returns its batch.
     pub(super) fn wake(mut self, scene: &Snapshot) -> Box<Batch> {
         let tick = Tick {
             time: self.pending.due,
@@ -62,7 +62,7 @@ impl Zombie {
     }
 }
 
-/// One step of a controller into a batch; why it failed, if it did.
+/// Runs one step of a controller into a batch; returns why it failed, if it did.
 fn step(
     controller: &mut dyn Controller,
     tick: &Tick<'_>,
@@ -79,21 +79,21 @@ fn step(
     failure(guarded(|| controller.tick(tick, scene, commands)))
 }
 
-/// A finished job on its way back.
+/// A finished job to be delivered.
 struct Delivery {
     at: SimTime,
     key: u64,
-    /// Or what its panic said.
+    /// The job's output, or its panic message.
     output: Result<JobOutput, String>,
 }
 
-/// The faults that act on a controller at present.
+/// The active faults of a controller.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ActiveFaults {
     pub(super) kill: bool,
-    /// The next step takes this long; zero: no stall.
+    /// Length of the stall of the next step; zero: none.
     pub(super) stall: SimTime,
-    /// Each step takes this much longer.
+    /// Extra time of each step.
     pub(super) slow: SimTime,
     pub(super) queue_full: bool,
     pub(super) nan: bool,
@@ -114,41 +114,41 @@ pub(super) struct Slot {
     pub(super) epoch: u32,
     jobs: Jobs,
     deliveries: Vec<Delivery>,
-    /// What the jobs of the last step took: live they run beside it.
+    /// Run time of the last step's jobs, which run in parallel in a live session.
     pub(super) beside: Duration,
     pub(super) cursor: u64,
     spare: Option<Box<Batch>>,
-    /// The step that is not over yet.
+    /// The unfinished step.
     pub(super) pending: Option<Pending>,
-    /// When the watchdog gives up on it.
+    /// Time at which the watchdog reports a stall.
     pub(super) stalls_at: SimTime,
     /// Batches that wait while the Model is down.
     pub(super) queue: VecDeque<Box<Batch>>,
-    /// It was asked to end, and will when its step is over.
+    /// It was asked to end, and ends after its step.
     pub(super) stopping: bool,
     pub(super) resumed: bool,
     pub(super) ailments: ActiveFaults,
     pub(super) late: bool,
-    /// The way to the Model.
+    /// The link to the Model.
     pub(super) link: LinkFaults<Parcel>,
     flow: TokenBucket,
     pub(super) sent: u64,
     pub(super) applied: u64,
     /// Batches applied since the last publication.
     pub(super) unpublished: u64,
-    /// Batches that went with what the Model forgot.
+    /// Batches lost in roll-backs of the Model.
     pub(super) forgotten: u64,
 }
 
-/// What a tick came to.
+/// Result of a tick.
 pub(super) enum Ticked {
     /// Nothing to apply.
     Idle,
-    /// To be applied now.
+    /// A batch to be applied now.
     Ready(Box<Batch>),
-    /// Not over before [`Slot::pending`] says so.
+    /// The step continues until the time in [`Slot::pending`].
     Busy,
-    /// It ended this life.
+    /// The step ended this life.
     Died(Cause),
 }
 
@@ -186,14 +186,14 @@ impl Slot {
         }
     }
 
-    /// When something is to be done about this slot.
+    /// Time at which this slot next needs attention.
     pub(super) fn wakes_at(&self) -> SimTime {
         let pending = self.pending.as_ref().map_or(NEVER, |pending| pending.at);
         let arrives = self.link.next_due().unwrap_or(NEVER);
         self.next.min(pending).min(self.stalls_at).min(arrives)
     }
 
-    /// A new life begins with this controller.
+    /// Begins a new life with this controller.
     pub(super) fn start(&mut self, controller: Box<dyn Controller>, epoch: u32) {
         self.controller = Some(controller);
         self.epoch = epoch;
@@ -213,7 +213,7 @@ impl Slot {
         self.is_alive() && self.pending.is_none() && !self.stopping
     }
 
-    /// Ends this life. A controller whose own destructor panics harms nobody.
+    /// Ends this life. A panic in the controller's destructor is contained.
     pub(super) fn end(&mut self) {
         let controller = self.controller.take();
         let _ = guarded(move || drop(controller));
@@ -242,7 +242,7 @@ impl Slot {
 
     /// The time of tick `number`.
     fn time_of(&self, number: u64) -> SimTime {
-        // From the number, not by adding up: no drift however odd the rate.
+        // Computed from the tick number rather than summed, so that no rate drifts.
         self.spec.phase + SimTime((number as f64 * 1e9 / self.spec.rate_hz).round() as u64)
     }
 
@@ -251,7 +251,7 @@ impl Slot {
         self.number.checked_sub(1).map_or(SimTime::ZERO, |number| self.time_of(number))
     }
 
-    /// Goes on at `now`, before whatever is due then: every tick that was due earlier is over.
+    /// Continues at `now`, before the ticks due then; earlier ticks count as done.
     pub(super) fn skip_to(&mut self, now: SimTime) {
         let guess = (now.since(self.spec.phase).0 as f64 * 1e-9 * self.spec.rate_hz) as u64;
         self.number = guess.saturating_sub(1);
@@ -274,7 +274,7 @@ impl Slot {
         self.stats.report(now)
     }
 
-    /// Moves on to the next due time and gives the number of the tick that is due now.
+    /// Advances to the next due time and returns the number of the tick due now.
     pub(super) fn advance(&mut self) -> u64 {
         let number = self.number;
         self.number += 1;
@@ -306,7 +306,7 @@ impl Slot {
         self.step((number, now), now, scene, registry)
     }
 
-    /// Does the step that was held up.
+    /// Runs the delayed step.
     pub(super) fn late_step(
         &mut self,
         pending: Pending,
@@ -355,7 +355,7 @@ impl Slot {
         }
     }
 
-    /// What leaves the controller's handle after a step.
+    /// Passes a step's batch through the controller's handle.
     fn hand_over(&mut self, mut batch: Box<Batch>, now: SimTime) -> Ticked {
         if self.ailments.nan {
             batch.commands.event("fault.nan", self.me, None, f64::NAN);
@@ -373,12 +373,12 @@ impl Slot {
         Ticked::Ready(batch)
     }
 
-    /// Puts a batch in line while the Model is down; full is full.
+    /// Queues a batch while the Model is down; drops it when the queue is full.
     pub(super) fn enqueue(&mut self, batch: Box<Batch>) {
         if self.queue.len() < self.spec.ring_capacity {
             self.queue.push_back(batch);
         } else {
-            // Live it would not have got into the ring.
+            // In a live session the ring would have refused it.
             self.sent -= 1;
             self.stats.dropped();
         }
@@ -389,10 +389,11 @@ impl Slot {
         self.spare = Some(batch);
     }
 
-    /// Hands over what is due, as live: at most as much as a controller can be handed, the rest before its next step.
+    /// Delivers the finished jobs that are due, as in a live session: at most as many as the inbox holds, the rest
+    /// before the next step.
     ///
     /// # Errors
-    /// What a job's panic said: its controller would wait for ever.
+    /// The panic message of a job: its controller would otherwise wait for ever.
     fn deliver_jobs(&mut self, now: SimTime) -> Result<(), String> {
         for due in self.deliveries.extract_if(.., |delivery| delivery.at <= now).take(JOBS_MAX) {
             let output = due.output.map_err(|panic| format!("job {}: {panic}", due.key))?;
@@ -401,7 +402,7 @@ impl Slot {
         Ok(())
     }
 
-    /// Jobs run here and now, however long they are, and are delivered when they said they would be.
+    /// Runs submitted jobs at once, to their end; each is delivered at its declared time.
     fn take_jobs(&mut self, now: SimTime) {
         let begun = Instant::now();
         while let Some(job) = self.jobs.next_submitted() {

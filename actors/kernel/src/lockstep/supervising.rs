@@ -1,4 +1,4 @@
-//! What the supervisor orders and what it is told.
+//! Supervision in lock-step: executes the supervisor's actions and reports events to it.
 
 use trocar_scene::{BuildContext, Controller, ControllerError, SimTime, WriterId};
 
@@ -7,7 +7,7 @@ use crate::runtime::panics::guarded;
 use crate::supervision::{Action, Cause, ChildId, Event};
 
 impl LockstepSession {
-    /// Does what the supervisor orders; gives the answer that it waits for.
+    /// Executes an action of the supervisor; returns the event that it waits for.
     pub(super) fn act(&mut self, action: Action) -> Option<Event> {
         match action {
             Action::Fence { child, epoch } => {
@@ -39,7 +39,7 @@ impl LockstepSession {
         self.slots.iter().position(|slot| slot.child == child)
     }
 
-    /// The devices first, then the Model: nothing of an older life counts from here on.
+    /// Fences the devices first, then the Model: output of older lives is refused from now on.
     fn fence(&mut self, child: ChildId, epoch: u32) {
         let Some(index) = self.slot_of(child) else { return };
         let slot = &self.slots[index];
@@ -65,19 +65,19 @@ impl LockstepSession {
                 }
                 Err(cause) => Event::Died { child, incarnation, cause },
             },
-            // Something of the tree that only exists live, such as a viewer.
+            // A child that exists only in live sessions, such as a viewer.
             None => Event::Started { child, incarnation },
         }
     }
 
-    /// A life is built from the scene as it is, never from the corpse.
+    /// Builds a life from the current scene, never from the state of the failed one.
     fn build(&mut self, index: usize, epoch: u32) -> Result<Box<dyn Controller>, Cause> {
-        // A sibling that is restarted without having failed was not fenced before.
+        // A sibling restarted without a failure was not fenced before.
         self.fence(self.slots[index].child, epoch);
         let slot = &self.slots[index];
         let context = BuildContext {
             scene: self.core.view(),
-            // What the scene tells of it is as old as its last tick.
+            // Its state in the scene dates from its last tick.
             time: if self.resuming { slot.last_tick() } else { self.now },
             name: &slot.spec.name,
             me: slot.me,
@@ -98,7 +98,7 @@ impl LockstepSession {
         self.core
             .declare(&slot.spec.name, writer, &access)
             .map_err(|error| Cause::Error(error.to_string()))?;
-        // The Model counts epochs from 1 as the supervisor does; a writer that it meets late catches up.
+        // The Model counts epochs from 1 as the supervisor does; a writer declared late catches up.
         self.core.fence(writer, epoch, self.now);
         Ok(controller)
     }
@@ -138,7 +138,7 @@ impl LockstepSession {
         self.tell(Event::Died { child, incarnation, cause });
     }
 
-    /// Slow steps that end now, and those that the watchdog gives up on.
+    /// Finishes slow steps that end now, and abandons those over the watchdog's limit.
     pub(super) fn finish_slow_step(&mut self, index: usize) {
         let slot = &mut self.slots[index];
         if slot.pending.as_ref().is_some_and(|pending| pending.at <= self.now)
@@ -164,7 +164,7 @@ impl LockstepSession {
         }
     }
 
-    /// Zombies whose step ends after all: what they send is refused, and they are gone.
+    /// Ends zombies whose step returns: their batches are refused.
     pub(super) fn zombies_finish(&mut self) {
         while let Some(at) = self.zombies.iter().position(|zombie| zombie.pending.at <= self.now) {
             let zombie = self.zombies.remove(at);
@@ -174,7 +174,7 @@ impl LockstepSession {
         }
     }
 
-    /// At the end of the session those that are still stuck are dropped with it.
+    /// Drops the zombies that are still stuck at the end of the session.
     pub(super) fn forget_zombies(&mut self) {
         for zombie in self.zombies.drain(..) {
             let _ = guarded(move || drop(zombie));
@@ -196,7 +196,7 @@ impl LockstepSession {
         self.tell(Event::Died { child, incarnation, cause: Cause::Panic(text) });
     }
 
-    /// A life of the Model begins; what has been waiting for it is drained at the next instant.
+    /// Begins a life of the Model; waiting batches are drained at the next instant.
     fn model_starts(&mut self, incarnation: u32) {
         self.model_up = true;
         if incarnation > 1 {
@@ -205,7 +205,7 @@ impl LockstepSession {
         }
     }
 
-    /// Batches that came while the Model was down, one per writer in turn.
+    /// Drains the batches that arrived while the Model was down, round-robin over writers.
     pub(super) fn drain_queues(&mut self) {
         self.queued = false;
         let mut waiting = true;
@@ -220,11 +220,11 @@ impl LockstepSession {
                 }
             }
         }
-        // It died of one of them; the others go on waiting.
+        // One of them made it panic; the others keep waiting.
         self.queued = self.queued || waiting;
     }
 
-    /// A step of slot `index` ended well as far as its controller is concerned.
+    /// Records that a step of slot `index` succeeded in its controller.
     pub(super) fn step_is_over(&mut self, index: usize) {
         let slot = &mut self.slots[index];
         if !slot.resumed && slot.is_alive() {
@@ -234,7 +234,7 @@ impl LockstepSession {
         }
     }
 
-    /// A step of slot `index` ended well and the Model agreed.
+    /// Records that a step of slot `index` succeeded and the Model applied its batch.
     pub(super) fn did_good_work(&mut self, index: usize) {
         self.step_is_over(index);
         if !self.model_resumed {

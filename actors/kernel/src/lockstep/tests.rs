@@ -1,4 +1,4 @@
-//! What lock-step promises, one test per promise.
+//! Tests of the guarantees of lock-step, one per guarantee.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -18,7 +18,7 @@ use crate::testing::{Count, Level, Pairs, registry};
 const RING: Entity = Entity::new(0, 0, 1);
 const PEG: Entity = Entity::new(0, 0, 2);
 
-/// Counts up in the scene: everything that it needs to resume is there.
+/// Counts in the scene, which holds all its state for a restart.
 struct Counter {
     on: Entity,
 }
@@ -34,7 +34,7 @@ impl Controller for Counter {
     }
 }
 
-/// Writes what a closure says.
+/// Writes the commands of a closure.
 struct Does<F>(Access, F);
 impl<F> Controller for Does<F>
 where
@@ -423,7 +423,7 @@ fn a_job_that_panics_ends_the_life_that_waits_for_it_and_the_next_one_asks_again
     session.step_until(secs(0.1));
     assert_eq!(asked.load(Ordering::Relaxed), 2);
     let row = &session.finish().controllers[0];
-    // Told when it would have been delivered, so that lock-step ends as a live session does.
+    // Reported at the time of delivery, so that lock-step ends as a live session does.
     assert_eq!(row.restarts, 1);
     assert!((7..=20).contains(&arrived.load(Ordering::Relaxed)), "{}", arrived.load(Ordering::Relaxed));
 }
@@ -471,7 +471,7 @@ fn a_goal_or_a_time_ends_the_session() {
     assert_eq!((report.sim, report.controllers[0].scheduled), (secs(0.25), 250));
 }
 
-/// Not a bar (that is `trocar bench`), but a guard against an accidental order of magnitude.
+/// Not a benchmark (see `trocar bench`), but a guard against a slowdown by an order of magnitude.
 #[test]
 fn overhead_per_tick_is_microseconds() {
     let mut session = start(two_counters());
@@ -483,7 +483,7 @@ fn overhead_per_tick_is_microseconds() {
     assert!(nanos < 50_000.0, "{nanos} ns per tick");
 }
 
-/// Every batch of every writer is in the scene, refused, or known to be lost.
+/// Checks that every batch of every writer was applied, refused, or counted as lost.
 fn nothing_is_unaccounted_for(report: &SessionOutcome) {
     for row in &report.controllers {
         assert_eq!(row.unaccounted(), 0, "{row:?}");

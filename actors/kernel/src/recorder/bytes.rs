@@ -1,6 +1,6 @@
-//! Reading MCAP's plain parts from bytes that may be anything: every length is checked before it is used.
+//! Reader of MCAP primitives from untrusted bytes: every length is checked before it is used.
 
-/// What is left of some bytes.
+/// The unread rest of a byte slice.
 #[derive(Clone, Copy)]
 pub(super) struct Bytes<'a>(pub(super) &'a [u8]);
 
@@ -41,7 +41,7 @@ impl<'a> Bytes<'a> {
     pub(super) fn u64(&mut self) -> Result<u64, Short> {
         self.array().map(u64::from_le_bytes)
     }
-    /// A string with its length before it; what is not UTF-8 is replaced.
+    /// A length-prefixed string; invalid UTF-8 is replaced.
     pub(super) fn text(&mut self) -> Result<String, Short> {
         let length = self.u32()?;
         Ok(String::from_utf8_lossy(self.take(u64::from(length))?).into_owned())

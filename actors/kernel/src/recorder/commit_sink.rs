@@ -1,4 +1,4 @@
-//! The recorder as the Model sees it: takes what is published without waiting for anybody.
+//! Commit sink on the Model's side of the recorder: takes publications without blocking.
 
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -13,10 +13,10 @@ use crate::runtime::guarded;
 use crate::spec::CommitSink;
 use crate::state_hash::StateHash;
 
-/// Why there is a gap after a flood.
+/// Reason for a gap after a queue overflow.
 const QUEUE_FULL: &str = "the recorder's queue was full";
 
-/// The Model's end of the queue. A full queue is a gap, which is declared when there is room again.
+/// The Model's end of the queue. A full queue causes a gap, which is declared when there is room again.
 pub(super) struct Tap {
     queue: Producer<Publication>,
     emptied: Consumer<CommitBuffer>,
@@ -66,7 +66,7 @@ impl CommitSink for Tap {
     fn close(&mut self, limit: Duration) -> bool {
         let (desk, lost) = (self.desk.clone(), self.lost.take());
         let (done, answer) = sync_channel(1);
-        // On a thread of its own: a disk that hangs must not keep the session from ending.
+        // On its own thread, so that a hanging disk cannot delay the end of the session.
         let closing = std::thread::Builder::new().name("trocar-closing".into()).spawn(move || {
             let complete = guarded(|| desk.close(lost, limit)).unwrap_or(false);
             let _ = done.try_send(complete);

@@ -1,5 +1,5 @@
-//! The MCAP file as far as it has been written: its length, its checksum and its index. Plain data, so that
-//! whoever goes on writing after a failure needs nothing from who wrote before.
+//! State of the MCAP file written so far: length, checksum and index. Plain data, so that a life that continues after a
+//! failure needs nothing else from its predecessor.
 
 use std::collections::BTreeMap;
 
@@ -7,15 +7,15 @@ use super::mcap_records::{
     self as records, AttachmentEntry, Channel, ChunkEntry, MAGIC, MetadataEntry, Schema, Statistics, op,
 };
 
-/// Messages on their way into a chunk, as records, with what the chunk's index needs.
+/// An open chunk: messages as records, with the data for the chunk's index.
 #[derive(Default)]
 pub(super) struct OpenChunk {
     records: Vec<u8>,
-    /// Channel, time \[ns\] and place in `records` of each message.
+    /// Channel, time \[ns\] and offset in `records` of each message.
     messages: Vec<(u16, u64, u64)>,
 }
 
-/// A place in an open chunk to go back to.
+/// A position in an open chunk for a roll-back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Mark {
     bytes: usize,
@@ -33,7 +33,7 @@ impl OpenChunk {
     pub(super) fn mark(&self) -> Mark {
         Mark { bytes: self.records.len(), messages: self.messages.len() }
     }
-    /// Forgets everything since `mark`, also what is there only in part.
+    /// Removes everything since `mark`, including partial records.
     pub(super) fn roll_back(&mut self, mark: Mark) {
         self.records.truncate(mark.bytes);
         self.messages.truncate(mark.messages);
@@ -82,7 +82,7 @@ impl Container {
         container
     }
 
-    /// Lets `body` append to the data section; gives place and length of what it appended.
+    /// Lets `body` append to the data section; returns offset and length of the appended bytes.
     fn append(&mut self, out: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) -> (u64, u64) {
         let from = out.len();
         body(out);

@@ -1,4 +1,4 @@
-//! The recorder as the supervisor sees it: a controller that writes nothing into the scene.
+//! The recorder as a supervised controller that writes nothing into the scene.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,29 +16,29 @@ use crate::spec::{ControllerSpec, RECORDER, SessionSpec};
 use crate::state_hash::Chain;
 use crate::supervision::{Node, RuntimeClass};
 
-/// Ticks per second: often enough that what waits is short, and twice a second falls on a tick.
+/// Ticks per second: high enough for a short queue, and a multiple of the two flushes per second.
 pub const RATE_HZ: f64 = 50.0;
-/// Longest tick. A disk may be slow, but what the Model publishes meanwhile has to fit into the queue.
+/// Longest tick. A disk may be slow, but the publications of that time must fit into the queue.
 const HEARTBEAT_LIMIT: SimTime = SimTime::from_millis(1_000);
-/// Its number among the writers: the last one, so that nobody else's depends on whether there is a recording.
+/// Its writer number: the last one, so that other writers' numbers do not depend on whether there is a recording.
 const WRITER: u16 = u16::MAX;
-/// Emptied buffers that wait to be used again: those of the publications between two ticks.
+/// Emptied buffers kept for reuse: enough for the publications between two ticks.
 const BUFFERS: usize = 256;
 /// The epoch in which a recording is begun, before its first life.
 const FIRST_EPOCH: u32 = 0;
 
-/// A recording that has begun, to be installed into a session.
+/// A started recording, to be installed into a session.
 ///
-/// The file grows in whole chunks, at least twice a second: whatever kills the process, what was flushed can
-/// be read. Whatever kills the recorder, its next life goes on with the same file and nothing is missing, as
-/// long as the queue that it left behind does not overflow.
+/// The file grows in whole chunks, at least twice a second: after a crash of the process, all flushed chunks are
+/// readable. After a crash of the recorder alone, its next life continues the same file without a gap, unless the queue
+/// overflows meanwhile.
 pub struct Recorder {
     tap: Tap,
     desk: Arc<Handover>,
 }
 
 impl Recorder {
-    /// Creates the file and writes its head and the scene at the start.
+    /// Creates the file and writes its header and the initial scene.
     ///
     /// # Errors
     /// [`RecorderError`] when the file or its head cannot be written.
@@ -69,8 +69,8 @@ impl Recorder {
         Ok(Self { tap: Tap::new(queue, emptied, desk.clone(), hash), desk })
     }
 
-    /// Makes it part of a session: takes the Model's commits, and adds the controller [`RECORDER`], which is
-    /// supervised like any other, as well as the fault target of that name.
+    /// Installs it into a session: takes the Model's commits, and adds the controller [`RECORDER`], which is supervised
+    /// like any other, as well as the fault target of that name.
     pub fn install(self, session: &mut SessionSpec) {
         let desk = self.desk.clone();
         let mut spec =
@@ -81,7 +81,7 @@ impl Recorder {
             });
         spec.child = spec.child.with_heartbeat_limit(HEARTBEAT_LIMIT);
         spec.fences.push(self.desk.clone());
-        // It sends nothing.
+        // The recorder sends no batches.
         spec.ring_capacity = 1;
         if let Some(tree) = &mut session.tree {
             tree.children.push(Node::Child(spec.child.clone()));

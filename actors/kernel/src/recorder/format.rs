@@ -1,4 +1,4 @@
-//! What a recording holds: an MCAP file (<https://mcap.dev/spec>) with these parts.
+//! Format of a recording: an MCAP file (<https://mcap.dev/spec>) with these parts.
 //!
 //! | record | content |
 //! |---|---|
@@ -7,7 +7,7 @@
 //! | attachment `scenario.toml` | the scenario's text |
 //! | topic `/trocar/commits` | [`Group`]s: everything that changed the scene, with the state hash after it |
 //! | topic `/trocar/keyframes` | the whole scene, at the start, every few seconds, and after each gap |
-//! | topic `/trocar/gaps` | what the disk could not take, as JSON |
+//! | topic `/trocar/gaps` | gaps: spans whose commits were not written, as JSON |
 //! | topic `/tf` | poses at 30 Hz as `foxglove.FrameTransforms`, for standard tools |
 //! | topic `/events` | events as JSON, for standard tools |
 //! | metadata `trocar.end` | written on a clean close: revision, hash and time at the end, completeness |
@@ -69,7 +69,7 @@ struct CommitHeader<'a> {
 /// Appends the commits of one publication.
 pub(super) fn encode_group(commits: &CommitBuffer, hash: StateHash, out: &mut Vec<u8>) {
     let mut put = |header: &dyn Fn(&mut Vec<u8>) -> postcard::Result<()>| {
-        // Plain structures into a growing vector: postcard has nothing to refuse.
+        // Postcard cannot fail on plain structures and a growing vector.
         let _ = header(out);
     };
     put(&|out| extend(&GroupHeader { count: commits.len() as u32, hash }, out));

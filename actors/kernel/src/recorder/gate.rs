@@ -1,19 +1,19 @@
-//! Who may write to the disk: looked at before every write, so that an abandoned recorder writes no more.
+//! Write gate of a recording: an epoch fence checked before every write, so that an abandoned recorder writes no more.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
-/// A disk that is as fast as it is.
+/// No injected limit of the disk's rate.
 const UNLIMITED: u64 = u64::MAX;
 
-/// The fence of a recording and the state of its disk, for threads that must not wait.
+/// The fence of a recording and the state of its disk, for threads that must not block.
 pub(super) struct Gate {
     /// The lowest epoch that may still write.
     fence: AtomicU32,
-    /// Fault hook: the disk takes nothing.
+    /// Fault hook: the disk refuses all writes.
     full: AtomicBool,
-    /// Fault hook: what the disk takes [bytes/s].
+    /// Fault hook: write rate of the disk [bytes/s].
     bytes_per_sec: AtomicU64,
-    /// Everything that should be written could be, the last time that anybody tried.
+    /// Whether the last write attempt wrote everything due.
     sound: AtomicBool,
 }
 
@@ -58,7 +58,7 @@ impl Pass<'_> {
     pub(super) fn is_valid(self) -> bool {
         self.epoch >= self.gate.fence.load(Ordering::Acquire)
     }
-    /// What a slow disk takes [bytes/s].
+    /// Write rate of a slow disk [bytes/s].
     pub(super) fn disk_rate(self) -> Option<f64> {
         let rate = self.gate.bytes_per_sec.load(Ordering::Relaxed);
         (rate != UNLIMITED).then_some(rate as f64)

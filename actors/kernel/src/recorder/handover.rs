@@ -1,5 +1,5 @@
-//! The recorder's desk: what waits to be recorded and the journal, for one life of the recorder after the
-//! other. Nobody who has to be on time ever waits for it.
+//! Handover between lives of the recorder: the journal and the queue of publications, used by one life after another.
+//! No real-time thread ever waits for it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
@@ -13,22 +13,22 @@ use crate::commit::CommitBuffer;
 use crate::spec::{FaultKind, FaultOrder, FaultSink, Fence};
 use crate::state_hash::StateHash;
 
-/// Pause between two looks at a desk that somebody sits at.
+/// Pause between two attempts to lock the journal when closing.
 const CLOSING_PAUSE: Duration = Duration::from_millis(2);
-/// The epoch of the closing of a recording: no life comes after it.
+/// Epoch of closing a recording: the last one.
 const LAST_EPOCH: u32 = u32::MAX;
 
-/// What the Model published, on its way to the recorder.
+/// A publication of the Model, queued for the recorder.
 pub(super) struct Publication {
     pub(super) snapshot: Arc<Snapshot>,
     pub(super) commits: CommitBuffer,
     /// The state hash after the last commit.
     pub(super) hash: StateHash,
-    /// Something before this was lost, because of this.
+    /// Reason for a loss directly before this publication.
     pub(super) lost: Option<&'static str>,
 }
 
-/// What was published last, when it did not reach the desk, and why.
+/// The last publication, when it did not reach the queue, with the reason.
 pub(super) struct Lost {
     pub(super) reason: &'static str,
     pub(super) snapshot: Arc<Snapshot>,
@@ -37,11 +37,11 @@ pub(super) struct Lost {
 
 struct Papers {
     queue: Consumer<Publication>,
-    /// The way back for emptied buffers.
+    /// Return queue for emptied buffers.
     emptied: Producer<CommitBuffer>,
     /// `None` once it is closed.
     journal: Option<Journal>,
-    /// What was taken last, for a gap that nothing ends.
+    /// The last publication taken, for a gap that is still open at the end.
     last: Option<(Arc<Snapshot>, StateHash)>,
 }
 
@@ -62,7 +62,7 @@ impl Handover {
         Self { gate, papers: Mutex::new(papers) }
     }
 
-    /// The papers, unless somebody has them. A panic leaves them as [`Journal::resume`] expects.
+    /// Locks the papers without waiting. A panic leaves them in a state that [`Journal::resume`] accepts.
     fn papers(&self) -> Option<MutexGuard<'_, Papers>> {
         match self.papers.try_lock() {
             Ok(papers) => Some(papers),
@@ -74,10 +74,10 @@ impl Handover {
         }
     }
 
-    /// A life begins: from here on only it writes.
+    /// Begins a life: from now on only it may write.
     ///
     /// # Errors
-    /// When an earlier life hangs in a write to the disk, or the file cannot be brought back to what is known.
+    /// When an earlier life hangs in a write to the disk, or the file cannot be truncated to its known state.
     pub(super) fn take_over(&self, epoch: u32) -> Result<(), ControllerError> {
         self.gate.raise(epoch);
         let Some(mut papers) = self.papers() else {
@@ -91,7 +91,7 @@ impl Handover {
         }
     }
 
-    /// One tick of a life: records what has come, and gives the disk what is due at `now`.
+    /// One tick of a life: records the queued publications, and writes what is due at `now`.
     ///
     /// # Errors
     /// When that life was fenced.
@@ -100,7 +100,7 @@ impl Handover {
         if !pass.is_valid() {
             return Err(ControllerError::Failed("this life of the recorder was fenced".to_owned()));
         }
-        // Somebody who was fenced is just noticing it: what has come can wait for the next tick.
+        // A fenced life still holds the lock and is about to release it: the queue can wait for the next tick.
         let Some(mut papers) = self.papers() else { return Ok(()) };
         if let Some(journal) = &mut papers.journal {
             journal.resumed_at(now, pass);
@@ -113,8 +113,8 @@ impl Handover {
         Ok(())
     }
 
-    /// Records what has come and closes the file; nobody writes after that. Gives up after `limit` when a
-    /// life still has the papers. `true` when nothing is missing in the recording.
+    /// Records the queued publications and closes the file; nothing is written after that. Gives up after `limit` if a
+    /// life still holds the lock. `true` when the recording is complete.
     pub(super) fn close(&self, lost: Option<Lost>, limit: Duration) -> bool {
         self.gate.raise(LAST_EPOCH);
         let pass = self.gate.pass(LAST_EPOCH);
@@ -143,7 +143,7 @@ impl Handover {
 }
 
 impl Papers {
-    /// Whatever waits now; what comes meanwhile waits for the next time.
+    /// Takes the publications queued now; later ones wait for the next call.
     fn take_publications(&mut self, pen: &mut Pen, pass: Pass<'_>) {
         let Some(journal) = &mut self.journal else { return };
         for _ in 0..self.queue.slots() {
@@ -157,7 +157,7 @@ impl Papers {
             let (scene, _) = self.last.insert((snapshot, hash));
             journal.committed(pen, scene, &commits, hash, pass);
             commits.clear();
-            // Full: somebody uses fewer buffers than before.
+            // The return queue is full when fewer buffers are in use than before.
             let _ = self.emptied.push(commits);
         }
     }
@@ -174,7 +174,7 @@ impl FaultSink for Handover {
         match order.kind {
             FaultKind::DiskFull => self.gate.set_disk_full(order.begins),
             FaultKind::DiskSlow => self.gate.set_disk_slow(order.begins.then_some(order.bytes_per_sec)),
-            // The others befall the recorder itself.
+            // Other kinds affect the recorder itself.
             _ => {}
         }
     }

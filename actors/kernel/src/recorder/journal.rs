@@ -1,8 +1,9 @@
-//! What of a recording outlives a life of the recorder: plain data, from which the next life goes on.
+//! Journal of a recording: the plain data that survives a restart of the recorder and from which its next life
+//! continues.
 //!
-//! Messages wait in an open chunk, closed chunks wait in the spool, and what the disk has is only counted. A
-//! life that dies between two publications therefore takes nothing with it; one that dies inside of one costs
-//! that publication, which becomes a declared gap.
+//! Messages wait in an open chunk, closed chunks wait in the spool, and written chunks are only counted. A life that
+//! dies between two publications therefore loses nothing; one that dies during a publication loses that publication,
+//! which becomes a declared gap.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -25,7 +26,7 @@ use crate::state_hash::StateHash;
 
 /// An open chunk of this size is closed.
 const CHUNK_BYTES: usize = 1 << 20;
-/// Why there is a gap after a life that ended inside of a publication.
+/// Reason for the gap after a life that ended during a publication.
 const TORN: &str = "the recorder panicked while it took a publication";
 
 mod channel {
@@ -36,7 +37,7 @@ mod channel {
     pub(super) const EVENTS: u16 = 5;
 }
 
-/// What one life has for itself: buffers, and names looked up before. A corpse's are not used again.
+/// State of one life: buffers and cached names. The next life does not reuse them.
 #[derive(Default)]
 pub(super) struct Pen {
     scratch: Vec<u8>,
@@ -48,7 +49,7 @@ pub(super) struct Journal {
     container: Container,
     chunk: OpenChunk,
     spool: WriteBuffer,
-    /// Room in which a chunk is put together.
+    /// Scratch buffer in which a chunk is assembled.
     sealed: Vec<u8>,
     sequence: u32,
     options: RecorderOptions,
@@ -60,17 +61,17 @@ pub(super) struct Journal {
     next_keyframe: SimTime,
     next_tf: SimTime,
     next_flush: SimTime,
-    /// When somebody last sat at it.
+    /// Time of the last access by a life.
     seen: SimTime,
-    /// Nothing could be written since `revision`, and why.
+    /// An open gap: nothing was recorded since `revision`, with the reason.
     gap: Option<String>,
     complete: bool,
-    /// A publication is being taken, from here on; still set after a panic in the middle of it.
+    /// Start of the publication being recorded; still set after a panic during it.
     taking: Option<Mark>,
 }
 
 impl Journal {
-    /// Writes the head and the first keyframe.
+    /// Writes the header and the first keyframe.
     pub(super) fn begin(
         spool: WriteBuffer,
         head: &RecordingHead,
@@ -110,10 +111,10 @@ impl Journal {
         journal.spool.refusal.take().map_or(Ok(journal), |error| Err(error.to_string()))
     }
 
-    /// A new life takes over from one that failed, wherever it was.
+    /// Takes over from a failed life, at whatever point it failed.
     ///
     /// # Errors
-    /// When the file cannot be brought back to what is known of it.
+    /// When the file cannot be truncated to its known state.
     pub(super) fn resume(&mut self) -> io::Result<()> {
         if let Some(mark) = self.taking.take() {
             self.chunk.roll_back(mark);
@@ -122,7 +123,7 @@ impl Journal {
         self.spool.resume()
     }
 
-    /// One publication. What cannot be taken becomes part of a gap.
+    /// Records one publication; one that cannot be recorded becomes part of a gap.
     pub(super) fn committed(
         &mut self,
         pen: &mut Pen,
@@ -149,7 +150,7 @@ impl Journal {
         }
     }
 
-    /// Lets `write` write what belongs to one revision: as a whole or, when it fails or panics, not at all.
+    /// Lets `write` write the records of one revision atomically: if it fails or panics, none of them stays.
     fn take(
         &mut self,
         snapshot: &Snapshot,
@@ -186,7 +187,7 @@ impl Journal {
         if self.time >= self.next_keyframe { self.keyframe(pen, snapshot, hash) } else { Ok(()) }
     }
 
-    /// From here on commits are missing, until [`Self::end_gap`].
+    /// Begins a gap, in which commits are missing until [`Self::end_gap`].
     pub(super) fn begin_gap(&mut self, reason: String) {
         self.complete = false;
         self.gap.get_or_insert(reason);
@@ -208,7 +209,7 @@ impl Journal {
         scene.encode(&mut pen.scratch)?;
         self.message(channel::KEYFRAMES, &pen.scratch);
         self.next_keyframe = self.time + self.options.keyframe_period;
-        // A viewer that begins here gets all frames.
+        // A viewer that starts here gets all frames.
         self.tf_revision = Revision::ZERO;
         Ok(())
     }
@@ -224,7 +225,7 @@ impl Journal {
             self.message(channel::EVENTS, event.to_string().as_bytes());
         }
         if self.time >= self.next_tf {
-            // From the due time, so that publications between two of them do not slow the rate down.
+            // Counted from the due time, so that irregular publications do not lower the rate.
             let next = self.next_tf + self.options.tf_period;
             self.next_tf = if next < self.time { self.time + self.options.tf_period } else { next };
             if let Some(transforms) = pen.frames.transforms(scene, self.tf_revision, self.time) {
@@ -239,19 +240,19 @@ impl Journal {
         self.chunk.message(channel, self.sequence, self.time.as_nanos(), data);
     }
 
-    /// Somebody sits down to it at `now`: a slow disk has got on meanwhile.
+    /// Called when a life returns to the journal at `now`: a slow disk has progressed since.
     pub(super) fn resumed_at(&mut self, now: SimTime, pass: Pass<'_>) {
         let span = now.since(self.seen);
         self.seen = self.seen.max(now);
         self.wait(span, pass);
     }
 
-    /// A slow disk gets `span` of time.
+    /// Lets a slow disk write for `span`.
     pub(super) fn wait(&mut self, span: SimTime, pass: Pass<'_>) {
         self.spool.ration(pass.disk_rate().map(|rate| rate * span.as_secs_f64()));
     }
 
-    /// Time has passed: closes the chunk when it has waited long enough, and gives the disk what it takes.
+    /// Advances to `now`: closes the chunk when it is old enough, and writes as much as the disk takes.
     pub(super) fn passed(&mut self, now: SimTime, pass: Pass<'_>) {
         if now >= self.next_flush {
             let next = self.next_flush + self.options.flush_period;
@@ -268,20 +269,20 @@ impl Journal {
         self.spool.drain(pass);
     }
 
-    /// From the open chunk to the spool.
+    /// Moves the open chunk to the spool.
     fn seal(&mut self) {
         self.sealed.clear();
         self.container.seal(&mut self.chunk, &mut self.sealed);
         self.spool.append(&self.sealed);
     }
 
-    /// Whether everything is written that should be.
+    /// Whether everything due was written.
     pub(super) fn is_sound(&self) -> bool {
         self.gap.is_none() && self.spool.refusal.is_none()
     }
 
-    /// Writes the end; `last` is what was published last, for a gap that is still open. `true` when nothing
-    /// is missing in the file.
+    /// Writes the end of the file; `last` is the last publication, for a gap that is still open. `true` when the file
+    /// is complete.
     pub(super) fn close(mut self, last: Option<(&Snapshot, StateHash)>, pass: Pass<'_>) -> bool {
         if self.gap.is_some()
             && let Some((snapshot, hash)) = last

@@ -1,4 +1,4 @@
-//! Side channels that standard tools understand: poses and events as JSON.
+//! JSON channels for standard tools: poses and events.
 
 use std::collections::BTreeMap;
 
@@ -67,7 +67,7 @@ pub(super) struct Frames {
 
 impl Frames {
     fn name(&mut self, scene: &Snapshot, entity: Entity) -> &str {
-        // Bounded by what exists: a name is only asked for with a pose.
+        // Bounded by the number of entities: only those with a pose are looked up.
         self.names.entry(entity).or_insert_with(|| scene.name(entity))
     }
 

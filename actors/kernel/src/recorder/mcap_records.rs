@@ -1,8 +1,8 @@
-//! MCAP's records as bytes (<https://mcap.dev/spec>), without compression, for a file that is only appended to.
+//! Encoder of MCAP records (<https://mcap.dev/spec>), uncompressed, for an append-only file.
 //!
-//! Written here and not by the `mcap` crate's writer, because that one keeps the index of the file to itself
-//! and finishes the file when it is dropped: a recorder that died could not be continued without trusting its
-//! corpse. Here a record is a function of plain data. The tests hold the result against the crate's reader.
+//! The `mcap` crate's writer keeps the file's index private and finishes the file when it is dropped, so a failed
+//! recorder could not be continued. Here each record is a function of plain data. The tests check the result with the
+//! crate's reader.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +36,7 @@ pub(super) struct Schema {
     pub(super) data: Vec<u8>,
 }
 
-/// A topic; schema 0 is none.
+/// A topic; schema 0 means none.
 pub(super) struct Channel {
     pub(super) id: u16,
     pub(super) schema: u16,
@@ -44,19 +44,19 @@ pub(super) struct Channel {
     pub(super) encoding: &'static str,
 }
 
-/// Where a chunk stands and what it holds.
+/// Position and contents of a chunk.
 pub(super) struct ChunkEntry {
     pub(super) start: u64,
     pub(super) end: u64,
     pub(super) offset: u64,
     pub(super) length: u64,
-    /// Bytes of the message indexes behind it, and where that of each channel stands.
+    /// Bytes of the message indexes behind it, and the offset of each channel's index.
     pub(super) indexes_length: u64,
     pub(super) indexes: BTreeMap<u16, u64>,
     pub(super) size: u64,
 }
 
-/// Where an attachment stands.
+/// Position of an attachment.
 pub(super) struct AttachmentEntry {
     pub(super) offset: u64,
     pub(super) length: u64,
@@ -65,7 +65,7 @@ pub(super) struct AttachmentEntry {
     pub(super) media_type: String,
 }
 
-/// Where a piece of metadata stands.
+/// Position of a metadata record.
 pub(super) struct MetadataEntry {
     pub(super) offset: u64,
     pub(super) length: u64,
@@ -82,7 +82,7 @@ fn record(opcode: u8, out: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) {
     out[at..at + 8].copy_from_slice(&length.to_le_bytes());
 }
 
-/// Appends what `body` appends, with its length in 32 bits before it.
+/// Appends the output of `body`, prefixed with its 32-bit length.
 fn prefixed(out: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) {
     let at = out.len();
     u32(0, out);
@@ -156,7 +156,7 @@ pub(super) fn metadata(name: &str, pairs: &BTreeMap<String, String>, out: &mut V
 pub(super) fn attachment(name: &str, media_type: &str, data: &[u8], out: &mut Vec<u8>) {
     record(op::ATTACHMENT, out, |out| {
         let begin = out.len();
-        // Logged and created at the beginning of the session.
+        // Log and creation time: the beginning of the session.
         u64(0, out);
         u64(0, out);
         text(name, out);
@@ -232,14 +232,14 @@ pub(super) fn metadata_index(entry: &MetadataEntry, out: &mut Vec<u8>) {
     });
 }
 
-/// How many there are of everything.
+/// Counts for the statistics record.
 pub(super) struct Statistics<'a> {
     pub(super) schemas: u16,
     pub(super) channels: u32,
     pub(super) attachments: u32,
     pub(super) metadata: u32,
     pub(super) chunks: u32,
-    /// Of the first and the last message \[ns\].
+    /// Times of the first and the last message \[ns\].
     pub(super) bounds: (u64, u64),
     pub(super) messages: &'a BTreeMap<u16, u64>,
 }
@@ -275,8 +275,8 @@ pub(super) fn summary_offset(opcode: u8, start: u64, length: u64, out: &mut Vec<
     });
 }
 
-/// The footer and the closing magic. `summary` is where in `out` the summary begins: the footer's checksum
-/// goes over everything from there.
+/// The footer and the closing magic. `summary` is where in `out` the summary begins: the footer's checksum covers
+/// everything from there.
 pub(super) fn footer(summary: usize, summary_start: u64, offsets_start: u64, out: &mut Vec<u8>) {
     record(op::FOOTER, out, |out| {
         u64(summary_start, out);
@@ -284,7 +284,7 @@ pub(super) fn footer(summary: usize, summary_start: u64, offsets_start: u64, out
         u32(0, out);
     });
     let at = out.len() - 4;
-    // The checksum includes the record's length, which stands there by now.
+    // The checksum includes the record's length, which is already written.
     let crc = crc32fast::hash(&out[summary..at]);
     out[at..].copy_from_slice(&crc.to_le_bytes());
     out.extend_from_slice(MAGIC);

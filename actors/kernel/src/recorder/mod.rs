@@ -1,10 +1,10 @@
-//! The recorder: the log of commits as an MCAP file, and what can be done with one afterwards.
+//! The recorder: writes the commit log as an MCAP file; also reads and replays recordings.
 //!
 //! ```text
 //! Model ─▶ tap ═ queue ═▶ desk { journal: open chunk ─▶ spool } ─▶ disk
 //!                          ▲ one life of the recorder after the other
 //! ```
-//! The recorder is a supervised controller. What has to outlive it lies on the desk as plain data.
+//! The recorder is a supervised controller. Data that must survive its restarts is kept in the handover as plain data.
 
 mod bytes;
 mod commit_sink;

@@ -1,4 +1,4 @@
-//! What a recording is made of and how: what the caller says.
+//! Options of a recording: its metadata and how it is written.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use serde_json::Value;
 use thiserror::Error;
 use trocar_scene::SimTime;
 
-/// What stands at the head of a recording.
+/// Metadata at the head of a recording.
 #[derive(Clone, Debug, Default)]
 pub struct RecordingHead {
     /// Name of the scenario.
@@ -22,7 +22,7 @@ pub struct RecordingHead {
     pub mode: String,
     /// Capabilities of each device by name.
     pub devices: BTreeMap<String, Value>,
-    /// Whatever else a reader may want to know.
+    /// Further metadata for readers.
     pub extra: BTreeMap<String, String>,
 }
 
@@ -33,11 +33,11 @@ pub struct RecorderOptions {
     pub keyframe_period: SimTime,
     /// Time from one set of poses on `/tf` to the next.
     pub tf_period: SimTime,
-    /// Longest time for which something stays in memory only.
+    /// Longest time that data stays in memory only.
     pub flush_period: SimTime,
-    /// Most bytes that may wait for the disk; what comes on top is a gap.
+    /// Most bytes that may wait for the disk; more becomes a gap.
     pub backlog_max: usize,
-    /// Most publications that may wait for the recorder's thread; what comes on top is a gap.
+    /// Most publications that may wait for the recorder's thread; more becomes a gap.
     pub queue_max: usize,
 }
 

@@ -1,7 +1,7 @@
-//! Opens a recording, also one that was cut off, and reads it piece by piece.
+//! Reader of recordings, including truncated ones, chunk by chunk.
 //!
-//! The top-level records are walked once to find the chunks; a chunk is read when it is needed. Whatever
-//! stands behind the last whole record is what a crash left behind: it is reported, and the rest is used.
+//! The top-level records are scanned once to find the chunks; each chunk is read when needed. Bytes behind the last
+//! complete record are left from a crash: they are reported, and the rest is used.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -22,7 +22,7 @@ use crate::state_hash::StateHash;
 
 /// Longest chunk that is read into memory; ours are about 1 MiB unless one keyframe is larger.
 const CHUNK_MAX: u64 = 1 << 30;
-/// Longest other record that is looked into.
+/// Longest other record that is parsed.
 const RECORD_MAX: u64 = 64 << 20;
 /// A file that cannot be used as a recording.
 #[derive(Debug, Error)]
@@ -35,7 +35,7 @@ pub enum RecordingError {
         /// Why.
         source: io::Error,
     },
-    /// Something else than a recording.
+    /// The file is not a recording.
     #[error("recording '{}': not a recording of trocar: {what}", file.display())]
     NotARecording {
         /// The file.
@@ -52,7 +52,7 @@ pub enum RecordingError {
     Schema {
         /// The file.
         file: PathBuf,
-        /// What it says.
+        /// The version found.
         found: String,
         /// Which version of trocar wrote it.
         version: String,
@@ -75,7 +75,7 @@ pub enum RecordingError {
         /// What is wrong with it.
         message: String,
     },
-    /// The recording replays to something else than was recorded.
+    /// The replay diverges from the recorded state hash.
     #[error(
         "recording '{}', revision {revision}: the state hash is {found}, recorded was {recorded}",
         file.display()
@@ -85,14 +85,14 @@ pub enum RecordingError {
         file: PathBuf,
         /// Where.
         revision: u64,
-        /// What the replay gives.
+        /// Hash of the replay.
         found: StateHash,
-        /// What the file says.
+        /// Recorded hash.
         recorded: StateHash,
     },
 }
 
-/// What stands at the head of a recording.
+/// Metadata at the head of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordingMetadata {
     /// Version of trocar that wrote it.
@@ -111,11 +111,11 @@ pub struct RecordingMetadata {
     pub components: BTreeMap<String, String>,
     /// Capabilities of each device, as JSON.
     pub devices: BTreeMap<String, String>,
-    /// Whatever else was written.
+    /// Further metadata.
     pub extra: BTreeMap<String, String>,
 }
 
-/// What a clean close left at the end.
+/// Final metadata of a clean close.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordingEnd {
     /// The last revision.
@@ -124,7 +124,7 @@ pub struct RecordingEnd {
     pub hash: String,
     /// The time at the end.
     pub time: SimTime,
-    /// Whether nothing is missing.
+    /// Whether the recording has no gaps.
     pub complete: bool,
 }
 
@@ -152,20 +152,20 @@ impl Keyframe {
             Err(ComponentError::Malformed(format!("{} bytes too many in a keyframe", rest.len())))
         }
     }
-    /// Where in the file it stands.
+    /// Its offset in the file.
     pub fn offset(&self) -> u64 {
         self.offset
     }
 }
 
-/// A piece of a recording, in order.
+/// An item of a recording, in order.
 #[derive(Clone, Debug)]
 pub enum Item {
-    /// What changed the scene, in one publication.
+    /// The commits of one publication.
     Commits(Group),
     /// The whole scene.
     Keyframe(Keyframe),
-    /// Something is missing here; a keyframe follows.
+    /// A gap; a keyframe follows.
     Gap(Gap),
 }
 
@@ -189,10 +189,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens a file and finds its parts.
+    /// Opens a file and indexes its parts.
     ///
     /// # Errors
-    /// [`RecordingError`]; a file that was merely cut off opens, see [`Self::truncation`].
+    /// [`RecordingError`]; a truncated file still opens, see [`Self::truncation`].
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let io_error = |source| RecordingError::Io { file: path.to_owned(), source };
         let mut file = File::open(path).map_err(io_error)?;
@@ -274,15 +274,15 @@ impl Recording {
     pub fn path(&self) -> &Path {
         &self.path
     }
-    /// What stands at its head.
+    /// The metadata at its head.
     pub fn metadata(&self) -> &RecordingMetadata {
         &self.metadata
     }
-    /// What a clean close left at its end.
+    /// The final metadata, after a clean close.
     pub fn end(&self) -> Option<&RecordingEnd> {
         self.end.as_ref()
     }
-    /// Where and how the file was cut off, if it was; everything before that can be used.
+    /// Where and how the file was truncated, if it was; everything before that is usable.
     pub fn truncation(&self) -> Option<&str> {
         self.truncation.as_deref()
     }
@@ -290,18 +290,18 @@ impl Recording {
     pub fn is_complete(&self) -> bool {
         self.truncation.is_none() && self.end.as_ref().is_some_and(|end| end.complete)
     }
-    /// The latest time for which there is anything.
+    /// The latest time in the recording.
     pub fn duration(&self) -> SimTime {
         self.chunks.iter().map(|chunk| chunk.end).max().unwrap_or_default()
     }
 
-    /// The pieces in order, from the beginning.
+    /// The items in order, from the beginning.
     pub fn items(&self) -> impl Iterator<Item = Result<Item, RecordingError>> + '_ {
         self.items_from_chunk(0)
     }
 
-    /// The pieces in order, beginning early enough for the scene at `time` to be built from them: at the
-    /// start of the chunk with the last keyframe that is not later.
+    /// The items in order, from the start of the chunk that holds the last keyframe at or before `time`, so that the
+    /// scene at `time` can be rebuilt.
     ///
     /// # Errors
     /// [`RecordingError`] while looking for that keyframe.
@@ -324,8 +324,8 @@ impl Recording {
         Ok(self.items_from_chunk(from))
     }
 
-    /// The scene at `time`: everything that was committed up to then. Derived components are as they were at
-    /// the last keyframe before.
+    /// The scene at `time`: everything that was committed up to then. Derived components have their values of the last
+    /// keyframe before.
     ///
     /// # Errors
     /// [`RecordingError`].
@@ -335,8 +335,8 @@ impl Recording {
         Ok(replay.view().clone())
     }
 
-    /// Every recorded value of a component of an entity, with the time of the batch that wrote it: the hand
-    /// that held a device, say. Values before the first commit are those of the first keyframe, at its time.
+    /// Every recorded value of a component of an entity, with the time of the batch that wrote it, for example the hand
+    /// on a device. Values before the first commit are those of the first keyframe, at its time.
     ///
     /// # Errors
     /// [`RecordingError`].
@@ -521,7 +521,7 @@ fn records(body: &[u8]) -> Result<&[u8], String> {
     Ok(records)
 }
 
-/// Which channel is which topic; the first chunk says it.
+/// Map of channels to topics, read from the first chunk.
 fn parse_topics(body: &[u8]) -> Result<BTreeMap<u16, String>, String> {
     let mut records = Bytes(records(body)?);
     let mut topics = BTreeMap::new();
@@ -557,7 +557,7 @@ fn parse_chunk(body: &[u8], topics: &BTreeMap<u16, String>, offset: u64) -> Resu
     Ok(items)
 }
 
-/// What a message means to us; other topics are for other tools.
+/// Parses a message of our own topics; other topics are for other tools.
 fn parse_message(
     topic: Option<&str>,
     time: SimTime,

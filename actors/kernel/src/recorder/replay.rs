@@ -22,12 +22,12 @@ pub struct Replay<'a> {
     commands: Commands,
     time: SimTime,
     gaps: Vec<Gap>,
-    /// The next keyframe replaces the scene instead of being checked against it.
+    /// Whether the next keyframe replaces the scene instead of checking it.
     fresh: bool,
 }
 
 impl<'a> Replay<'a> {
-    /// From the beginning.
+    /// A replay from the beginning.
     ///
     /// # Errors
     /// [`RecordingError`]; a recording without a keyframe has nothing to play.
@@ -35,7 +35,7 @@ impl<'a> Replay<'a> {
         Self::from_items(recording, registry, Box::new(recording.items()))
     }
 
-    /// From the last keyframe that is not later than `time`; [`Self::advance_to`] plays the rest.
+    /// A replay from the last keyframe at or before `time`; [`Self::advance_to`] plays the rest.
     ///
     /// # Errors
     /// [`RecordingError`].
@@ -44,7 +44,7 @@ impl<'a> Replay<'a> {
         registry: &Arc<Registry>,
         time: SimTime,
     ) -> Result<Self, RecordingError> {
-        // What stands before the first keyframe of that chunk belongs to an earlier one.
+        // Items before the first keyframe of that chunk belong to an earlier keyframe.
         let items =
             recording.seek(time)?.skip_while(|item| matches!(item, Ok(Item::Commits(_) | Item::Gap(_))));
         Self::from_items(recording, registry, Box::new(items))
@@ -80,10 +80,10 @@ impl<'a> Replay<'a> {
         })
     }
 
-    /// Plays the next publication and gives its time; `None` at the end.
+    /// Plays the next publication and returns its time; `None` at the end.
     ///
     /// # Errors
-    /// [`RecordingError::Diverged`] when the scene is not what was recorded, and others for damaged parts.
+    /// [`RecordingError::Diverged`] when the scene differs from the recorded one, and others for damaged parts.
     pub fn step(&mut self) -> Result<Option<SimTime>, RecordingError> {
         loop {
             match self.items.next().transpose()? {
@@ -130,7 +130,7 @@ impl<'a> Replay<'a> {
         }
     }
 
-    /// Plays everything that is left, and gives the state hash at the end.
+    /// Plays the rest, and returns the final state hash.
     ///
     /// # Errors
     /// As [`Self::step`].
@@ -139,11 +139,11 @@ impl<'a> Replay<'a> {
         Ok(self.core.hash())
     }
 
-    /// The scene as it is now.
+    /// The current scene.
     pub fn view(&self) -> &Snapshot {
         self.core.view()
     }
-    /// The scene as it is now, to keep.
+    /// A snapshot of the current scene.
     pub fn snapshot(&mut self) -> Arc<Snapshot> {
         self.core.publish()
     }
@@ -155,7 +155,7 @@ impl<'a> Replay<'a> {
     pub fn time(&self) -> SimTime {
         self.time
     }
-    /// What was missing so far.
+    /// Gaps so far.
     pub fn gaps(&self) -> &[Gap] {
         &self.gaps
     }

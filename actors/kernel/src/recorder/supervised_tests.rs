@@ -1,4 +1,4 @@
-//! What the recorder promises as somebody who may fail, one test per promise.
+//! Tests of the recorder's guarantees under failure and supervision, one per guarantee.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -121,7 +121,7 @@ fn a_recorder_that_stalls_is_left_behind_and_one_that_is_slow_is_not() {
     }
 }
 
-/// Follows from the rest, and its own code panics in the next keyframe when the thread asks for it.
+/// A derived component whose encoding panics in the next keyframe when the thread asks for it.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 struct Brittle(u8);
 thread_local! {
@@ -218,15 +218,15 @@ fn a_recorder_that_dies_on_a_full_disk_goes_on_when_there_is_room() {
     }
 }
 
-/// A disk that can be told to misbehave.
+/// A disk with injectable faults.
 struct Moody {
     file: File,
     mood: Arc<AtomicU8>,
 }
 const WELL: u8 = 0;
-/// Writes half of what it is given, once, and panics.
+/// Writes half of its input once, and panics.
 const PANIC: u8 = 1;
-/// Does not answer until its mood changes.
+/// Blocks until its mood changes.
 const HANG: u8 = 2;
 
 impl Disk for Moody {
@@ -280,10 +280,10 @@ fn a_write_that_ends_in_a_panic_is_done_again() {
 
 #[test]
 fn the_state_hash_does_not_know_whether_somebody_records() {
-    // Failures with jittered pauses, a goal that is looked for, and odd rates: whatever depended on who else is
-    // due when, or on who else has failed, would show.
+    // Failures with jittered pauses, a stop condition, and odd rates: any dependence on other controllers' due times or
+    // failures would show.
     let faults = |plan: FaultPlan| {
-        // Five in two seconds: as many as the group tolerates, each after a longer pause than the one before.
+        // Five in two seconds: as many as the group tolerates, with growing pauses.
         let kills = [0.5, 0.6, 0.7, 1.9, 2.3].into_iter();
         kills.fold(plan, |plan, at| plan.at(secs(at)).kill("mover")).at(secs(1.1)).kill("model")
     };

@@ -1,4 +1,4 @@
-//! What the recorder promises, one test per promise.
+//! Tests of the recorder's guarantees, one per guarantee.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ pub(super) fn scene() -> Store {
     scene
 }
 
-/// Moves a ring, counts, and says something now and then.
+/// Moves a ring, counts, and emits an event now and then.
 pub(super) struct Mover;
 impl Controller for Mover {
     fn access(&self) -> Access {
@@ -188,7 +188,7 @@ fn a_process_that_is_killed_leaves_all_but_the_last_second() {
     let file = folder.file("a.mcap");
     let mut session = session(&file, RecorderOptions::default(), FaultPlan::new(1));
     session.step_until(secs(4.0));
-    // Without a word: neither closed nor dropped.
+    // Abandoned: neither closed nor dropped.
     std::mem::forget(session);
     let recording = Recording::open(&file).expect("opens");
     assert!(recording.truncation().is_some() && recording.end().is_none());
@@ -229,7 +229,7 @@ fn a_flood_never_keeps_the_model_waiting_and_is_a_declared_gap() {
     core.keep_commits(true);
     core.declare("mover", trocar_scene::WriterId(1), &Mover.access()).expect("fits");
     let options = RecorderOptions { queue_max: 4, ..RecorderOptions::default() };
-    // Nobody ticks the recorder: as if it were stalled.
+    // The recorder is never ticked, as if it were stalled.
     let mut tap = Recorder::create(&file, &head(), core.view(), options).expect("begins").into_tap();
     let mut buffer = CommitBuffer::new();
     let mut longest = Duration::ZERO;

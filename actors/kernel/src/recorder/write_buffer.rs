@@ -1,5 +1,5 @@
-//! Bytes on their way to the disk: kept until it takes them, so that a disk that is full for a while costs
-//! memory and not data. Outlives whoever fills it.
+//! Write buffer before the disk: bytes are kept until written, so that a temporarily full disk costs memory, not data.
+//! It survives restarts of the recorder.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -9,11 +9,11 @@ use super::gate::Pass;
 
 /// Where a recording goes.
 pub(super) trait Disk: Send {
-    /// Writes some of the bytes and says how many.
+    /// Writes some of the bytes and returns how many.
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize>;
-    /// Makes sure that they survive the end of the process and of the power supply.
+    /// Makes written bytes durable against a crash or a power failure.
     fn sync(&mut self) -> io::Result<()>;
-    /// Forgets everything behind the first `length` bytes.
+    /// Truncates the file to its first `length` bytes.
     fn rewind(&mut self, length: u64) -> io::Result<()>;
 }
 
@@ -30,19 +30,19 @@ impl Disk for File {
     }
 }
 
-/// What waits for the disk; appending to it never fails.
+/// Bytes waiting for the disk; appending never fails.
 pub(super) struct WriteBuffer {
     waiting: Vec<u8>,
-    /// Bytes at the front of `waiting` that the disk has.
+    /// Bytes at the front of `waiting` that are written.
     done: usize,
-    /// Bytes that the disk has altogether.
+    /// Total bytes written.
     written: u64,
-    /// The disk was asked to write and has not answered; still set when that call panicked.
+    /// A write call is in progress; still set if that call panicked.
     asked: bool,
-    /// Bytes that a slow disk still takes before time passes.
+    /// Bytes that a slow disk may still take in the current time step.
     ration: Option<f64>,
     disk: Box<dyn Disk>,
-    /// What the disk said last, if it refused.
+    /// The disk's last error.
     pub(super) refusal: Option<io::Error>,
 }
 
@@ -55,7 +55,7 @@ impl WriteBuffer {
         Self { waiting: Vec::new(), done: 0, written: 0, asked: false, ration: None, disk, refusal: None }
     }
 
-    /// Bytes that the disk has not taken yet.
+    /// Bytes not yet written.
     pub(super) fn backlog(&self) -> usize {
         self.waiting.len() - self.done
     }
@@ -68,13 +68,13 @@ impl WriteBuffer {
         self.waiting.extend_from_slice(bytes);
     }
 
-    /// Time has passed, in which the disk takes so many bytes; `None`: as many as it can.
+    /// Adds the bytes that the disk may take in the elapsed time; `None`: no limit.
     pub(super) fn ration(&mut self, bytes: Option<f64>) {
-        // Time in which nothing was written is gone, but for the rest of a byte.
+        // Unused allowance expires, except for the fraction of a byte.
         self.ration = bytes.map(|bytes| bytes + self.ration.map_or(0.0, f64::fract));
     }
 
-    /// Gives the disk what it takes; `true` when nothing is left. Who was fenced meanwhile stops.
+    /// Writes as much as the disk takes; `true` when nothing is left. Stops when the pass is fenced.
     pub(super) fn drain(&mut self, pass: Pass<'_>) -> bool {
         self.refusal = None;
         while self.done < self.waiting.len() {
@@ -115,8 +115,8 @@ impl WriteBuffer {
         true
     }
 
-    /// After a failure: when nobody knows how much of a write reached the disk, the file goes back to what is
-    /// known, and that write is done again.
+    /// Recovers after a failure: if it is unknown how much of a write reached the disk, the file is truncated to its
+    /// known length and the write is repeated.
     pub(super) fn resume(&mut self) -> io::Result<()> {
         if self.asked {
             self.disk.rewind(self.written)?;

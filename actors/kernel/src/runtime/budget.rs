@@ -1,24 +1,24 @@
-//! How much of a period a controller may use: a rule without a clock.
+//! Time budget of a controller within its period: a pure rule, without a clock.
 
 use trocar_scene::SimTime;
 
-/// Most of a period that step and spin may take together.
+/// Largest share of a period that step and spin may take together.
 pub const SHARE_MAX: f64 = 0.8;
 /// Ticks over which breaches are counted.
 pub const WINDOW: u32 = 64;
-/// Breaches within the window that have consequences.
+/// Breaches within the window that trigger a verdict.
 pub const BREACHES_MAX: u32 = 32;
 
-/// What follows from the last tick.
+/// Consequence of the last tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing.
+    /// No change.
     Keep,
-    /// No more spinning: the ticker sleeps up to the due time.
+    /// Stop spinning: the ticker sleeps until the due time.
     StopSpinning,
-    /// The steps alone are too long: real-time priority must go, before the system throttles everybody.
+    /// Give up real-time priority: the steps alone are too long, and the system would throttle all real-time threads.
     Demote,
-    /// A quiet window: spinning is affordable again.
+    /// Spin again: a whole window was within budget.
     Spin,
 }
 
@@ -34,7 +34,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// For a period, with the time that the ticker spins at most.
+    /// Budget for a period, with the ticker's longest spin.
     pub fn new(period: SimTime, spin: SimTime) -> Self {
         let limit = SimTime::from_secs_f64(period.as_secs_f64() * SHARE_MAX);
         Self { limit, spin, spins: spin < limit, demoted: false, ticks: 0, breaches: 0 }
@@ -43,14 +43,14 @@ impl Budget {
     pub fn may_spin(&self) -> bool {
         self.spins
     }
-    /// Whether the priority had to go.
+    /// Whether real-time priority was given up.
     pub fn is_demoted(&self) -> bool {
         self.demoted
     }
     /// Judges one tick whose step took `step`.
     pub fn observe(&mut self, step: SimTime) -> Verdict {
         self.ticks += 1;
-        // Judged as if it spun, so that what was stopped comes back only when it is affordable.
+        // The check counts the spin even while it is off, so that spinning resumes only when it fits the budget.
         let with_spin = step + self.spin > self.limit;
         let alone = step > self.limit;
         if if self.spins { with_spin } else { alone } {

@@ -1,4 +1,4 @@
-//! How much a writer finds: what it contributes to lists that several fill, as a detector to the collision list.
+//! Statistics of a writer's entries in shared lists, such as a detector's contacts in the collision list.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// No list yet.
 const NONE: u64 = u64::MAX;
 
-/// Filled by one thread, at every tick; read by anybody.
+/// Updated by one thread at every tick; read by any thread.
 #[derive(Debug)]
 pub(super) struct HitCounts {
     now: AtomicU64,
@@ -26,7 +26,7 @@ impl Default for HitCounts {
 }
 
 impl HitCounts {
-    /// One tick: it lists so many, or goes on with what it listed before.
+    /// Records one tick: `listed` entries, or with `None` as many as before.
     pub(super) fn tick(&self, listed: Option<u64>) {
         if let Some(count) = listed {
             self.now.store(count, Ordering::Relaxed);
@@ -43,7 +43,7 @@ impl HitCounts {
         }
     }
 
-    /// Its list is gone with its life.
+    /// Clears the current count, because a writer's list ends with its life.
     pub(super) fn forget(&self) {
         if self.now.load(Ordering::Relaxed) != NONE {
             self.now.store(0, Ordering::Relaxed);
@@ -67,13 +67,13 @@ impl HitCounts {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Hits {
-    /// After its last tick.
+    /// Count after its last tick.
     pub now: u64,
-    /// Over all ticks from its first list on.
+    /// Mean over all ticks since its first list.
     pub mean: f64,
-    /// Most at a time.
+    /// Largest count after any tick.
     pub max: u64,
-    /// Ticks with at least one.
+    /// Ticks with at least one contact.
     pub ticks: u64,
 }
 

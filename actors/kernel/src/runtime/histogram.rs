@@ -1,6 +1,6 @@
-//! A histogram that one thread fills while another reads it, with nothing between them but atomics.
-//! Buckets as in HdrHistogram (Tene 2012): linear within each power of two, here 128 per power, so that
-//! every value is known to better than 1 %.
+//! Lock-free latency histogram: one thread records while others read, through atomics only. Buckets as in HdrHistogram
+//! (Tene 2012): linear within each power of two, here 128 per power, so that the relative error of every value is below
+//! 1 %.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 const SUB_BITS: u32 = 7;
 const SUB: u64 = 1 << SUB_BITS;
-/// Largest value that has a bucket of its own, ns; 17 s. Larger ones are counted there.
+/// Largest value with a bucket of its own, ns; 17 s. Larger values are counted in the last bucket.
 pub const VALUE_MAX: u64 = (1 << 34) - 1;
 const BUCKETS: usize = ((34 - SUB_BITS + 1) * SUB as u32) as usize;
 
@@ -113,7 +113,7 @@ pub const BAR_EDGES_US: [f64; 16] = [
     50_000.0, 100_000.0,
 ];
 
-/// A histogram small enough to be drawn.
+/// A small histogram for plots.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Bars {
     /// Upper edge of each bar but the last, µs.

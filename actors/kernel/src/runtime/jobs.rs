@@ -1,4 +1,4 @@
-//! Long work of one controller on a thread of its own, started with its first job.
+//! Background worker for a controller's long jobs: one thread per controller, started with its first job.
 
 use std::collections::VecDeque;
 use std::io;
@@ -13,7 +13,7 @@ use super::panics::guarded;
 pub struct JobRunner {
     name: String,
     worker: Option<Worker>,
-    /// Jobs for which the worker has no room yet.
+    /// Jobs that the worker's queue has no room for yet.
     backlog: VecDeque<Job>,
 }
 
@@ -23,16 +23,16 @@ struct Worker {
 }
 
 impl JobRunner {
-    /// For the controller `name`; starts nothing yet.
+    /// Runner for the controller `name`; the thread starts with the first job.
     pub fn new(name: &str) -> Self {
         Self { name: name.to_owned(), worker: None, backlog: VecDeque::new() }
     }
 
-    /// Hands over what has been finished: at most as much as a controller can be handed, so that nothing that it asks for
-    /// in each step is forgotten; what is left comes before the next one.
+    /// Delivers finished outputs, at most as many as the controller's inbox holds, so that no output of a repeated job
+    /// is dropped; the rest is delivered before the next step.
     ///
     /// # Errors
-    /// What a job's panic said: its controller would wait for ever.
+    /// The panic message of a job: its controller would otherwise wait for ever.
     pub fn deliver(&mut self, jobs: &Jobs) -> Result<(), String> {
         if let Some(worker) = &self.worker {
             for (key, result) in worker.results.try_iter().take(JOBS_MAX) {
@@ -45,10 +45,10 @@ impl JobRunner {
         Ok(())
     }
 
-    /// Takes what has been submitted.
+    /// Takes the submitted jobs.
     ///
     /// # Errors
-    /// When no thread can be had.
+    /// When no thread can be started.
     pub fn collect(&mut self, jobs: &Jobs) -> io::Result<()> {
         while self.backlog.len() < JOBS_MAX
             && let Some(job) = jobs.next_submitted()
@@ -73,7 +73,8 @@ impl JobRunner {
 }
 
 impl Worker {
-    /// Ends when the runner is dropped and its present job is done; never joined, as that may take long.
+    /// Starts the worker thread. It ends when the runner is dropped and the running job is done; it is never joined, as
+    /// that may take long.
     fn start(name: &str) -> io::Result<Self> {
         let (orders, inbox) = sync_channel::<Job>(JOBS_MAX);
         let (outbox, results) = sync_channel(JOBS_MAX);
@@ -140,7 +141,7 @@ mod tests {
         let mut left: Vec<u64> = (0..all).collect();
         let begun = Instant::now();
         while !left.is_empty() {
-            // A slow controller: by its next step more are done than it can be handed.
+            // A slow controller: before its next step more jobs finish than its inbox holds.
             std::thread::sleep(Duration::from_millis(50));
             runner.deliver(&jobs).expect("no panic");
             left.retain(|key| jobs.take(*key).is_none());

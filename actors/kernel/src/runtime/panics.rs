@@ -1,5 +1,5 @@
-//! What a panic said, caught where it can be told instead of printed where it happens: printing a
-//! backtrace takes tens of milliseconds on a thread that has one.
+//! Panic capture: message and place of a panic become an error instead of being printed, because printing a backtrace
+//! takes tens of milliseconds on a thread that has one.
 
 use std::any::Any;
 use std::cell::{Cell, RefCell};
@@ -37,12 +37,12 @@ fn install() {
     });
 }
 
-/// Runs `work`; a panic in it becomes its text and place.
+/// Runs `work`; a panic in it becomes an error with its message and place.
 ///
 /// # Errors
-/// What the panic said.
+/// The panic's message and place.
 pub fn guarded<R>(work: impl FnOnce() -> R) -> Result<R, String> {
-    /// Counts itself in, so that nested uses keep quiet as well, and out again whatever happens.
+    /// Guard that silences the panic hook on this thread; counted, so that uses can nest, and released on drop.
     struct Quiet;
     impl Drop for Quiet {
         fn drop(&mut self) {
@@ -60,12 +60,12 @@ pub fn guarded<R>(work: impl FnOnce() -> R) -> Result<R, String> {
     })
 }
 
-/// What the last panic on this thread said, if it happened within [`guarded`] and somebody else caught it.
+/// Message of the last panic on this thread, if it happened within [`guarded`] and another `catch_unwind` caught it.
 pub fn take_text() -> Option<String> {
     SLOT.with(|slot| slot.try_borrow_mut().ok().and_then(|mut slot| slot.take()))
 }
 
-/// A payload of an unknown type may panic when dropped: texts are freed, the rest is left.
+/// Frees string payloads and leaks others: a payload of an unknown type may panic when dropped.
 fn forget_payload(payload: Box<dyn Any + Send>) {
     if !(payload.is::<&'static str>() || payload.is::<String>()) {
         std::mem::forget(payload);

@@ -1,33 +1,33 @@
-//! Time of a session that can stand still: while it does, nobody who reads it sees any pass.
+//! Pausable session clock: while it is paused, readers see a constant time.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_scene::SimTime;
 
-/// What turns the time since a session's origin into its own time. Readers never wait.
+/// Converts the time since a session's origin to session time. Readers never block.
 ///
-/// One word, so that no reader can see half of a change: with the upper bit the time at which it stands, without it
-/// what was taken off so far \[ns\]. 63 bits of nanoseconds are 292 years.
+/// One word, so that every read is atomic. Upper bit set: the time at which the clock is paused; clear: the total
+/// paused time so far \[ns\]. 63 bits of nanoseconds are 292 years.
 #[derive(Debug, Default)]
 pub struct Standstill(AtomicU64);
 
 const STANDS: u64 = 1 << 63;
 
 impl Standstill {
-    /// Time of the session when `elapsed` has passed since its origin.
+    /// Session time when `elapsed` has passed since the origin.
     pub fn at(&self, elapsed: SimTime) -> SimTime {
         let word = self.0.load(Ordering::Acquire);
         if word & STANDS == 0 { SimTime(elapsed.0.saturating_sub(word)) } else { SimTime(word & !STANDS) }
     }
-    /// Whether it stands.
+    /// Whether the clock is paused.
     pub fn is_still(&self) -> bool {
         self.0.load(Ordering::Acquire) & STANDS != 0
     }
-    /// It stands from now on.
+    /// Pauses the clock.
     pub fn stop(&self, elapsed: SimTime) {
         self.0.store(STANDS | self.at(elapsed).0, Ordering::Release);
     }
-    /// It goes on where it stood.
+    /// Resumes the clock at the time where it was paused.
     pub fn go_on(&self, elapsed: SimTime) {
         if self.is_still() {
             let stood_at = self.at(elapsed);

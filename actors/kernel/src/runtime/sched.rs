@@ -1,5 +1,5 @@
-//! Thread scheduling: real-time priority where permitted, demotion of a thread that does not answer, CPU
-//! time. The only module of this crate with unsafe code.
+//! Thread scheduling: real-time priority where permitted, demotion of an unresponsive thread, CPU time. The only module
+//! of this crate with unsafe code.
 #![allow(unsafe_code)]
 
 use std::io;
@@ -14,7 +14,7 @@ use crate::supervision::RuntimeClass;
 pub struct Permission {
     /// Whether real-time priority was granted.
     pub fifo: bool,
-    /// What was refused and how to mend it; empty when nothing was.
+    /// What was refused and how to fix it; empty when all was granted.
     pub refused: String,
 }
 
@@ -36,8 +36,8 @@ impl Permission {
 
 /// SCHED_FIFO priority of a class; `None`: the ordinary scheduler is good enough.
 ///
-/// The Model does short, bounded work and nobody's priority is inherited through a ring, so it stands
-/// above its clients. Physics steps are long: at a real-time priority they would starve everybody.
+/// The Model does short, bounded work and rings have no priority inheritance, so its priority is above its clients'.
+/// Physics steps are long: at a real-time priority they would starve all other threads.
 pub const fn fifo_priority(class: RuntimeClass) -> Option<i32> {
     match class {
         RuntimeClass::Driver => Some(60),
@@ -51,7 +51,7 @@ pub const fn fifo_priority(class: RuntimeClass) -> Option<i32> {
     }
 }
 
-/// Number of the calling thread, as the kernel knows it.
+/// The calling thread's id in the operating system (tid).
 pub fn current_tid() -> u32 {
     imp::current_tid()
 }
@@ -67,7 +67,7 @@ pub fn promote_current(class: RuntimeClass) -> Permission {
     }
 }
 
-/// Takes the calling thread's real-time priority away again, because it used too much of it.
+/// Returns the calling thread to the ordinary scheduler, because it used too much CPU time at real-time priority.
 ///
 /// # Errors
 /// When the system refuses.
@@ -80,8 +80,8 @@ pub fn is_real_time() -> bool {
     imp::is_real_time()
 }
 
-/// Leaves thread `tid` only what nobody else wants (SCHED_IDLE). The number must be that of a thread of
-/// this process that is still there, or the error says so.
+/// Moves thread `tid` to SCHED_IDLE, so that it gets only otherwise idle CPU time. `tid` must be a live thread of this
+/// process.
 ///
 /// # Errors
 /// When there is no such thread, or the system refuses.
@@ -89,17 +89,17 @@ pub fn demote(tid: u32) -> io::Result<()> {
     imp::set_idle(tid)
 }
 
-/// CPU time that a thread of this process has used; `None` when it is gone.
+/// CPU time that a thread of this process has used; `None` when it has ended.
 pub fn thread_cpu(tid: u32) -> Option<SimTime> {
     imp::thread_cpu(tid)
 }
 
-/// Whether a thread of this process runs or waits for a processor, rather than for anything else.
+/// Whether a thread of this process runs or waits for a processor, rather than being blocked.
 pub fn is_runnable(tid: u32) -> bool {
     imp::is_runnable(tid)
 }
 
-/// Names the calling thread for people who look at the process from outside; at most 15 bytes are kept.
+/// Sets the calling thread's name, as `ps` and debuggers show it; at most 15 bytes are kept.
 pub fn name_current(name: &str) {
     imp::name_current(name);
 }
@@ -148,7 +148,7 @@ mod imp {
     pub(super) fn name_current(name: &str) {
         let end = (0..=name.len().min(15)).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
         if let Ok(name) = std::ffi::CString::new(&name[..end]) {
-            // A name is a comfort: without it the thread works as well.
+            // The name only helps debugging: a failure to set it is ignored.
             let _ = rustix::thread::set_name(&name);
         }
     }

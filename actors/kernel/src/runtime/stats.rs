@@ -1,4 +1,4 @@
-//! What every controller reports about itself: rates, lateness, step time, losses, restarts.
+//! Statistics of every controller: rates, lateness, step time, losses, restarts.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
@@ -13,8 +13,8 @@ use super::sched;
 /// A tick that starts later than this counts as missed in `on_time`, ns.
 pub const ON_TIME_NS: u64 = 1_000_000;
 
-/// Filled by a controller's host at every tick, read by anybody at any time; lives as long as the session
-/// and goes on through restarts.
+/// Counters that a controller's host updates at every tick and any thread may read. They last for the whole session,
+/// across restarts.
 pub struct TickStats {
     name: String,
     rate_hz: f64,
@@ -31,10 +31,10 @@ pub struct TickStats {
     restarts: AtomicU32,
     demotions: AtomicU32,
     hits: HitCounts,
-    /// When the first tick was due and until when ticks were due, ns of the session; 0: none yet.
+    /// Due time of the first tick, and the end of the last tick's period, ns of session time; 0: none yet.
     first_due: AtomicU64,
     last_due: AtomicU64,
-    /// Thread whose CPU time is counted on; 0: none.
+    /// Thread whose CPU time is being counted; 0: none.
     thread: AtomicU32,
     /// CPU time of earlier threads, ns.
     cpu_before: AtomicU64,
@@ -42,7 +42,7 @@ pub struct TickStats {
 }
 
 impl TickStats {
-    /// Nothing counted yet.
+    /// Statistics with all counters at zero.
     pub fn new(name: impl Into<String>, rate_hz: f64) -> Self {
         Self {
             name: name.into(),
@@ -72,7 +72,7 @@ impl TickStats {
         &self.name
     }
 
-    /// A tick that was due at `due` has run.
+    /// Records that the tick due at `due` has run.
     pub fn ran(&self, due: SimTime, lateness: SimTime, step: SimTime) {
         self.ran.fetch_add(1, Ordering::Relaxed);
         self.lateness.record(lateness.0);
@@ -83,55 +83,55 @@ impl TickStats {
         self.first_due.fetch_min(due.0, Ordering::Relaxed);
         self.last_due.fetch_max(due.0, Ordering::Relaxed);
     }
-    /// What a tick has contributed to lists that several fill; `None`: what it listed before still stands.
+    /// Records how many entries a tick contributed to shared lists; `None`: its previous entries stay valid.
     pub fn found(&self, listed: Option<u64>) {
         self.hits.tick(listed);
     }
-    /// `count` scheduled ticks never ran.
+    /// Counts `count` scheduled ticks that never ran.
     pub fn missed(&self, count: u64) {
         self.missed.fetch_add(count, Ordering::Relaxed);
     }
-    /// A batch was refused at its own handle: its ring was full, or the writer sent too much.
+    /// Counts a batch refused at its own handle: the ring was full, or the writer exceeded its flow limit.
     pub fn dropped(&self) {
         self.dropped.fetch_add(1, Ordering::Relaxed);
     }
-    /// This long after it was sealed the Model took a batch.
+    /// Records the age of a batch, from sealing to when the Model took it.
     pub fn waited(&self, age: SimTime) {
         self.queue_age.record(age.0);
     }
-    /// What became of all batches that were sent so far.
+    /// Sets the account of all batches sent so far.
     pub fn set_account(&self, account: Account) {
         let Account { sent, applied, lost, delayed, duplicated } = account;
         for (counter, value) in self.account.iter().zip([sent, applied, lost, delayed, duplicated]) {
             counter.store(value, Ordering::Relaxed);
         }
     }
-    /// The Model refused a batch.
+    /// Counts a batch that the Model rejected.
     pub fn rejected(&self) {
         self.rejected.fetch_add(1, Ordering::Relaxed);
     }
-    /// A batch's precondition did not hold.
+    /// Counts a batch whose precondition did not hold.
     pub fn conflict(&self) {
         self.conflicts.fetch_add(1, Ordering::Relaxed);
     }
-    /// A new life begins.
+    /// Counts a restart.
     pub fn restarted(&self) {
         self.hits.forget();
         self.restarts.fetch_add(1, Ordering::Relaxed);
     }
-    /// Its real-time priority was taken away.
+    /// Counts a demotion from real-time priority.
     pub fn demoted(&self) {
         self.demotions.fetch_add(1, Ordering::Relaxed);
     }
-    /// From now on the thread `tid` does the work; called on that thread.
+    /// Counts CPU time of thread `tid` from now on; called on that thread.
     pub fn enter_thread(&self, tid: u32) {
         if self.thread.swap(tid, Ordering::Relaxed) != tid {
-            // What the thread before had used when it was last looked at.
+            // CPU time of the previous thread when it was last read.
             let before = self.cpu_now.swap(0, Ordering::Relaxed);
             self.cpu_before.fetch_add(before, Ordering::Relaxed);
         }
     }
-    /// The thread that does the work may end now: keeps what it has used.
+    /// Keeps the CPU time used so far, because the working thread may end now.
     pub fn leave_thread(&self) {
         self.cpu();
     }
@@ -168,7 +168,7 @@ impl TickStats {
         let scheduled = ran + missed;
         let first = self.first_due.load(Ordering::Relaxed);
         let last = self.last_due.load(Ordering::Relaxed);
-        // From the first tick to the end of the period of the last one.
+        // The span from the first tick to the end of the last tick's period.
         let active = if first <= last && self.rate_hz > 0.0 {
             (last - first) as f64 * 1e-9 + 1.0 / self.rate_hz
         } else {
@@ -206,39 +206,39 @@ impl TickStats {
     }
 }
 
-/// What became of the batches of one writer. None is unaccounted for: once nothing is on its way,
+/// Outcome counts of one writer's batches. Every batch is accounted for: once none is in flight,
 /// `sent + duplicated = applied + rejected + conflicts + lost`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Account {
-    /// Left the handle.
+    /// Batches that left the handle.
     pub sent: u64,
-    /// Are in the scene.
+    /// Batches published in the scene.
     pub applied: u64,
-    /// Never reached it.
+    /// Batches that never reached the scene.
     pub lost: u64,
-    /// Came late or were overtaken.
+    /// Batches that came late or were overtaken.
     pub delayed: u64,
-    /// Came twice.
+    /// Batches that arrived twice.
     pub duplicated: u64,
 }
 
 impl ControllerReport {
-    /// Batches of which nobody knows what became of them, either way; those on their way are among them.
+    /// Batches without a known outcome, as an absolute difference; batches in flight are among them.
     pub fn unaccounted(&self) -> u64 {
         (self.sent + self.duplicated).abs_diff(self.applied + self.rejected + self.conflicts + self.lost)
     }
 }
 
-/// How one controller kept its rate.
+/// Report on how one controller kept its rate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "ControllerSummary")]
 pub struct ControllerReport {
     /// Name of the writer, such as `haptics.left`.
     pub name: String,
-    /// Ticks per second that it should make.
+    /// Target rate, ticks per second.
     pub target_hz: f64,
-    /// Ticks per second that it made.
+    /// Achieved rate, ticks per second.
     pub achieved_hz: f64,
     /// Ticks that were due.
     pub scheduled: u64,
@@ -251,18 +251,18 @@ pub struct ControllerReport {
     pub step_us: Quantiles,
     /// Ticks that never ran.
     pub missed: u64,
-    /// Batches refused at its handle: its ring was full, or it sent more than it may.
+    /// Batches refused at its handle: the ring was full, or the flow limit was exceeded.
     pub dropped: u64,
     /// Batches that left its handle.
     pub sent: u64,
-    /// Batches that are in the scene.
+    /// Batches published in the scene.
     pub applied: u64,
-    /// Batches that were sent and never reached the scene: lost on a bad link, or with a Model that ended before
-    /// it had published them.
+    /// Batches that were sent and never reached the scene: lost on a faulty link, or with a Model that ended before
+    /// publishing them.
     pub lost: u64,
-    /// Batches that came late, or were overtaken, on a bad link.
+    /// Batches that a faulty link delayed or reordered.
     pub delayed: u64,
-    /// Batches that came twice.
+    /// Batches that arrived twice.
     pub duplicated: u64,
     /// How long batches waited from being sealed to being taken by the Model; live only.
     pub queue_age_us: Quantiles,
@@ -270,20 +270,20 @@ pub struct ControllerReport {
     pub rejected: u64,
     /// Batches whose precondition no longer held.
     pub conflicts: u64,
-    /// How often it was started again.
+    /// Number of restarts.
     #[schemars(with = "u64")]
     pub restarts: u32,
-    /// How often its real-time priority was taken away, because its steps took too much of their periods.
+    /// Number of demotions from real-time priority, because steps took too much of their periods.
     #[schemars(with = "u64")]
     pub demotions: u32,
-    /// Kind of the controller in the scenario, such as `obb-tree`; null for what is none of the scenario's.
+    /// Kind of the controller in the scenario, such as `obb-tree`; null for writers that the scenario does not declare.
     pub kind: Option<String>,
-    /// What it contributed to the collision list; null for who contributes none.
+    /// Its contribution to the collision list; null for writers that contribute none.
     pub hits: Option<Hits>,
     /// CPU time of its thread per time of the session, 0 to 1; for people, not in the machine-readable report.
     #[serde(skip)]
     pub cpu_share: f64,
-    /// Lateness in a form that can be drawn; not in the machine-readable report.
+    /// Lateness as a small histogram for plots; not in the machine-readable report.
     #[serde(skip)]
     pub lateness_bars: Bars,
 }

@@ -1,5 +1,5 @@
-//! A ticker of high resolution on an async runtime: a kernel timer armed a little early, then a bounded
-//! spin. `tokio::time` counts in milliseconds and serves only far below 100 Hz.
+//! A ticker of high resolution on an async runtime: a kernel timer armed a little early, then a bounded spin.
+//! `tokio::time` counts in milliseconds and is good enough only far below 100 Hz.
 
 use std::io;
 use std::sync::Arc;
@@ -11,12 +11,12 @@ use super::pausable_clock::Standstill;
 
 /// How early the timer is armed: the rest is spent spinning.
 pub const LEAD: SimTime = SimTime::from_micros(30);
-/// Longest wait at a stretch, so that a slow controller still hears an order to stop.
+/// Longest single wait, so that a slow controller still sees a request to stop.
 pub const WAIT_MAX: SimTime = SimTime::from_millis(50);
-/// After so many ticks without a wait the runtime gets its turn.
+/// The task yields to the runtime after this many ticks without a wait.
 const YIELD_EVERY: u32 = 16;
 
-/// Time since the start of the session, on the system's monotonic clock; clones tell the same time.
+/// Time since the start of the session, on the system's monotonic clock; clones read the same time.
 #[derive(Clone, Debug)]
 pub struct Clock {
     start: Instant,
@@ -24,27 +24,27 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// A session that starts now.
+    /// Clock of a session that starts now.
     pub fn start() -> Self {
         Self::since(Instant::now())
     }
-    /// A session that started then: shared with whoever else counts from that instant.
+    /// Clock of a session that started at `start`; several clocks can share that origin.
     pub fn since(start: Instant) -> Self {
         Self::standing(start, Arc::default())
     }
-    /// The same, with somebody else who stops it.
+    /// The same, paused and resumed through `still`.
     pub fn standing(start: Instant, still: Arc<Standstill>) -> Self {
         Self { start, still }
     }
-    /// Time since then, without the spans in which it stood still.
+    /// Session time, without the paused spans.
     pub fn now(&self) -> SimTime {
         self.still.at(self.elapsed())
     }
-    /// It stands from now on, for everybody who reads it.
+    /// Pauses the clock, for all readers.
     pub fn stop(&self) {
         self.still.stop(self.elapsed());
     }
-    /// It goes on where it stood.
+    /// Resumes the clock at the time where it was paused.
     pub fn go_on(&self) {
         self.still.go_on(self.elapsed());
     }
@@ -56,15 +56,15 @@ impl Clock {
 /// A tick to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Due {
-    /// Its number; skipped ones count.
+    /// Tick number; skipped ticks count.
     pub number: u64,
     /// When it was due: start + number · period, exactly.
     pub at: SimTime,
-    /// How many before it were skipped.
+    /// Number of ticks skipped directly before it.
     pub missed: u64,
 }
 
-/// Which tick comes next: arithmetic without a clock.
+/// Schedule of periodic ticks: arithmetic without a clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Schedule {
     start: SimTime,
@@ -73,7 +73,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Tick `k` is due at `start + k · period`; `next` is the first that has not run yet.
+    /// Tick `k` is due at `start + k · period`; `next` is the first tick that has not run yet.
     pub fn new(start: SimTime, period: SimTime, next: u64) -> Self {
         Self { start, period: period.max(SimTime(1)), next }
     }
@@ -89,12 +89,12 @@ impl Schedule {
     pub fn next_number(&self) -> u64 {
         self.next
     }
-    /// The next tick is the first that is due at `now` or later.
+    /// Makes the first tick that is due at `now` or later the next one.
     pub fn skip_to(&mut self, now: SimTime) {
         self.next = self.next.max(now.since(self.start).0.div_ceil(self.period.0));
     }
-    /// The tick to run at `now`: the latest that is due. Those before it are skipped, so that a late
-    /// controller never runs a burst. `None` when none is due yet.
+    /// The tick to run at `now`: the latest that is due. Earlier ones are skipped, so that a late controller never runs
+    /// a burst. `None` when none is due yet.
     pub fn take(&mut self, now: SimTime) -> Option<Due> {
         let at = self.next_due();
         if now < at {
@@ -120,22 +120,22 @@ impl Ticker {
     /// Must be built on the runtime on which it is awaited.
     ///
     /// # Errors
-    /// When the system has no timer to give.
+    /// When the system cannot create a timer.
     pub fn new(schedule: Schedule, clock: Clock) -> io::Result<Self> {
         Ok(Self { schedule, clock, timer: imp::Timer::new()?, spins: true, since_wait: 0 })
     }
-    /// Whether to spin for the last microseconds or to sleep through.
+    /// Whether to spin for the last microseconds or to sleep until the due time.
     pub fn set_spinning(&mut self, spins: bool) {
         self.spins = spins;
     }
-    /// Waits for [`WAIT_MAX`] without a tick, whatever the clock says: it may stand still.
+    /// Waits for [`WAIT_MAX`] of real time without a tick; used while the session clock may be paused.
     ///
     /// # Errors
     /// When the system's timer fails.
     pub async fn rest(&mut self) -> io::Result<()> {
         self.timer.sleep(SimTime::ZERO, WAIT_MAX).await
     }
-    /// Ticks that were due before now are not run and not counted as missed: nobody wanted them.
+    /// Skips the ticks that were due before now, without counting them as missed.
     pub fn skip_to_now(&mut self) {
         self.schedule.skip_to(self.clock.now());
     }
@@ -198,7 +198,7 @@ mod imp {
         fd: AsyncFd<OwnedFd>,
     }
 
-    /// The timer without a runtime around it.
+    /// A timerfd that is read without an async runtime.
     pub(super) struct BlockingTimer(OwnedFd);
 
     impl BlockingTimer {
@@ -213,7 +213,7 @@ mod imp {
     }
 
     fn once(span: SimTime) -> Itimerspec {
-        // Zero would disarm it.
+        // A value of zero would disarm the timer.
         let span = span.0.max(1);
         Itimerspec {
             it_interval: Timespec { tv_sec: 0, tv_nsec: 0 },
@@ -240,7 +240,7 @@ mod imp {
                 match ready.try_io(|fd| Ok(rustix::io::read(fd.get_ref(), &mut expirations)?)) {
                     Ok(read) => {
                         read?;
-                        // Read empty: the next edge comes from the next arming.
+                        // The descriptor is drained: the next readiness edge comes from the next arming.
                         ready.clear_ready();
                         return Ok(());
                     }
@@ -258,10 +258,10 @@ mod imp {
 
     use trocar_scene::SimTime;
 
-    /// The runtime's own timer counts in milliseconds: it takes the long part, a plain sleep the rest.
+    /// The runtime's own timer counts in milliseconds: it waits for the long part, a plain sleep for the rest.
     pub(super) struct Timer;
 
-    /// The system's sleep.
+    /// Waits with the system's sleep.
     pub(super) struct BlockingTimer;
 
     impl BlockingTimer {
@@ -292,12 +292,12 @@ mod imp {
     }
 }
 
-/// A plain loop around the same timer, without runtime, host or scene: what a controller's lateness is
-/// compared with. Runs for `span` at `period` on the calling thread and hands every tick's lateness to
-/// `each`; returns how many ticks were skipped.
+/// A plain loop around the same timer, without runtime, host or scene: the baseline for a controller's lateness. Runs
+/// for `span` at `period` on the calling thread and hands every tick's lateness to `each`; returns how many ticks were
+/// skipped.
 ///
 /// # Errors
-/// When the system has no timer to give.
+/// When the system cannot create a timer.
 pub fn bare_loop(period: SimTime, span: SimTime, mut each: impl FnMut(SimTime)) -> io::Result<u64> {
     let timer = imp::BlockingTimer::new()?;
     let clock = Clock::start();
@@ -350,7 +350,7 @@ mod tests {
     fn missed_ticks_are_skipped_and_counted_never_burst() {
         let mut schedule = Schedule::new(SimTime::ZERO, MS, 0);
         assert_eq!(schedule.take(SimTime(0)).map(|d| d.number), Some(0));
-        // A step of 5.4 periods: ticks 1 to 4 are gone, 5 runs late, 6 is on time again.
+        // A step of 5.4 periods: ticks 1 to 4 are skipped, 5 runs late, 6 is on time again.
         let late = schedule.take(SimTime(5_400_000)).expect("a tick");
         assert_eq!((late.number, late.missed, late.at), (5, 4, SimTime(5_000_000)));
         assert_eq!(schedule.take(SimTime(5_400_001)), None);
@@ -381,7 +381,7 @@ mod tests {
                     ran += 1;
                     missed += due.missed;
                 }
-                // A generous limit: on a loaded machine some are skipped, but not most.
+                // A generous limit: a loaded machine skips some ticks, but not most.
                 assert!(ran >= 10, "only {ran} of 50 ran");
             }
         });

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use trocar_scene::SimTime;
 
-/// When a child that ended is started again.
+/// Restart policy of a child.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Restart {
@@ -12,7 +12,7 @@ pub enum Restart {
     Permanent,
     /// Only after a panic, an error or a stall.
     Transient,
-    /// Never, not even when a sibling's end took it down.
+    /// Never, not even when a sibling's end stopped it.
     Temporary,
 }
 
@@ -20,36 +20,36 @@ pub enum Restart {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strategy {
-    /// That one.
+    /// Only the child that ended.
     OneForOne,
-    /// That one and those started after it.
+    /// That child and those started after it.
     RestForOne,
     /// All of them.
     OneForAll,
 }
 
-/// What a group does when one of its children needed more restarts than its intensity allows.
+/// Policy of a group when a child needs more restarts than the intensity allows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Exhausted {
-    /// It gives up, and its parent decides: what OTP does.
+    /// The group gives up, and its parent decides, as in OTP.
     #[default]
     Escalate,
-    /// That child is held: fenced and not started again until somebody says so. The others go on.
+    /// The child is held: fenced and not restarted until requested. The others continue.
     Hold,
 }
 
-/// What a child's thread does, which decides its scheduling priority and its place in the default tree.
+/// Kind of work of a child's thread, which determines its scheduling priority and its place in the default tree.
 ///
-/// The order is the order of priorities: who stands first is never kept waiting by who stands later.
+/// In order of priority: a class is never delayed by a later one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RuntimeClass {
-    /// A device driver's thread, in which the force limits live.
+    /// A device driver's thread, which enforces the force limits.
     Driver,
-    /// The thread that looks for stalls.
+    /// The thread that detects stalls.
     Watchdog,
-    /// The Model: short, bounded work that everybody waits for.
+    /// The Model: short, bounded work on which all others depend.
     Model,
     /// Force rendering.
     Haptics,
@@ -86,11 +86,11 @@ pub struct Backoff {
     pub max: SimTime,
     /// Relative spread, 0 to 1.
     pub jitter: f64,
-    /// A child that stayed up this long starts from no pause again.
+    /// After this uptime a child's next restart has no pause again.
     pub reset_after: SimTime,
 }
 
-/// Everything the supervisor has to know about one child.
+/// Specification of one child for the supervisor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChildSpec {
     /// Name, unique in the tree (`haptics.left`).
@@ -99,23 +99,23 @@ pub struct ChildSpec {
     pub restart: Restart,
     /// Longest time without a heartbeat while it runs; longer is a stall.
     pub heartbeat_limit: SimTime,
-    /// The same in the first step of each life, in which it takes in the scene as it stands: meshes, factors,
+    /// The same limit for the first step of each life, in which it builds data from the whole scene: meshes, factors,
     /// trees. Never less than `heartbeat_limit`.
     pub first_step_limit: SimTime,
-    /// Longest time from the order to start to the end of its construction.
+    /// Longest time from the start order to the end of construction.
     pub start_limit: SimTime,
-    /// Longest time from the order to stop to its end; longer and it is abandoned.
+    /// Longest time from the stop order to its end; a slower child is abandoned.
     pub shutdown_limit: SimTime,
-    /// Ticks per second; 0 for children that are woken by messages only.
+    /// Ticks per second; 0 for children driven by messages only.
     pub rate_hz: f64,
     /// What its thread does.
     pub class: RuntimeClass,
 }
 
 impl ChildSpec {
-    /// The defaults of a controller of `class` that ticks at `rate_hz`: permanent, a stall after 50 ms but
-    /// no less than twenty periods, 5 s to start, 200 ms to stop. Those that hold hands, commit or speak for the
-    /// station get no longer for their first step; the others, whom nobody waits for, 5 s.
+    /// The defaults of a controller of `class` that ticks at `rate_hz`: permanent, a stall after 50 ms but no less than
+    /// twenty periods, 5 s to start, 200 ms to stop. Drivers, haptics, the Model and the watchdog get no longer for
+    /// their first step; the other classes, on which no force depends, get 5 s.
     pub fn new(id: impl Into<String>, class: RuntimeClass, rate_hz: f64) -> Self {
         let twenty_periods =
             if rate_hz > 0.0 { SimTime::from_secs_f64(20.0 / rate_hz) } else { SimTime::ZERO };
@@ -147,15 +147,15 @@ impl ChildSpec {
         self.first_step_limit = self.first_step_limit.max(limit);
         self
     }
-    /// Longest silence of a life that has, or has not yet, come through its first step.
+    /// Heartbeat limit of a life, depending on whether its first step is done.
     pub fn silence_limit(&self, settled: bool) -> SimTime {
         if settled { self.heartbeat_limit } else { self.first_step_limit.max(self.heartbeat_limit) }
     }
 }
 
 impl RuntimeClass {
-    /// Whether its children build, in the first step of a life, what they need of the whole scene, while nobody
-    /// waits for them.
+    /// Whether children of this class build data from the whole scene in their first step, while no other thread waits
+    /// for them.
     const fn takes_in_the_scene(self) -> bool {
         matches!(self, Self::Collision | Self::Simulation | Self::Task | Self::Recorder)
     }
@@ -176,20 +176,20 @@ pub enum Node {
 pub struct GroupSpec {
     /// Name, unique in the tree.
     pub id: String,
-    /// Who is restarted with whom.
+    /// Which siblings are restarted together.
     pub strategy: Strategy,
-    /// How much is tolerated before the group gives up and its parent decides.
+    /// Restarts tolerated before the group gives up and its parent decides.
     pub intensity: Intensity,
     /// Pauses between restarts.
     pub backoff: Backoff,
-    /// What happens when that was not enough.
+    /// Policy when the intensity is exceeded.
     pub exhausted: Exhausted,
     /// Children, in start order.
     pub children: Vec<Node>,
 }
 
 impl Strategy {
-    /// For people.
+    /// Display name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::OneForOne => "one for one",
@@ -207,8 +207,8 @@ impl Default for Intensity {
 
 /// 10 ms, doubling up to 1 s, ± 20 %.
 ///
-/// Five of the longest pauses (6 s) fit into the default intensity's 10 s, so that whoever keeps failing at once
-/// exceeds it however long the pauses have become.
+/// Five of the longest pauses (6 s) fit into the default intensity's 10 s, so that a child that always fails at once
+/// exceeds it even with the longest pauses.
 impl Default for Backoff {
     fn default() -> Self {
         Self {
@@ -258,7 +258,7 @@ impl GroupSpec {
         self.exhausted = Exhausted::Hold;
         self
     }
-    /// Everybody below in start order, depth first, each with how deep it stands: the children of this group at 1.
+    /// All nodes below in start order, depth first, each with its depth; children of this group have depth 1.
     pub fn walk(&self) -> Vec<(usize, &Node)> {
         fn descend<'a>(group: &'a GroupSpec, depth: usize, found: &mut Vec<(usize, &'a Node)>) {
             for node in &group.children {
@@ -272,7 +272,7 @@ impl GroupSpec {
         descend(self, 1, &mut found);
         found
     }
-    /// Whether no child stands anywhere below.
+    /// Whether the group has no child at any depth.
     pub fn is_empty(&self) -> bool {
         self.children.iter().all(|node| match node {
             Node::Child(_) => false,
@@ -283,19 +283,19 @@ impl GroupSpec {
     /// The default tree: root (rest-for-one) → model; simulation (rest-for-one: collision before physics);
     /// devices (one-for-one); tasks (one-for-one); network and recorder (one-for-one, patient back-off).
     ///
-    /// A child that always fails at once is held within 8 s (a link or the recorder: within 40 s): each period holds a round of the
-    /// longest pauses. The Model's group gives up instead, and after six times of that the root does, within 60 s.
-    /// A child that fails once a minute is restarted for ever.
+    /// A child that always fails at once is held within 8 s (a link or the recorder: within 40 s): each period is long
+    /// enough for a round of the longest pauses. The Model's group gives up instead, and after six times of that the
+    /// root does, within 60 s. A child that fails once a minute is restarted for ever.
     ///
-    /// The Model stands in a group of its own: it resumes from the last published snapshot, which its
-    /// clients already have, so that they need not restart with it unless it keeps failing. Without a Model
-    /// there is no session; everybody else is held when failing too often, and the rest runs on.
+    /// The Model has a group of its own: it resumes from the last published snapshot, which its clients already have,
+    /// so they restart with it only if it keeps failing. Without a Model there is no session; any other child that
+    /// fails too often is held, and the rest continues.
     pub fn default_tree(children: impl IntoIterator<Item = ChildSpec>) -> Self {
         let mut model = Self::new("group.model", Strategy::OneForOne);
         let mut simulation = Self::new("group.simulation", Strategy::RestForOne).holding();
         let mut devices = Self::new("group.devices", Strategy::OneForOne).holding();
         let mut tasks = Self::new("group.tasks", Strategy::OneForOne).holding();
-        // A link or a disk that hangs may hang for long: five of the longest pauses are 30 s.
+        // A link or a disk may hang for long: five of the longest pauses are 30 s.
         let patient = |name: &str| {
             Self::new(name, Strategy::OneForOne)
                 .holding()

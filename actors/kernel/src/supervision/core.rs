@@ -1,6 +1,6 @@
-//! The supervisor as a state machine without threads or clocks: events in, actions out. Restart policies,
-//! strategies, intensity and escalation follow Erlang/OTP's `supervisor` (Armstrong 2003, ch. 5); stalls,
-//! fences and zombies are what a shared address space adds to it.
+//! The supervisor as a state machine without threads or clocks: events in, actions out. Restart policies, strategies,
+//! intensity and escalation follow Erlang/OTP's `supervisor` (Armstrong 2003, ch. 5); stalls, fences and zombies are
+//! additions for a shared address space.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -22,12 +22,12 @@ pub const INCIDENTS_MAX: usize = 4_096;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Phase {
-    /// Not before this time, and not before those ahead of it in its cohort.
+    /// Starts no earlier than this time, and after the members ahead of it in its cohort.
     Waiting(SimTime),
-    /// Being built, until this time at the latest.
+    /// Under construction, with this deadline.
     Starting(SimTime),
     Running,
-    /// Asked to end, until this time at the latest.
+    /// Asked to end, with this deadline.
     Stopping {
         until: SimTime,
         again: bool,
@@ -45,9 +45,9 @@ pub(super) struct Child {
     /// Children that (re)start together, in order, share a number.
     cohort: u32,
     pub(super) incarnation: u32,
-    /// The lowest epoch that is still heard.
+    /// The lowest epoch still accepted.
     epoch: u32,
-    /// The next life needs a thread of its own.
+    /// The next life needs a new thread.
     fresh: bool,
     pub(super) late: bool,
     pub(super) held: bool,
@@ -60,7 +60,7 @@ pub(super) struct Child {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stage {
     Up,
-    /// The controllers are ending, then the Model.
+    /// The controllers end first, then the Model.
     Controllers(i32),
     Model(i32),
     Down(i32),
@@ -78,17 +78,17 @@ pub struct Supervisor {
     pub(super) incidents: Vec<Incident>,
     pub(super) incidents_lost: u64,
     pub(super) reason: Option<String>,
-    /// Children that are held for having failed too often, and why.
+    /// Children held for failing too often, with the reason.
     pub(super) given_up: Vec<(ChildId, String)>,
 }
 
 impl Supervisor {
-    /// A tree that has not started anything yet. `seed` spreads the pauses; more than `zombies_max`
-    /// abandoned threads end the session.
+    /// A tree with no child started yet. `seed` feeds the jitter of the pauses; more than `zombies_max` abandoned
+    /// threads end the session.
     ///
     /// # Errors
-    /// Names that are not unique, an empty tree, a back-off that makes no sense, or one with which a child that
-    /// always fails would be restarted for ever.
+    /// Names that are not unique, an empty tree, a back-off out of range, or one with which a child that always fails
+    /// would be restarted for ever.
     pub fn new(root: GroupSpec, seed: u64, zombies_max: u32) -> Result<Self, TreeError> {
         let tree = Arc::new(root.clone());
         let Flat { groups, children, owner } = Flat::new(root, seed)?;
@@ -126,7 +126,7 @@ impl Supervisor {
         })
     }
 
-    /// Takes one event and appends what must be done, in order. Also moves everything that is due at `now`.
+    /// Takes one event and appends the actions, in order. Also handles everything due at `now`.
     pub fn apply(&mut self, event: Event, now: SimTime, out: &mut Vec<Action>) {
         match event {
             Event::Started { child, incarnation } => self.on_started(child, incarnation, now),
@@ -165,7 +165,7 @@ impl Supervisor {
         self.finish(now, out);
     }
 
-    /// The next time after `now` at which [`Event::Tick`] can change something.
+    /// The earliest time after `now` at which [`Event::Tick`] can change something.
     pub fn next_deadline(&self, now: SimTime) -> Option<SimTime> {
         self.children
             .iter()
@@ -183,7 +183,7 @@ impl Supervisor {
         }
     }
 
-    /// Index of the child when `incarnation` is its present life.
+    /// Index of the child if `incarnation` is its current life.
     fn current(&self, child: ChildId, incarnation: u32) -> Option<usize> {
         let i = usize::from(child.0);
         self.children.get(i).filter(|child| child.incarnation == incarnation).map(|_| i)
@@ -221,7 +221,7 @@ impl Supervisor {
         self.children[i].phase = if again { Phase::Waiting(now) } else { Phase::Ended { failed: false } };
     }
 
-    /// The thread does not answer: fence it, leave it behind, go on without it.
+    /// Handles an unresponsive thread: fences and abandons it, and continues without it.
     fn abandon(&mut self, i: usize, cause: Cause, now: SimTime, out: &mut Vec<Action>) {
         self.fence(i, out);
         let child = &mut self.children[i];
@@ -245,7 +245,7 @@ impl Supervisor {
         }
     }
 
-    /// Child `i` ended without having been asked to.
+    /// Handles the unrequested end of child `i`.
     fn failed(&mut self, i: usize, cause: Cause, now: SimTime, out: &mut Vec<Action>) {
         let was_starting = matches!(self.children[i].phase, Phase::Starting(_));
         let abnormal = cause.is_abnormal();
@@ -267,7 +267,7 @@ impl Supervisor {
             return;
         }
         if child.incarnation == 1 && was_starting && abnormal {
-            // As in OTP: a tree whose first start fails does not come up at all.
+            // As in OTP, a failure during the first start fails the whole tree.
             let reason = format!("{} did not start: {text}", child.spec.id);
             self.give_up(reason, now, out);
             return;
@@ -284,7 +284,7 @@ impl Supervisor {
         }
     }
 
-    /// Nothing that the present life still says shall be heard.
+    /// Fences the current life: its later batches are refused.
     fn fence(&mut self, i: usize, out: &mut Vec<Action>) {
         let child = &mut self.children[i];
         if child.epoch <= child.incarnation {
@@ -303,7 +303,7 @@ impl Supervisor {
         self.incidents.push(Incident { child, cause, detected: now, restarted: None, resumed: None });
     }
 
-    /// Restarts what the strategies say after child `i` died, escalating while groups give up.
+    /// Restarts the children that the strategies select after child `i` died, escalating while groups give up.
     fn restart_member(
         &mut self,
         i: usize,
@@ -320,7 +320,7 @@ impl Supervisor {
             let group = &mut self.groups[at];
             if group.window.admit(group.intensity, now) {
                 let affected = group.affected(&member);
-                // Supervisors restarted from above begin with a clean sheet. Preorder: a later group whose
+                // Supervisors restarted from above start with empty restart counts. Preorder: a later group whose
                 // children lie within ours is below us.
                 for below in &mut self.groups[at + 1..] {
                     if affected.start <= below.leaves.start && below.leaves.end <= affected.end {
@@ -332,7 +332,7 @@ impl Supervisor {
             }
             if member.len() == 1 && at == self.children[i].group && group.exhausted == Exhausted::Hold {
                 let (restarts, period) = (group.intensity.restarts, group.intensity.period);
-                // What it did is no reason to be strict with its siblings.
+                // Its failures must not count against its siblings.
                 group.window.clear();
                 self.children[i].held = true;
                 let why = format!("held after more than {restarts} restarts in {period}: {reason}");
@@ -356,7 +356,7 @@ impl Supervisor {
         }
     }
 
-    /// Somebody wants a child back that was held for having failed too often.
+    /// Restarts, on request, a child held for failing too often.
     fn try_again(&mut self, child: ChildId, now: SimTime) {
         let Some(at) = self.given_up.iter().position(|(held, _)| *held == child) else { return };
         self.given_up.remove(at);
@@ -399,7 +399,7 @@ impl Supervisor {
         }
     }
 
-    /// Children that did not come up or go down within their limits.
+    /// Handles children that exceeded their start or stop limits.
     fn check_limits(&mut self, now: SimTime, out: &mut Vec<Action>) {
         for i in 0..self.children.len() {
             match self.children[i].phase {
@@ -410,8 +410,8 @@ impl Supervisor {
         }
     }
 
-    /// Starts everything whose time has come: within a cohort in order, each after the one before it is up,
-    /// none before all that had to stop have stopped.
+    /// Starts all due children: in order within a cohort, each once its predecessor is up, and none before all stopping
+    /// members have stopped.
     fn start_due(&mut self, now: SimTime, out: &mut Vec<Action>) {
         if self.stage != Stage::Up {
             return;
@@ -428,7 +428,7 @@ impl Supervisor {
                 Phase::Waiting(at) => {
                     if now >= at && !blocked.contains(&child.cohort) {
                         child.incarnation += 1;
-                        // Who was stopped in good order has not been fenced yet.
+                        // A child that stopped in good order has not been fenced yet.
                         if child.incarnation > 1 && child.epoch < child.incarnation {
                             child.epoch = child.incarnation;
                             out.push(Action::Fence { child: ChildId(i as u16), epoch: child.epoch });
@@ -486,7 +486,7 @@ impl Supervisor {
         }
     }
 
-    /// Carries an ending session on: the controllers first, then the Model, then the recording.
+    /// Advances the shutdown: the controllers first, then the Model, then the recording.
     fn finish(&mut self, now: SimTime, out: &mut Vec<Action>) {
         let down = |child: &Child| matches!(child.phase, Phase::Ended { .. });
         if let Stage::Controllers(code) = self.stage

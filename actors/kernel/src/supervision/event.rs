@@ -1,4 +1,4 @@
-//! What the supervisor is told, what it orders, and what it keeps for the report.
+//! Events, actions and incident records of the supervisor.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::SimTime;
@@ -17,106 +17,106 @@ pub enum Cause {
     Error(String),
     /// It ended by itself or was asked to.
     Stop,
-    /// Its heart did not beat within the limit.
+    /// No heartbeat within the limit.
     Stall,
-    /// Its construction did not end within the limit.
+    /// Construction exceeded its limit.
     StartTimeout,
 }
 
 impl Cause {
-    /// Whether a transient child restarts after it.
+    /// Whether a transient child restarts after this cause.
     pub const fn is_abnormal(&self) -> bool {
         !matches!(self, Self::Stop)
     }
 }
 
-/// What happened. Events that carry the number of an older incarnation come from a corpse and are ignored.
+/// Input of the supervisor. Events with the number of an older incarnation are ignored.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// Construction ended well.
     Started {
-        /// Who.
+        /// The child.
         child: ChildId,
-        /// In which life.
+        /// Its incarnation.
         incarnation: u32,
     },
     /// The first tick of this life ended well.
     Resumed {
-        /// Who.
+        /// The child.
         child: ChildId,
-        /// In which life.
+        /// Its incarnation.
         incarnation: u32,
     },
-    /// It ended, and its thread is free again.
+    /// The child ended, and its thread is free again.
     Died {
-        /// Who.
+        /// The child.
         child: ChildId,
-        /// In which life.
+        /// Its incarnation.
         incarnation: u32,
         /// Why.
         cause: Cause,
     },
     /// The watchdog missed its heartbeat.
     Stalled {
-        /// Who.
+        /// The child.
         child: ChildId,
-        /// In which life.
+        /// Its incarnation.
         incarnation: u32,
     },
-    /// It began to miss ticks, or ceased to.
+    /// The child began or ceased to miss ticks.
     Late {
-        /// Who.
+        /// The child.
         child: ChildId,
         /// Whether it is late now.
         late: bool,
     },
-    /// It is paused on purpose, or runs again.
+    /// The child was paused on purpose, or resumed.
     Held {
-        /// Who.
+        /// The child.
         child: ChildId,
         /// Whether it is held now.
         held: bool,
     },
-    /// A thread that had been abandoned came to its end after all.
+    /// An abandoned thread ended.
     ZombieEnded,
     /// Time passed.
     Tick,
-    /// The session shall end.
+    /// A request to end the session.
     ShutdownRequested {
         /// Exit code of the session.
         code: i32,
     },
 }
 
-/// What the driver must do, in the order given.
+/// Actions for the driver, in the order given.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Refuse everything of this writer below `epoch`, before anything else.
+    /// First of all, refuse this writer's batches below `epoch`.
     Fence {
-        /// Whose words.
+        /// The writer.
         child: ChildId,
-        /// The lowest epoch that is still heard.
+        /// The lowest epoch still accepted.
         epoch: u32,
     },
-    /// Build it; its epoch is the incarnation.
+    /// Build the child; its epoch is the incarnation.
     Start {
-        /// Whom.
+        /// The child.
         child: ChildId,
         /// Number of its life, from 1.
         incarnation: u32,
-        /// Whether it needs a fresh thread, because the old one never came back.
+        /// Whether it needs a new thread, because the old one never returned.
         fresh: bool,
     },
-    /// Ask it to end; answered by [`Event::Died`].
+    /// Ask the child to end; [`Event::Died`] reports its end.
     Stop {
-        /// Whom.
+        /// The child.
         child: ChildId,
     },
-    /// Demote its thread and never wait for it again.
+    /// Demote the child's thread and never wait for it again.
     Abandon {
-        /// Whom.
+        /// The child.
         child: ChildId,
-        /// Which life.
+        /// Its incarnation.
         incarnation: u32,
     },
     /// Set every device's force to zero.
@@ -127,7 +127,7 @@ pub enum Action {
     Exit(i32),
 }
 
-/// How a child is.
+/// Health of a child.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Health {
@@ -135,9 +135,9 @@ pub enum Health {
     Starting,
     /// Ticks on time.
     Healthy,
-    /// Ticks, but misses some.
+    /// Runs, but misses some ticks.
     Late,
-    /// Its heart stands still; a replacement is on its way.
+    /// No heartbeat; a replacement is being started.
     Stalled,
     /// Ended, waiting for its next life.
     Restarting,
@@ -172,10 +172,10 @@ pub struct Incident {
     pub child: String,
     /// Why it ended.
     pub cause: Cause,
-    /// When the supervisor learnt of it.
+    /// Time at which the supervisor detected it.
     pub detected: SimTime,
-    /// When its next life was built.
+    /// Time at which the next life was built.
     pub restarted: Option<SimTime>,
-    /// When that life's first tick was done.
+    /// End of that life's first tick.
     pub resumed: Option<SimTime>,
 }

@@ -1,4 +1,4 @@
-//! What can be asked of a supervisor tree.
+//! Read access to the state of a supervisor tree.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use super::core::{Phase, Stage, Supervisor};
 use super::event::{ChildId, Health, Incident};
 
 impl Supervisor {
-    /// What it was made of.
+    /// The tree's specification.
     pub fn tree(&self) -> &Arc<GroupSpec> {
         &self.tree
     }
@@ -17,7 +17,7 @@ impl Supervisor {
     pub fn len(&self) -> usize {
         self.children.len()
     }
-    /// Never: a tree without children is refused.
+    /// Always false: a tree without children is refused.
     pub fn is_empty(&self) -> bool {
         self.children.is_empty()
     }
@@ -29,7 +29,7 @@ impl Supervisor {
     pub fn spec(&self, child: ChildId) -> Option<&ChildSpec> {
         self.children.get(usize::from(child.0)).map(|child| &child.spec)
     }
-    /// How a child is; `None` when there is no such child.
+    /// Health of a child; `None` when there is no such child.
     pub fn health(&self, child: ChildId) -> Option<Health> {
         let child = self.children.get(usize::from(child.0))?;
         Some(match child.phase {
@@ -49,15 +49,15 @@ impl Supervisor {
             Phase::Running => Health::Healthy,
         })
     }
-    /// Number of a child's present life: its epoch; 0 before the first.
+    /// Number of a child's current life, which is its epoch; 0 before the first.
     pub fn incarnation(&self, child: ChildId) -> u32 {
         self.children.get(usize::from(child.0)).map_or(0, |child| child.incarnation)
     }
-    /// How often a child was started again.
+    /// Number of restarts of a child.
     pub fn restarts(&self, child: ChildId) -> u32 {
         self.incarnation(child).saturating_sub(1)
     }
-    /// Whether the watchdog has to look at this child now.
+    /// Whether the watchdog must check this child's heartbeat now.
     pub fn is_watched(&self, child: ChildId) -> bool {
         self.children
             .get(usize::from(child.0))
@@ -79,7 +79,7 @@ impl Supervisor {
     pub fn reason(&self) -> Option<&str> {
         self.reason.as_deref()
     }
-    /// Children that are held for having failed too often, by name, and why.
+    /// Names of the children held for failing too often, with the reason.
     pub fn given_up(&self) -> Vec<(String, String)> {
         let name = |child: ChildId| self.children[usize::from(child.0)].spec.id.clone();
         self.given_up.iter().map(|(child, why)| (name(*child), why.clone())).collect()

@@ -14,21 +14,21 @@ pub const NODES_MAX: usize = 4_096;
 /// Why a tree was refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum TreeError {
-    /// Two nodes of one name.
+    /// Two nodes have the same name.
     #[error("supervisor tree: '{0}' stands in it twice; names are unique")]
     Duplicate(String),
-    /// Nothing to supervise.
+    /// The tree has no children.
     #[error("supervisor tree: no child in it")]
     Empty,
-    /// Too big.
+    /// The tree has too many nodes.
     #[error("supervisor tree: more than {NODES_MAX} nodes")]
     TooMany,
-    /// A pause that makes no sense.
+    /// A back-off value is out of range.
     #[error("supervisor tree: back-off of '{group}': {field} is {value}; valid: {valid}")]
     Backoff {
         /// The group.
         group: String,
-        /// Which number.
+        /// The field.
         field: &'static str,
         /// Its value.
         value: f64,
@@ -48,12 +48,12 @@ pub enum TreeError {
         restarts: u32,
         /// Longest time that this many restarts in a row can take.
         span: SimTime,
-        /// Within which it counts them.
+        /// The window in which it counts them.
         period: SimTime,
     },
 }
 
-/// Most failures that [`Flat::new`] plays to see whether a tree ever gives up.
+/// Most failures that [`Flat::new`] simulates to check that a tree gives up.
 const FAILURES_MAX: u32 = 100_000;
 
 /// Failures in a row, for the back-off.
@@ -64,7 +64,7 @@ pub(super) struct Streak {
 }
 
 impl Streak {
-    /// Counts one more failure at `now` and gives the pause before the restart; `unit` in [0, 1) spreads it.
+    /// Counts one more failure at `now` and returns the pause before the restart; `unit` in [0, 1) is its jitter.
     pub(super) fn pause(&mut self, backoff: &Backoff, now: SimTime, unit: f64) -> SimTime {
         if self.last.is_none_or(|last| now.since(last) > backoff.reset_after) {
             self.count = 0;
@@ -81,15 +81,15 @@ impl Streak {
     }
 }
 
-/// What spreads the pauses of one node (SplitMix64, Steele et al. 2014). Everybody has a stream of their own:
-/// a failure here must not change the pause after a failure there.
+/// Jitter of one node's pauses (SplitMix64, Steele et al. 2014). Each node has its own stream, so that a failure of one
+/// does not change the pauses of another.
 #[derive(Clone, Debug)]
 pub(super) struct Jitter(u64);
 
 impl Jitter {
     /// The stream of node `id`.
     pub(super) fn new(seed: u64, id: &str) -> Self {
-        // FNV-1a keeps the names apart.
+        // An FNV-1a hash of the name gives distinct streams.
         let name = id.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
         });
@@ -112,7 +112,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// Counts one more restart; `false` when that is more than the group tolerates.
+    /// Counts one more restart; `false` when it exceeds the intensity.
     pub(super) fn admit(&mut self, intensity: Intensity, now: SimTime) -> bool {
         while self.times.front().is_some_and(|&first| now.since(first) > intensity.period) {
             self.times.pop_front();
@@ -120,7 +120,7 @@ impl Window {
         self.times.push_back(now);
         self.times.len() <= intensity.restarts as usize
     }
-    /// Forgets everything, as a restarted supervisor does.
+    /// Clears the window, as for a restarted supervisor.
     pub(super) fn clear(&mut self) {
         self.times.clear();
     }
@@ -143,7 +143,7 @@ pub(super) struct Group {
 }
 
 impl Group {
-    /// Who goes down with the member that covers `member`.
+    /// The children that restart together with `member`.
     pub(super) fn affected(&self, member: &Range<usize>) -> Range<usize> {
         match self.strategy {
             Strategy::OneForOne => member.clone(),
@@ -174,7 +174,7 @@ impl Flat {
         Ok(flat)
     }
 
-    /// Plays a child of `group` that fails whenever it is started, with the longest pauses that jitter allows,
+    /// Simulates a child of `group` that fails whenever it is started, with the longest pauses that jitter allows,
     /// until it is held or the root gives up. Pauses never shrink, so a window that once loses a restart always will.
     fn check_gives_up(&self, group: usize) -> Result<(), TreeError> {
         let mut chain: Vec<Group> = Vec::new();
@@ -186,7 +186,7 @@ impl Flat {
         let failures = chain.iter().try_fold(1_u32, |product, group| {
             product.checked_mul(group.intensity.restarts.saturating_add(1)).filter(|n| *n <= FAILURES_MAX)
         });
-        // So many restarts are meant to be no limit.
+        // An intensity this large means no limit.
         let Some(failures) = failures else { return Ok(()) };
         let (mut now, mut streak) = (SimTime::ZERO, Streak::default());
         for _ in 0..failures {
