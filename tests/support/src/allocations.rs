@@ -1,6 +1,6 @@
 //! A counting allocator: counts what each thread allocates, frees and holds. A program enables it by
 //!
-//! ```ignore
+//! ```text
 //! #[global_allocator]
 //! static ALLOCATOR: CountingAllocator = CountingAllocator;
 //! ```
