@@ -225,7 +225,6 @@ fn cells(row: &BenchResult) -> [String; 7] {
 fn markdown(suite: &str, summary: &BenchSummary) -> String {
     let machine = &summary.machine;
     let mut lines = vec![
-        format!("<!-- figures: bench {suite} -->"),
         format!(
             "`trocar bench {suite}` on {} × {}, real-time priority {}:",
             machine.cores,
@@ -233,6 +232,7 @@ fn markdown(suite: &str, summary: &BenchSummary) -> String {
             if machine.fifo { "granted" } else { "refused" }
         ),
         String::new(),
+        format!("<!-- figures: bench {suite} -->"),
         format!("| {} |", HEAD.join(" | ")),
         format!("|{}", "---|".repeat(HEAD.len())),
     ];
