@@ -88,13 +88,28 @@ impl<S> Sparse<S> {
         self.filled == 0
     }
     /// The filled places in order.
-    fn iter(&self) -> impl Iterator<Item = (u32, &S)> {
-        let mut left = self.filled;
-        self.slots.iter().map(move |slot| {
-            let index = left.trailing_zeros();
-            left &= left.wrapping_sub(1);
-            (index, slot)
-        })
+    fn places(&self) -> Places<'_, S> {
+        Places { left: self.filled, slots: self.slots.iter() }
+    }
+}
+
+/// Filled places of a node that are still to be visited.
+struct Places<'a, S> {
+    left: u64,
+    slots: std::slice::Iter<'a, S>,
+}
+
+impl<'a, S> Places<'a, S> {
+    fn none() -> Self {
+        Self { left: 0, slots: [].iter() }
+    }
+
+    #[inline]
+    fn next(&mut self) -> Option<(u32, &'a S)> {
+        let slot = self.slots.next()?;
+        let index = self.left.trailing_zeros();
+        self.left &= self.left.wrapping_sub(1);
+        Some((index, slot))
     }
 }
 
@@ -206,28 +221,17 @@ impl<T: Clone> Column<T> {
     }
 
     /// Rows in entity order.
-    pub fn iter(&self) -> impl Iterator<Item = (Entity, &T)> {
-        self.rows_since(None).map(|(entity, row)| (entity, &row.value))
+    pub fn iter(&self) -> Rows<'_, T> {
+        self.rows_since(None)
     }
 
     /// Rows that changed after `since`, in entity order.
-    pub fn iter_changed(&self, since: Revision) -> impl Iterator<Item = (Entity, &T)> {
-        self.rows_since(Some(since)).map(|(entity, row)| (entity, &row.value))
+    pub fn iter_changed(&self, since: Revision) -> Rows<'_, T> {
+        self.rows_since(Some(since))
     }
 
-    fn rows_since(&self, since: Option<Revision>) -> impl Iterator<Item = (Entity, &Row<T>)> {
-        let newer = move |latest: Revision| since.is_none_or(|since| latest > since);
-        let pages = self.pages.iter().filter(move |(_, page)| newer(page.latest));
-        pages.flat_map(move |(number, page)| {
-            let chunks = page.chunks.iter().filter(move |(_, chunk)| newer(chunk.latest));
-            chunks.flat_map(move |(c, chunk)| {
-                let rows = chunk.rows.iter().filter(move |(_, row)| newer(row.revision));
-                rows.map(move |(r, row)| {
-                    let bits = (number << (2 * BITS)) | u64::from(c << BITS) | u64::from(r);
-                    (Entity::from_bits(bits), row)
-                })
-            })
-        })
+    fn rows_since(&self, since: Option<Revision>) -> Rows<'_, T> {
+        Rows { since, pages: self.pages.iter(), ..Rows::none() }
     }
 
     /// Sets the entity's value.
@@ -285,6 +289,57 @@ impl<T: Clone> Column<T> {
         self.len -= 1;
         self.latest = revision;
         true
+    }
+}
+
+/// Rows of a column, in entity order.
+///
+/// A loop by hand: nested iterator adapters would be compiled once for each component, at five times the size.
+pub struct Rows<'a, T> {
+    /// Only rows that changed after it.
+    since: Option<Revision>,
+    pages: std::slice::Iter<'a, (u64, Arc<Page<T>>)>,
+    /// Bits of the entities of the current page.
+    page: u64,
+    chunks: Places<'a, Arc<Chunk<T>>>,
+    /// Bits of the entities of the current chunk.
+    chunk: u64,
+    rows: Places<'a, Row<T>>,
+}
+
+impl<T> Rows<'_, T> {
+    /// No rows.
+    pub(crate) fn none() -> Self {
+        let pages = [].iter();
+        Self { since: None, pages, page: 0, chunks: Places::none(), chunk: 0, rows: Places::none() }
+    }
+}
+
+impl<'a, T> Iterator for Rows<'a, T> {
+    type Item = (Entity, &'a T);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let since = self.since;
+        let newer = |latest: Revision| since.is_none_or(|since| latest > since);
+        loop {
+            while let Some((r, row)) = self.rows.next() {
+                if newer(row.revision) {
+                    return Some((Entity::from_bits(self.chunk | u64::from(r)), &row.value));
+                }
+            }
+            if let Some((c, chunk)) = self.chunks.next() {
+                if newer(chunk.latest) {
+                    self.chunk = self.page | u64::from(c << BITS);
+                    self.rows = chunk.rows.places();
+                }
+                continue;
+            }
+            let (number, page) = self.pages.next()?;
+            if newer(page.latest) {
+                self.page = number << (2 * BITS);
+                self.chunks = page.chunks.places();
+            }
+        }
     }
 }
 
@@ -362,12 +417,20 @@ impl<T: Component> ErasedColumn for Column<T> {
 
 /// Appends the postcard encoding of a value.
 pub(crate) fn encode<T: serde::Serialize>(value: &T, out: &mut Vec<u8>) -> Result<(), ComponentError> {
-    postcard::to_io(value, &mut *out)
-        .map(|_| ())
-        .map_err(|error| ComponentError::Malformed(error.to_string()))
+    match postcard::to_io(value, &mut *out) {
+        Ok(_) => Ok(()),
+        Err(error) => Err(malformed(&error)),
+    }
 }
 
 /// Decodes a postcard value from the front of some bytes and returns the rest.
 pub(crate) fn take<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
-    postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
+    match postcard::take_from_bytes(bytes) {
+        Ok(taken) => Ok(taken),
+        Err(error) => Err(malformed(&error)),
+    }
+}
+
+fn malformed(error: &postcard::Error) -> ComponentError {
+    ComponentError::Malformed(error.to_string())
 }

@@ -1,16 +1,16 @@
 //! Commands: the writes of one tick, in buffers that are reused from tick to tick.
 
-use std::any::Any;
 use std::borrow::Cow;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::column::{Column, ErasedColumn, PAGES_MAX, encode, take};
+use crate::column::{PAGES_MAX, encode, take};
 use crate::component::{Component, ComponentError, RecordPolicy};
 use crate::entity::{Entity, EntityAllocator};
 use crate::event::Event;
+use crate::puts::{ErasedPuts, Puts, RowOrder};
 use crate::registry::{ComponentId, Registry};
 use crate::time::{Revision, SimTime};
 
@@ -98,6 +98,7 @@ pub struct Commands {
     transfers: Vec<Transfer>,
     listed: Option<u64>,
     error: Option<CommandError>,
+    order: RowOrder,
 }
 
 impl Commands {
@@ -118,6 +119,7 @@ impl Commands {
             transfers: Vec::new(),
             listed: None,
             error: None,
+            order: RowOrder::default(),
         }
     }
 
@@ -149,10 +151,10 @@ impl Commands {
         let slot = &mut self.puts[usize::from(id.0)];
         let puts = slot.get_or_insert_with(self.registry.entry(id).new_puts);
         if let Some(puts) = puts.as_any_mut().downcast_mut::<Puts<T>>() {
-            if puts.rows.is_empty() {
+            if puts.is_empty() {
                 self.touched.push(id);
             }
-            puts.rows.push((entity, value));
+            puts.push(entity, value);
         }
     }
 
@@ -280,7 +282,7 @@ impl Commands {
         self.touched.sort_unstable();
         for id in &self.touched {
             if let Some(puts) = &mut self.puts[usize::from(id.0)] {
-                puts.seal();
+                puts.seal(&mut self.order);
             }
         }
         self.removes.sort_unstable();
@@ -410,95 +412,4 @@ pub struct Batch {
     pub provenance: Provenance,
     /// What it writes.
     pub commands: Commands,
-}
-
-/// The puts of one component.
-pub struct Puts<T> {
-    rows: Vec<(Entity, T)>,
-}
-
-impl<T> Default for Puts<T> {
-    fn default() -> Self {
-        Self { rows: Vec::new() }
-    }
-}
-
-impl<T> Puts<T> {
-    /// The rows, in entity order once sealed.
-    pub fn rows(&self) -> &[(Entity, T)] {
-        &self.rows
-    }
-}
-
-/// Type-erased puts.
-pub trait ErasedPuts: Send {
-    /// For downcasting to [`Puts`].
-    fn as_any(&self) -> &dyn Any;
-    /// For downcasting to [`Puts`].
-    fn as_any_mut(&mut self) -> &mut dyn Any;
-    /// How many rows.
-    fn len(&self) -> usize;
-    /// Whether there are none.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-    /// Clears the rows.
-    fn clear(&mut self);
-    /// Sorts by entity and keeps the last put of each row.
-    fn seal(&mut self);
-    /// The entity of row `index`.
-    fn entity(&self, index: usize) -> Entity;
-    /// Checks every value again.
-    ///
-    /// # Errors
-    /// The first entity whose value is refused, and why.
-    fn check(&self) -> Result<(), (Entity, ComponentError)>;
-    /// Appends (entity, value) of every row.
-    ///
-    /// # Errors
-    /// When a value cannot be encoded.
-    fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError>;
-    /// Moves the rows into a column of the same type.
-    fn apply(&mut self, column: &mut dyn ErasedColumn, revision: Revision);
-}
-
-impl<T: Component> ErasedPuts for Puts<T> {
-    fn as_any(&self) -> &dyn Any {
-        self
-    }
-    fn as_any_mut(&mut self) -> &mut dyn Any {
-        self
-    }
-    fn len(&self) -> usize {
-        self.rows.len()
-    }
-    fn clear(&mut self) {
-        self.rows.clear();
-    }
-    fn seal(&mut self) {
-        if self.rows.windows(2).all(|pair| pair[0].0 < pair[1].0) {
-            return;
-        }
-        self.rows.sort_by_key(|(entity, _)| *entity);
-        // The sort is stable: of equal entities keep the last, which is the later put.
-        self.rows.reverse();
-        self.rows.dedup_by_key(|(entity, _)| *entity);
-        self.rows.reverse();
-    }
-    fn entity(&self, index: usize) -> Entity {
-        self.rows[index].0
-    }
-    fn check(&self) -> Result<(), (Entity, ComponentError)> {
-        self.rows.iter().try_for_each(|(entity, value)| value.check().map_err(|error| (*entity, error)))
-    }
-    fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
-        self.rows.iter().try_for_each(|row| encode(row, out))
-    }
-    fn apply(&mut self, column: &mut dyn ErasedColumn, revision: Revision) {
-        if let Some(column) = column.as_any_mut().downcast_mut::<Column<T>>() {
-            for (entity, value) in self.rows.drain(..) {
-                column.put(entity, value, revision);
-            }
-        }
-    }
 }

@@ -18,10 +18,12 @@ pub mod controller;
 pub mod entity;
 pub mod event;
 pub mod finite;
+mod json_document;
 pub mod kinematics;
 pub mod mesh;
 pub mod organs;
 pub mod peg_bench;
+pub mod puts;
 pub mod registry;
 pub mod scenario;
 pub mod shapes;
@@ -32,15 +34,14 @@ pub mod time;
 pub mod tissue;
 
 pub use access::{Access, AccessOverlap, EntitySet, WriterRules};
-pub use column::{Column, ErasedColumn};
-pub use commands::{
-    Batch, CommandError, Commands, Condition, ErasedPuts, Provenance, Puts, Transfer, WriterId,
-};
+pub use column::{Column, ErasedColumn, Rows};
+pub use commands::{Batch, CommandError, Commands, Condition, Provenance, Transfer, WriterId};
 pub use component::{Component, ComponentError, RecordPolicy};
 pub use components::*;
 pub use controller::{BuildContext, Controller, ControllerError, Job, JobOutput, JobWork, Jobs, Tick};
 pub use entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 pub use event::{Event, EventLog, Events};
+pub use puts::{ErasedPuts, Puts};
 pub use registry::{ComponentEntry, ComponentId, Registry, RegistryBuilder, RegistryError};
 pub use scenario::{ControllerEntry, HandEntry, Params, Scenario, ScenarioError};
 pub use snapshot::Snapshot;

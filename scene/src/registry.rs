@@ -8,10 +8,12 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-use crate::column::{Column, ErasedColumn};
-use crate::commands::{Commands, ErasedPuts, Puts};
+use crate::column::{Column, ErasedColumn, take};
+use crate::commands::Commands;
 use crate::component::{Component, ComponentError, RecordPolicy};
 use crate::entity::Entity;
+use crate::json_document;
+use crate::puts::{ErasedPuts, Puts};
 use crate::soft_body::SoftAbilities;
 
 /// Index of a component in its registry; ordered by NAME, so never by order of registration.
@@ -49,9 +51,7 @@ pub struct ComponentEntry {
     type_name: &'static str,
     pub(crate) new_column: fn() -> Arc<dyn ErasedColumn>,
     pub(crate) new_puts: fn() -> Box<dyn ErasedPuts>,
-    put_toml: fn(&mut Commands, Entity, toml::Value) -> Result<(), ComponentError>,
     put_document: PutDocument,
-    put_json: fn(&mut Commands, Entity, serde_json::Value) -> Result<(), ComponentError>,
     put_postcard: PutPostcard,
 }
 
@@ -163,34 +163,8 @@ impl RegistryBuilder {
                 type_name: std::any::type_name::<T>(),
                 new_column: || Arc::new(Column::<T>::default()),
                 new_puts: || Box::new(Puts::<T>::default()),
-                put_toml: |commands, entity, value| {
-                    let value: T =
-                        value.try_into().map_err(|error: toml::de::Error| malformed(error.message()))?;
-                    value.check()?;
-                    commands.put(entity, value);
-                    Ok(())
-                },
-                put_document: |commands, entity, value| {
-                    let value =
-                        T::deserialize(value).map_err(|error| (error.span(), malformed(error.message())))?;
-                    value.check().map_err(|error| (None, error))?;
-                    commands.put(entity, value);
-                    Ok(())
-                },
-                put_json: |commands, entity, value| {
-                    let value: T =
-                        serde_json::from_value(value).map_err(|error| malformed(&error.to_string()))?;
-                    value.check()?;
-                    commands.put(entity, value);
-                    Ok(())
-                },
-                put_postcard: |commands, entity, bytes| {
-                    let (value, rest) = postcard::take_from_bytes::<T>(bytes)
-                        .map_err(|error| malformed(&error.to_string()))?;
-                    value.check()?;
-                    commands.put(entity, value);
-                    Ok(rest)
-                },
+                put_document: put_document::<T>,
+                put_postcard: put_postcard::<T>,
             },
         );
         Ok(self)
@@ -214,6 +188,37 @@ fn named_by<T: Component>(column: &dyn ErasedColumn, name: &str) -> Vec<Entity> 
     let column = column.as_any().downcast_ref::<Column<T>>();
     let Some((column, partners)) = column.zip(T::PARTNERS) else { return Vec::new() };
     column.iter().filter(|(_, value)| partners(value).contains(&name)).map(|(entity, _)| entity).collect()
+}
+
+fn put_document<T: Component>(
+    commands: &mut Commands,
+    entity: Entity,
+    value: toml::de::ValueDeserializer<'_>,
+) -> Result<(), (Option<Range<usize>>, ComponentError)> {
+    match T::deserialize(value) {
+        Ok(value) => put_checked(commands, entity, value).map_err(|error| (None, error)),
+        Err(error) => Err((error.span(), malformed(error.message()))),
+    }
+}
+
+fn put_postcard<'a, T: Component>(
+    commands: &mut Commands,
+    entity: Entity,
+    bytes: &'a [u8],
+) -> Result<&'a [u8], ComponentError> {
+    let (value, rest) = take::<T>(bytes)?;
+    put_checked(commands, entity, value)?;
+    Ok(rest)
+}
+
+fn put_checked<T: Component>(
+    commands: &mut Commands,
+    entity: Entity,
+    value: T,
+) -> Result<(), ComponentError> {
+    value.check()?;
+    commands.put(entity, value);
+    Ok(())
 }
 
 fn malformed(message: &str) -> ComponentError {
@@ -299,19 +304,6 @@ impl Registry {
     pub(crate) fn named_by(&self, id: ComponentId, column: &dyn ErasedColumn, name: &str) -> Vec<Entity> {
         self.entry(id).named_by.map_or_else(Vec::new, |named_by| named_by(column, name))
     }
-    /// Decodes a TOML value as the named component and puts it.
-    ///
-    /// # Errors
-    /// When the value is malformed or refused by the component's check.
-    pub fn put_toml(
-        &self,
-        id: ComponentId,
-        commands: &mut Commands,
-        entity: Entity,
-        value: toml::Value,
-    ) -> Result<(), ComponentError> {
-        (self.entry(id).put_toml)(commands, entity, value)
-    }
     /// Decodes a value of a TOML document as the named component and puts it.
     ///
     /// # Errors
@@ -326,7 +318,7 @@ impl Registry {
     ) -> Result<(), (Option<Range<usize>>, ComponentError)> {
         (self.entry(id).put_document)(commands, entity, value)
     }
-    /// Decodes a JSON value as the named component and puts it.
+    /// Decodes a JSON value as the named component, which may stand in a scenario file, and puts it.
     ///
     /// # Errors
     /// When the value is malformed or refused by the component's check.
@@ -335,9 +327,13 @@ impl Registry {
         id: ComponentId,
         commands: &mut Commands,
         entity: Entity,
-        value: serde_json::Value,
+        value: &serde_json::Value,
     ) -> Result<(), ComponentError> {
-        (self.entry(id).put_json)(commands, entity, value)
+        let text = json_document::document(value).map_err(malformed)?;
+        let document = toml::de::DeTable::parse(&text).map_err(|error| malformed(error.message()))?;
+        let value =
+            document.get_ref().get(json_document::KEY).ok_or_else(|| malformed("there is no value"))?;
+        self.put_document(id, commands, entity, value.clone().into()).map_err(|(_, error)| error)
     }
     /// Decodes a value from the front of `bytes`, puts it, and returns the rest.
     ///

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Isometry3;
 
-use crate::column::{Column, ErasedColumn, encode};
+use crate::column::{Column, ErasedColumn, Rows, encode};
 use crate::component::{Component, ComponentError};
 use crate::components::{Name, Parent, Pose};
 use crate::entity::Entity;
@@ -66,12 +66,12 @@ impl Snapshot {
         self.column::<T>()?.get(entity)
     }
     /// Every entity with this component, in entity order.
-    pub fn iter<T: Component>(&self) -> impl Iterator<Item = (Entity, &T)> {
-        self.column::<T>().into_iter().flat_map(Column::iter)
+    pub fn iter<T: Component>(&self) -> Rows<'_, T> {
+        self.column::<T>().map_or_else(Rows::none, Column::iter)
     }
     /// Every entity whose component changed after `since`, in entity order.
-    pub fn iter_changed<T: Component>(&self, since: Revision) -> impl Iterator<Item = (Entity, &T)> {
-        self.column::<T>().into_iter().flat_map(move |column| column.iter_changed(since))
+    pub fn iter_changed<T: Component>(&self, since: Revision) -> Rows<'_, T> {
+        self.column::<T>().map_or_else(Rows::none, |column| column.iter_changed(since))
     }
     /// The revision in which a component of an entity last changed.
     pub fn changed<T: Component>(&self, entity: Entity) -> Option<Revision> {

@@ -20,6 +20,19 @@ fn e(counter: u32) -> Entity {
     Entity::new(1, 2, counter)
 }
 
+/// Puts the value of the key `value` of a document.
+fn put_document(
+    registry: &Registry,
+    id: ComponentId,
+    commands: &mut Commands,
+    entity: Entity,
+    text: &str,
+) -> Result<(), ComponentError> {
+    let document = toml::de::DeTable::parse(text).expect("a document");
+    let value = document.get_ref()["value"].clone();
+    registry.put_document(id, commands, entity, value.into()).map_err(|(_, error)| error)
+}
+
 struct Formats {
     registry: Arc<Registry>,
     seen: BTreeSet<&'static str>,
@@ -42,19 +55,24 @@ impl Formats {
         self.holds(commands, entity, &value);
 
         let json = serde_json::to_value(&value).expect("JSON");
-        let mut commands = self.commands();
-        self.registry.put_json(id, &mut commands, entity, json.clone()).expect("JSON");
-        let snapshot = self.holds(commands, entity, &value);
-        assert_eq!(snapshot.entity_json(entity)[T::NAME], json);
+        assert_eq!(serde_json::from_value::<T>(json.clone()).expect("JSON"), value, "{}", T::NAME);
         let text = serde_json::to_string(&value).expect("JSON");
         assert_eq!(serde_json::from_str::<T>(&text).expect("JSON"), value, "{}", T::NAME);
 
         if toml {
-            let document =
-                toml::Value::try_from(&value).unwrap_or_else(|error| panic!("{}: {error}", T::NAME));
+            let text = toml::to_string(&toml::Table::from_iter([(
+                "value".to_owned(),
+                toml::Value::try_from(&value).unwrap_or_else(|error| panic!("{}: {error}", T::NAME)),
+            )]));
+            let text = text.expect("TOML");
             let mut commands = self.commands();
-            self.registry.put_toml(id, &mut commands, entity, document).expect("TOML");
+            put_document(&self.registry, id, &mut commands, entity, &text).expect("TOML");
             self.holds(commands, entity, &value);
+
+            let mut commands = self.commands();
+            self.registry.put_json(id, &mut commands, entity, &json).expect("JSON");
+            let snapshot = self.holds(commands, entity, &value);
+            assert_eq!(snapshot.entity_json(entity)[T::NAME], json);
         }
     }
 
@@ -417,13 +435,14 @@ fn numbers_that_are_not_finite_are_refused_by_every_format() {
     let bytes = postcard::to_stdvec(&bad).expect("postcard");
     let refused = registry.put_postcard(id, &mut commands, e(1), &bytes);
     assert!(matches!(refused, Err(ComponentError::NotFinite { index: 1 })), "{refused:?}");
-    let document = toml::Value::try_from(bad).expect("TOML has nan");
-    let refused = registry.put_toml(id, &mut commands, e(1), document);
+    let text = "value = { translation = [0.1, nan, 0.3] }";
+    let refused = put_document(&registry, id, &mut commands, e(1), text);
     assert!(matches!(refused, Err(ComponentError::NotFinite { index: 1 })), "{refused:?}");
     let refused =
-        registry.put_json(id, &mut commands, e(1), serde_json::json!({ "translation": [1, null, 2] }));
+        registry.put_json(id, &mut commands, e(1), &serde_json::json!({ "translation": [1, null, 2] }));
     assert!(matches!(refused, Err(ComponentError::Malformed(_))), "{refused:?}");
-    let refused = registry.put_json(id, &mut commands, e(1), serde_json::json!({ "rotation": [0, 0, 0, 2] }));
+    let refused =
+        registry.put_json(id, &mut commands, e(1), &serde_json::json!({ "rotation": [0, 0, 0, 2] }));
     assert!(refused.is_err(), "{refused:?}");
     assert!(commands.is_empty(), "nothing of a refused value is kept");
 }

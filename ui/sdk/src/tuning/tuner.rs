@@ -72,7 +72,7 @@ impl Change {
                     .registry()
                     .by_name(at.component)
                     .map_err(|error| refused(ComponentError::Malformed(error.to_string())))?;
-                scene.registry().put_json(id, out, at.entity, row.clone()).map_err(refused)?;
+                scene.registry().put_json(id, out, at.entity, row).map_err(refused)?;
             }
             Ok(())
         })
