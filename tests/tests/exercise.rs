@@ -75,7 +75,7 @@ fn a_left_handed_expert_completes_the_mirrored_exercise() {
 fn score_and_motion_rank_expert_above_intermediate_above_novice() {
     let app = app();
     let scenario = peg_transfer(&app, &[]);
-    let seeds: Vec<u64> = (100..100 + if thorough() { 20 } else { 4 }).collect();
+    let seeds: Vec<u64> = (100..100 + if thorough() { 20 } else { 3 }).collect();
     let mut rows = Vec::new();
     for skill in ["expert", "intermediate", "novice"] {
         let figures = for_seeds(&seeds, |seed| {

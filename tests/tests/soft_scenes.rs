@@ -3,6 +3,7 @@
 use trocar::run::{RunOutcome, start};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{DeviceForce, HapticStatus, RestPositions, SimTime, TetMesh, VertexPositions};
+use trocar_test_support::thorough;
 use trocar_tests::{app, edited, finish, for_seeds, lockstep};
 
 fn run(name: &str, replacements: &[(&str, &str)]) -> RunOutcome {
@@ -47,10 +48,12 @@ fn two_hands_cut_a_circle_out_of_a_gauze() {
 #[test]
 fn a_hook_cuts_a_membrane_through_and_burns_a_crater() {
     holds("cautery");
-    // Without coagulation current nothing chars: the cutting current vaporises the tissue.
-    let cut = run("cautery", &[(", mode = \"coagulate\"", "")]);
-    assert!(!cut.summary.task.completed);
-    assert_eq!(outcome(&cut, "liver.charred_cells"), 0.0);
+    if thorough() {
+        // Without coagulation current nothing chars: the cutting current vaporises the tissue.
+        let cut = run("cautery", &[(", mode = \"coagulate\"", "")]);
+        assert!(!cut.summary.task.completed);
+        assert_eq!(outcome(&cut, "liver.charred_cells"), 0.0);
+    }
     // A hook without power burns nothing.
     let off = run("cautery", &[("power = 30.0", "power = 0.0")]);
     assert!(!off.summary.task.completed);
@@ -183,12 +186,15 @@ fn a_bleeding_artery_is_clamped_and_sealed_and_the_patient_minds_when_nobody_doe
 fn a_needle_goes_through_a_pad_and_draws_its_thread_after_it() {
     let sewn = holds("needle-tissue");
     assert!(sewn.summary.force_newtons_max > 0.1, "{} N", sewn.summary.force_newtons_max);
-    // A needle without a grip does not penetrate, nor does one on a skin that is too tough.
-    let dropped = run("needle-tissue", &[("jaws = 0.0\nstep", "jaws = 0.5\nstep")]);
-    let hard = run("needle-tissue", &[("puncture_force = 0.3", "puncture_force = 1000.0")]);
-    for control in [&dropped, &hard] {
+    // A needle on a skin that is too tough does not penetrate, nor (in a thorough run) one without a grip.
+    let mut controls = vec![("puncture_force = 0.3", "puncture_force = 1000.0")];
+    if thorough() {
+        controls.push(("jaws = 0.0\nstep", "jaws = 0.5\nstep"));
+    }
+    for edit in controls {
+        let control = run("needle-tissue", &[edit]);
         assert!(!control.summary.task.completed);
-        assert_eq!((outcome(control, "needle.entries"), outcome(control, "needle.exits")), (0.0, 0.0));
+        assert_eq!((outcome(&control, "needle.entries"), outcome(&control, "needle.exits")), (0.0, 0.0));
     }
 }
 
