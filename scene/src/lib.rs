@@ -15,6 +15,7 @@ pub mod component;
 pub mod components;
 pub mod confined_path;
 pub mod controller;
+pub mod disjoint_sets;
 pub mod entity;
 pub mod event;
 pub mod finite;
