@@ -23,6 +23,7 @@ pub mod kinematics;
 pub mod mesh;
 pub mod organs;
 pub mod peg_bench;
+pub mod random;
 pub mod registry;
 pub mod scenario;
 pub mod shapes;
