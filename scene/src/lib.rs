@@ -8,6 +8,9 @@
 //! What is absent here: threads, clocks, sockets, actors, physics, rendering, unsafe code.
 #![forbid(unsafe_code)]
 
+// The derive names this crate as other crates do.
+extern crate self as trocar_scene;
+
 pub mod access;
 pub mod column;
 pub mod commands;
@@ -49,3 +52,6 @@ pub use snapshot::Snapshot;
 pub use soft_body::SoftAbilities;
 pub use store::{Refusal, Store};
 pub use time::{Revision, SimTime};
+pub use trocar_scene_derive::Component;
+#[doc(hidden)]
+pub use trocar_scene_derive::ComponentOfTrocar;

@@ -38,23 +38,6 @@ pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 
 use crate::registry::{RegistryBuilder, RegistryError};
 
-/// Implements [`Component`](crate::Component) with the default check and a derived schema.
-macro_rules! component {
-    ($type:ty, $name:literal) => {
-        impl $crate::component::Component for $type {
-            const NAME: &'static str = $name;
-            fn schema() -> Option<serde_json::Value> {
-                $crate::components::schema_of::<Self>()
-            }
-        }
-    };
-}
-pub(crate) use component;
-
-pub(crate) fn schema_of<T: schemars::JsonSchema>() -> Option<serde_json::Value> {
-    Some(schemars::schema_for!(T).to_value())
-}
-
 /// Registers every component of the field.
 ///
 /// # Errors

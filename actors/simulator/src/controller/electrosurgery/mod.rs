@@ -48,7 +48,8 @@ const DENATURED: f64 = 10.0;
 const CHARRED: f64 = 1e4;
 
 /// State for a restart. Too large to be recorded; it is derived from recorded data.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "heat_state", record = RecordPolicy::Derived)]
 pub struct HeatState {
     /// The surface of the first mesh.
     pub triangles: Arc<Vec<[u32; 3]>>,
@@ -56,10 +57,6 @@ pub struct HeatState {
     pub rest: Arc<Vec<Point3<f64>>>,
     /// State of the tissue.
     pub state: Arc<ElectrosurgeryState>,
-}
-impl Component for HeatState {
-    const NAME: &'static str = "heat_state";
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
 struct Body {
