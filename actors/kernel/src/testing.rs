@@ -69,10 +69,6 @@ impl Component for Bomb {
 /// All of them.
 pub fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
-    builder.register::<Count>().expect("new");
-    builder.register::<Level>().expect("new");
-    builder.register::<Pairs>().expect("new");
-    builder.register::<Shadow>().expect("new");
-    builder.register::<Bomb>().expect("new");
+    trocar_scene::register_all!(&mut builder; Count, Level, Pairs, Shadow, Bomb).expect("new");
     builder.build()
 }

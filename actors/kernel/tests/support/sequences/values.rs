@@ -113,11 +113,7 @@ pub struct Stranger(pub u8);
 
 pub fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
-    builder.register::<Shadow>().expect("new");
-    builder.register::<Bomb>().expect("new");
-    builder.register::<Pairs>().expect("new");
-    builder.register::<Level>().expect("new");
-    builder.register::<Count>().expect("new");
+    trocar_scene::register_all!(&mut builder; Shadow, Bomb, Pairs, Level, Count).expect("new");
     builder.build()
 }
 
