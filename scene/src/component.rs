@@ -1,5 +1,6 @@
 //! Components: plain serialisable types with a stable name, stored in columns.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
@@ -18,8 +19,44 @@ pub enum RecordPolicy {
 
 /// A type of data attached to entities.
 ///
-/// Implement it for your own types (the paper's "specialise a class of the Model"); no other crate needs a change. Big
+/// Derive it for your own types (the paper's "specialise a class of the Model"); no other crate needs a change. Big
 /// payloads belong in an `Arc`, so that copying a chunk of rows stays cheap.
+///
+/// ```
+/// use schemars::JsonSchema;
+/// use serde::{Deserialize, Serialize};
+/// use trocar_scene::{Component, ComponentError};
+///
+/// /// How full the bag of an irrigator is.
+/// #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema, Component)]
+/// #[component(name = "irrigation_bag", check = Self::ranges, schema)]
+/// struct IrrigationBag {
+///     /// Volume left \[m³\].
+///     volume: f64,
+/// }
+///
+/// impl IrrigationBag {
+///     fn ranges(&self) -> Result<(), ComponentError> {
+///         ComponentError::range("volume", self.volume, 0.0..=0.005, "0 to 0.005 m³")
+///     }
+/// }
+///
+/// assert_eq!(IrrigationBag::NAME, "irrigation_bag");
+/// assert!(IrrigationBag { volume: f64::NAN }.check().is_err());
+/// ```
+///
+/// The attribute's keys:
+///
+/// | Key | Meaning |
+/// |---|---|
+/// | `name = "…"` | [`NAME`](Self::NAME), a text or a constant; always needed |
+/// | `check = path` | a `fn(&Self) -> Result<(), ComponentError>`, called after the check for finite numbers |
+/// | `listed = path` | a `fn(&Self) -> u64` with the result of [`listed`](Self::listed) |
+/// | `schema` | the value may stand in a scenario file; its schema is that of its `JsonSchema` |
+/// | `record = …` | [`RECORD`](Self::RECORD) |
+/// | `soft_body = …` | the abilities of [`SOFT_BODY`](Self::SOFT_BODY) |
+/// | `partners = path` | the function of [`PARTNERS`](Self::PARTNERS) |
+/// | `crate = path` | where `trocar_scene` is, for a crate that knows it by another name |
 pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'static {
     /// Stable name in files, hashes and messages: lower case with underscores.
     const NAME: &'static str;
@@ -46,9 +83,18 @@ pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'stati
     }
 
     /// JSON schema of the value in a scenario file, if it is allowed there.
-    fn schema() -> Option<serde_json::Value> {
+    fn schema() -> Option<SchemaValue> {
         None
     }
+}
+
+/// A schema, as [`Component::schema`] returns it.
+pub use serde_json::Value as SchemaValue;
+
+/// The JSON schema of a type.
+#[must_use]
+pub fn schema_of<T: JsonSchema>() -> SchemaValue {
+    schemars::schema_for!(T).to_value()
 }
 
 /// A value that the Model refuses.

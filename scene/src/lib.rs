@@ -8,6 +8,9 @@
 //! What is absent here: threads, clocks, sockets, actors, physics, rendering, unsafe code.
 #![forbid(unsafe_code)]
 
+// The derive names this crate as other crates do.
+extern crate self as trocar_scene;
+
 pub mod access;
 pub mod column;
 pub mod commands;
@@ -15,6 +18,7 @@ pub mod component;
 pub mod components;
 pub mod confined_path;
 pub mod controller;
+pub mod disjoint_sets;
 pub mod entity;
 pub mod event;
 pub mod finite;
@@ -24,6 +28,7 @@ pub mod mesh;
 pub mod organs;
 pub mod peg_bench;
 pub mod puts;
+pub mod random;
 pub mod registry;
 pub mod scenario;
 pub mod shapes;
@@ -48,3 +53,6 @@ pub use snapshot::Snapshot;
 pub use soft_body::SoftAbilities;
 pub use store::{Refusal, Store};
 pub use time::{Revision, SimTime};
+pub use trocar_scene_derive::Component;
+#[doc(hidden)]
+pub use trocar_scene_derive::ComponentOfTrocar;

@@ -114,6 +114,24 @@ pub struct RegistryBuilder {
     entries: BTreeMap<&'static str, ComponentEntry>,
 }
 
+/// Adds many components to a [`RegistryBuilder`], as [`RegistryBuilder::register`] adds one, and returns what it returns.
+///
+/// ```
+/// use trocar_scene::{Name, Pose, RegistryBuilder, register_all};
+///
+/// let mut builder = RegistryBuilder::new();
+/// register_all!(&mut builder; Name, Pose)?;
+/// assert!(builder.build().by_name("pose").is_ok());
+/// # Ok::<(), trocar_scene::RegistryError>(())
+/// ```
+#[macro_export]
+macro_rules! register_all {
+    ($builder:expr; $($component:ty),+ $(,)?) => {
+        ::core::result::Result::<&mut $crate::RegistryBuilder, $crate::RegistryError>::Ok($builder)
+            $(.and_then(|builder| builder.register::<$component>()))+
+    };
+}
+
 impl RegistryBuilder {
     /// A builder without components.
     pub fn new() -> Self {

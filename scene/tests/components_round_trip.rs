@@ -462,11 +462,9 @@ fn truncated_bytes_are_refused() {
 
 #[test]
 fn a_name_is_registered_once() {
-    #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+    #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize, Component)]
+    #[component(name = "pose")]
     struct Imposter;
-    impl Component for Imposter {
-        const NAME: &'static str = "pose";
-    }
     let mut builder = RegistryBuilder::new();
     builder.register::<Pose>().expect("free");
     builder.register::<Pose>().expect("the same type again is fine");

@@ -2,6 +2,7 @@
 //!
 //! All of these tests run beside each other.
 
+mod component_derive;
 mod components_round_trip;
 mod core;
 mod decode_properties;

@@ -12,6 +12,7 @@ use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::recorder::{Recording, Replay};
 use trocar_kernel::runtime::ticker;
 use trocar_scene::SimTime;
+use trocar_scene::random::SplitMix64;
 use trocar_test_support::alone;
 use trocar_tests::{app, finish, lockstep, peg_transfer};
 
@@ -31,22 +32,6 @@ const KINDS: [&[&str]; 7] = [
 const FIRST: f64 = 1.0;
 const LAST: f64 = 55.0;
 
-/// SplitMix64 (Steele et al. 2014).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-    /// Uniform in [0, 1).
-    fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1_u64 << 53) as f64
-    }
-}
-
 fn seed() -> u64 {
     match std::env::var("TROCAR_KILL_SEED") {
         Ok(text) => text.parse().expect("TROCAR_KILL_SEED is a whole number"),
@@ -56,10 +41,10 @@ fn seed() -> u64 {
 
 /// One kill of each kind, at random times.
 fn plan(seed: u64) -> FaultPlan {
-    let mut random = Random(seed);
+    let mut random = SplitMix64::new(seed);
     let mut plan = FaultPlan::new(seed);
     for members in KINDS {
-        let victim = members[random.next() as usize % members.len()];
+        let victim = members[random.next_u64() as usize % members.len()];
         plan = plan.at(secs(FIRST + random.unit() * (LAST - FIRST))).kill(victim);
     }
     plan

@@ -36,7 +36,8 @@ pub enum EngineSoftSolver {
 }
 
 /// A soft volume of the engine. It needs a tetrahedral mesh, and `anchors` where it is to be fixed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "engine_soft", check = Self::ranges, schema, soft_body = SoftAbilities::NONE)]
 #[serde(default, deny_unknown_fields)]
 pub struct EngineSoftBody {
     /// Young's modulus \[Pa\].
@@ -76,11 +77,8 @@ impl Default for EngineSoftBody {
     }
 }
 
-impl Component for EngineSoftBody {
-    const NAME: &'static str = "engine_soft";
-    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities::NONE);
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+impl EngineSoftBody {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=0.49, "0 to 0.49")?;
         ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
@@ -89,9 +87,6 @@ impl Component for EngineSoftBody {
         ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
         ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 

@@ -29,15 +29,13 @@ pub struct AutopilotConfig {
 }
 
 /// Restart state of the trainee, on the controller's own entity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "autopilot_state")]
 pub struct AutopilotState {
     /// The board on which the rings started, counted in entity order.
     pub first_board: u32,
     /// The trainee.
     pub autopilot: Autopilot,
-}
-impl Component for AutopilotState {
-    const NAME: &'static str = "autopilot_state";
 }
 
 /// Moves two virtual hands through the peg transfer; to be run at 100 Hz. Writes [`HandTarget`] only.

@@ -122,11 +122,9 @@ fn what_is_wrong_is_refused_as_a_whole_and_named() {
         (0..=OPERATOR_WRITES_MAX).for_each(|_| out.event("flood", RING, None, 0.0));
     });
     assert_eq!(many, Err(Rejection::TooManyWrites(OPERATOR_WRITES_MAX + 1).into()));
-    #[derive(Clone, serde::Serialize, serde::Deserialize)]
+    #[derive(Clone, serde::Serialize, serde::Deserialize, trocar_scene::Component)]
+    #[component(name = "stranger")]
     struct Stranger;
-    impl trocar_scene::Component for Stranger {
-        const NAME: &'static str = "stranger";
-    }
     let stranger = session.apply(|out| out.put(RING, Stranger));
     let expected = Rejection::Refused(CommandError::Unregistered("stranger").into());
     assert_eq!(stranger, Err(expected.into()));

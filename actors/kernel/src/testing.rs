@@ -3,39 +3,27 @@
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, RecordPolicy, Registry, RegistryBuilder, finite};
+use trocar_scene::{Component, ComponentError, RecordPolicy, Registry, RegistryBuilder};
 
 /// A number that any entity may carry.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Component)]
+#[component(name = "test_count")]
 pub struct Count(pub u64);
-impl Component for Count {
-    const NAME: &'static str = "test_count";
-}
 
 /// A number that must be finite and can be set to panic when it is checked.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "test_level")]
 pub struct Level(pub f64);
-impl Component for Level {
-    const NAME: &'static str = "test_level";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)
-    }
-}
 
 /// A list that several writers fill.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "test_pairs")]
 pub struct Pairs(pub Vec<u32>);
-impl Component for Pairs {
-    const NAME: &'static str = "test_pairs";
-}
 
 /// A derived component.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "test_shadow", record = RecordPolicy::Derived)]
 pub struct Shadow(pub f64);
-impl Component for Shadow {
-    const NAME: &'static str = "test_shadow";
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
-}
 
 /// A component whose own code panics in the Model: 13 when it is looked at for the second time (past the
 /// sender), 14 when it is replaced.
@@ -81,10 +69,6 @@ impl Component for Bomb {
 /// All of them.
 pub fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
-    builder.register::<Count>().expect("new");
-    builder.register::<Level>().expect("new");
-    builder.register::<Pairs>().expect("new");
-    builder.register::<Shadow>().expect("new");
-    builder.register::<Bomb>().expect("new");
+    trocar_scene::register_all!(&mut builder; Count, Level, Pairs, Shadow, Bomb).expect("new");
     builder.build()
 }

@@ -19,21 +19,15 @@ const BODIES: u32 = 40;
 const HOUR_SECS: u64 = 3_600;
 const PHYSICS: WriterId = WriterId(1);
 
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize, Component)]
+#[component(name = "place")]
 struct Place([f64; 7]);
-impl Component for Place {
-    const NAME: &'static str = "place";
-}
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize, Component)]
+#[component(name = "contacts")]
 struct Contacts(Vec<u32>);
-impl Component for Contacts {
-    const NAME: &'static str = "contacts";
-}
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize, Component)]
+#[component(name = "memo")]
 struct Memo(u64);
-impl Component for Memo {
-    const NAME: &'static str = "memo";
-}
 
 fn body(n: u32) -> Entity {
     Entity::new(0, 0, n + 1)

@@ -422,7 +422,7 @@ fn make_up_and_play(
     seed: u64,
     tally: &mut Tally,
 ) -> Result<(), (Vec<Step>, String)> {
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let length = 1 + random.below(STEPS_MAX);
     let mut bench = Bench::new(registry);
     let universe = bench.universe.clone();

@@ -11,11 +11,9 @@ use trocar_scene::{
 };
 use trocar_test_support::allocations::touches;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Component)]
+#[component(name = "toy_count")]
 struct Count(u64);
-impl Component for Count {
-    const NAME: &'static str = "toy_count";
-}
 
 #[test]
 fn a_warmed_publication_reaches_the_recorder_without_touching_the_heap() {

@@ -105,7 +105,8 @@ impl OutcomeConfig {
 }
 
 /// The statistics so far, in the order of the expectations.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "outcome_state")]
 pub struct OutcomeState {
     /// `None` until it has been measured.
     pub values: Vec<Option<f64>>,
@@ -116,9 +117,6 @@ pub struct OutcomeState {
     pub frozen: Vec<String>,
     /// Whether the judgement is done.
     pub over: bool,
-}
-impl Component for OutcomeState {
-    const NAME: &'static str = "outcome_state";
 }
 
 /// Judges a scene when its time is over.

@@ -33,15 +33,13 @@ pub struct PegTransferConfig {
 }
 
 /// Restart state of the exercise, on the controller's own entity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "peg_transfer_state")]
 pub struct PegTransferState {
     /// The board on which the rings started, counted in entity order.
     pub first_board: u32,
     /// The exercise.
     pub exercise: PegTransfer,
-}
-impl Component for PegTransferState {
-    const NAME: &'static str = "peg_transfer_state";
 }
 
 /// Judges a peg transfer; to be run at 100 Hz.

@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::Component;
+use crate::Component;
 use crate::entity::Entity;
 use crate::time::SimTime;
 
@@ -99,7 +99,8 @@ impl Collision {
 }
 
 /// Contacts of one detector's last tick; a contribution, so that lists of several detectors coexist.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "collision_list", listed = Self::count, schema)]
 #[serde(deny_unknown_fields)]
 pub struct CollisionList {
     /// The contacts.
@@ -107,12 +108,9 @@ pub struct CollisionList {
     /// Deepest penetration since the session began \[m\].
     pub penetration_max: f64,
 }
-impl Component for CollisionList {
-    const NAME: &'static str = "collision_list";
-    fn listed(&self) -> Option<u64> {
-        Some(self.collisions.len() as u64)
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
+
+impl CollisionList {
+    fn count(&self) -> u64 {
+        self.collisions.len() as u64
     }
 }

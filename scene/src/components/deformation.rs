@@ -6,36 +6,36 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
-use crate::finite;
 use crate::time::SimTime;
+use crate::{Component, ComponentError};
 
 /// Most regions of [`Anchors`].
 const REGIONS_MAX: usize = 64;
 
 /// Velocity of each vertex, in the entity's frame.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "vertex_velocities", schema)]
 #[serde(deny_unknown_fields)]
 pub struct VertexVelocities {
     /// One velocity per vertex \[m/s\].
     #[schemars(with = "Vec<[f64; 3]>")]
     pub velocities: Arc<Vec<Vector3<f64>>>,
 }
-super::component!(VertexVelocities, "vertex_velocities");
 
 /// Rest position of each vertex, in the entity's frame; written once by the body's solver.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "rest_positions", schema)]
 #[serde(deny_unknown_fields)]
 pub struct RestPositions {
     /// One point per vertex \[m\].
     #[schemars(with = "Vec<[f64; 3]>")]
     pub positions: Arc<Vec<Point3<f64>>>,
 }
-super::component!(RestPositions, "rest_positions");
 
 /// Fixed parts of a deformable body (Dirichlet boundary), as regions of the rest shape in the entity's frame: bones and
 /// ligaments behind an organ, clips on a gauze.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "anchors", check = Self::ranges, schema)]
 #[serde(deny_unknown_fields)]
 pub struct Anchors {
     /// Regions whose vertices are fixed.
@@ -43,7 +43,8 @@ pub struct Anchors {
 }
 
 /// A body stopped by its simulator, at its last valid state.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "frozen", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Frozen {
     /// Reason given by the solver.
@@ -51,10 +52,10 @@ pub struct Frozen {
     /// When.
     pub since: SimTime,
 }
-super::component!(Frozen, "frozen");
 
 /// A body simulated outside the range of validity of its method.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "doubtful", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OutOfValidity {
     /// What is inaccurate, and how to fix it.
@@ -62,10 +63,10 @@ pub struct OutOfValidity {
     /// Since when.
     pub since: SimTime,
 }
-super::component!(OutOfValidity, "doubtful");
 
 /// A body whose heat solver has stopped, while its motion is still simulated.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "heat_frozen", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HeatFrozen {
     /// Reason given by the solver.
@@ -73,16 +74,15 @@ pub struct HeatFrozen {
     /// When.
     pub since: SimTime,
 }
-super::component!(HeatFrozen, "heat_frozen");
 
 /// A body whose mesh was repaired when it was read.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "mesh_repaired", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeshRepaired {
     /// What was done.
     pub what: String,
 }
-super::component!(MeshRepaired, "mesh_repaired");
 
 /// A closed region of space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -122,17 +122,10 @@ impl Anchors {
     pub fn hold(&self, point: &Point3<f64>) -> bool {
         self.regions.iter().any(|region| region.contains(point))
     }
-}
 
-impl Component for Anchors {
-    const NAME: &'static str = "anchors";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+    fn ranges(&self) -> Result<(), ComponentError> {
         let valid = "at most 64";
         ComponentError::range("regions", self.regions.len() as f64, 0.0..=REGIONS_MAX as f64, valid)
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 

@@ -4,11 +4,10 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
 use crate::components::graph::{Pose, Velocity};
 use crate::entity::Entity;
-use crate::finite;
 use crate::time::SimTime;
+use crate::{Component, ComponentError};
 
 /// Left or right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
@@ -38,7 +37,8 @@ impl Side {
 }
 
 /// A hand: a device registered to the world, and the instrument that it moves.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "hand", check = Self::validate, schema)]
 #[serde(deny_unknown_fields)]
 pub struct Hand {
     /// Which hand it is.
@@ -56,20 +56,17 @@ pub struct Hand {
 fn one() -> f64 {
     1.0
 }
-impl Component for Hand {
-    const NAME: &'static str = "hand";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl Hand {
+    fn validate(&self) -> Result<(), ComponentError> {
         super::graph::check_rotation(&self.world_from_device.rotation)?;
         ComponentError::range("scale", self.scale, 0.01..=100.0, "0.01 to 100")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
 /// Capabilities of a device; copied into the scene when it is opened.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "device_info", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceInfo {
     /// Product.
@@ -89,10 +86,10 @@ pub struct DeviceInfo {
     /// Actuated degrees of freedom.
     pub output_dofs: u8,
 }
-super::component!(DeviceInfo, "device_info");
 
 /// The latest state of a haptic device, as its driver measured it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "device_state", check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceState {
     /// `device_from_handle`.
@@ -111,19 +108,16 @@ pub struct DeviceState {
     /// When it was measured.
     pub sampled_at: SimTime,
 }
-impl Component for DeviceState {
-    const NAME: &'static str = "device_state";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl DeviceState {
+    fn validate(&self) -> Result<(), ComponentError> {
         super::graph::check_rotation(&self.handle_in_device.rotation)
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
 /// The wrench commanded by haptics, in the device's axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "device_force", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceForce {
     /// Force \[N\].
@@ -135,10 +129,10 @@ pub struct DeviceForce {
     /// Time of the command.
     pub at: SimTime,
 }
-super::component!(DeviceForce, "device_force");
 
 /// Target of a virtual trainee's hand, in the device's frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "hand_target", check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HandTarget {
     /// Target of `device_from_handle`.
@@ -146,19 +140,16 @@ pub struct HandTarget {
     /// Target opening of the gripper \[rad\].
     pub gripper: f64,
 }
-impl Component for HandTarget {
-    const NAME: &'static str = "hand_target";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl HandTarget {
+    fn validate(&self) -> Result<(), ComponentError> {
         super::graph::check_rotation(&self.handle_in_device.rotation)
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
 /// Restart state and status of a haptics controller.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "haptic_status", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticStatus {
     /// Energy that the driver observed at the device's port since the start \[J\]; passive while not negative.
@@ -178,4 +169,3 @@ pub struct HapticStatus {
     /// Ticks without a fresh device sample.
     pub stale_samples: u64,
 }
-super::component!(HapticStatus, "haptic_status");

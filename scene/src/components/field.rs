@@ -6,8 +6,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
-use crate::finite;
+use crate::{Component, ComponentError};
 
 /// Fields that one entity can have.
 const FIELDS_MAX: usize = 16;
@@ -30,7 +29,8 @@ pub struct ScalarField {
 }
 
 /// The fields of an entity with [`VertexPositions`](super::VertexPositions), each under a name of its own.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "scalar_fields", check = Self::validate, schema)]
 #[serde(deny_unknown_fields)]
 pub struct ScalarFields {
     /// All of them; at most 16.
@@ -42,12 +42,8 @@ impl ScalarFields {
     pub fn get(&self, name: &str) -> Option<&ScalarField> {
         self.fields.iter().find(|field| field.name == name)
     }
-}
 
-impl Component for ScalarFields {
-    const NAME: &'static str = "scalar_fields";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+    fn validate(&self) -> Result<(), ComponentError> {
         let count = self.fields.len();
         ComponentError::range("fields (their number)", count as f64, ..=FIELDS_MAX as f64, "at most 16")?;
         let mut names = BTreeSet::new();
@@ -70,8 +66,5 @@ impl Component for ScalarFields {
             }
         }
         Ok(())
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }

@@ -4,24 +4,24 @@ use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
-use crate::finite;
+use crate::{Component, ComponentError};
 
 /// Name of an entity in files and messages.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "name", schema)]
 #[serde(transparent)]
 pub struct Name(pub String);
-super::component!(Name, "name");
 
 /// The entity in whose frame this one's [`Pose`] is given.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "parent", schema)]
 #[serde(transparent)]
 pub struct Parent(#[schemars(with = "String")] pub Entity);
-super::component!(Parent, "parent");
 
 /// Position \[m\] and rotation: `parent_from_entity`, or `world_from_entity` without a [`Parent`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "pose", check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pose {
     /// Origin of the entity's frame in the parent's \[m\].
@@ -45,6 +45,10 @@ impl Pose {
     pub fn isometry(&self) -> Isometry3<f64> {
         Isometry3::from_parts(self.translation.into(), self.rotation)
     }
+
+    fn validate(&self) -> Result<(), ComponentError> {
+        check_rotation(&self.rotation)
+    }
 }
 
 impl From<Isometry3<f64>> for Pose {
@@ -60,19 +64,9 @@ pub(crate) fn check_rotation(rotation: &UnitQuaternion<f64>) -> Result<(), Compo
     if (norm - 1.0).abs() <= 1e-6 { Ok(()) } else { Err(ComponentError::NotNormalised { norm }) }
 }
 
-impl Component for Pose {
-    const NAME: &'static str = "pose";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
-        check_rotation(&self.rotation)
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
-    }
-}
-
 /// Linear \[m/s\] and angular \[rad/s\] velocity of the entity's origin, in world axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "velocity", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Velocity {
     /// Velocity of the origin \[m/s\].
@@ -82,4 +76,3 @@ pub struct Velocity {
     #[schemars(with = "[f64; 3]")]
     pub angular: Vector3<f64>,
 }
-super::component!(Velocity, "velocity");

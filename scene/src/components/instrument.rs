@@ -8,11 +8,10 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
 use crate::components::graph::{Pose, Velocity};
 use crate::entity::Entity;
-use crate::finite;
 use crate::time::SimTime;
+use crate::{Component, ComponentError};
 
 /// What kind of instrument it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -63,7 +62,8 @@ impl InstrumentKind {
 }
 
 /// Dimensions and mechanics of an instrument. Lengths \[m\], angles \[rad\].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "instrument", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Instrument {
     /// What kind it is.
@@ -119,10 +119,9 @@ impl Default for Instrument {
         }
     }
 }
-impl Component for Instrument {
-    const NAME: &'static str = "instrument";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl Instrument {
+    fn ranges(&self) -> Result<(), ComponentError> {
         let length = |field, value| ComponentError::range(field, value, 1e-5..=1.0, "1e-5 to 1 m");
         length("shaft_length", self.shaft_length)?;
         length("shaft_radius", self.shaft_radius)?;
@@ -137,13 +136,11 @@ impl Component for Instrument {
         ComponentError::range("grasp_break_force", self.grasp_break_force, 0.0..=100.0, "0 to 100 N")?;
         ComponentError::range("coupling_stiffness", self.coupling_stiffness, 1.0..=1e5, "1 to 1e5 N/m")
     }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
-    }
 }
 
 /// The trocar: the fulcrum in the wall that a shaft passes. Its position is the entity's pose.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "port", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Port {
     /// Viscous friction along the shaft \[N·s/m\].
@@ -168,10 +165,10 @@ impl Default for Port {
         }
     }
 }
-super::component!(Port, "port");
 
 /// Target of an instrument, from its hand.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "instrument_target", check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentTarget {
     /// Target of `world_from_instrument`.
@@ -183,19 +180,16 @@ pub struct InstrumentTarget {
     /// Time of the hand's sample.
     pub sampled_at: SimTime,
 }
-impl Component for InstrumentTarget {
-    const NAME: &'static str = "instrument_target";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl InstrumentTarget {
+    fn validate(&self) -> Result<(), ComponentError> {
         super::graph::check_rotation(&self.tip_in_world.rotation)
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
 /// State of the jaws.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "jaw_state", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JawState {
     /// Actual full opening \[rad\].
@@ -205,7 +199,6 @@ pub struct JawState {
     /// Normal force on the pad of jaw A and of jaw B \[N\].
     pub pad_force: [f64; 2],
 }
-super::component!(JawState, "jaw_state");
 
 /// Mode of an electrosurgical generator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -218,7 +211,8 @@ pub enum ActivationMode {
 }
 
 /// Activation of an instrument by a pedal, a button or a virtual trainee.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "activation", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Activation {
     /// Share of full power, 0 to 1.
@@ -228,18 +222,16 @@ pub struct Activation {
     /// Mode of an electrode; none: the instrument's own setting.
     pub mode: Option<ActivationMode>,
 }
-impl Component for Activation {
-    const NAME: &'static str = "activation";
-    fn check(&self) -> Result<(), ComponentError> {
+
+impl Activation {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("level", self.level, 0.0..=1.0, "0 to 1")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
 /// The wrench that the instrument exerts on the hand, at the tip, in world axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "instrument_force", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentForce {
     /// Force \[N\].
@@ -251,10 +243,10 @@ pub struct InstrumentForce {
     /// When it was computed.
     pub at: SimTime,
 }
-super::component!(InstrumentForce, "instrument_force");
 
 /// A grasp by opposing contacts of both jaws; absent while nothing is held.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "grasp", schema)]
 #[serde(deny_unknown_fields)]
 pub struct Grasp {
     /// The body held.
@@ -267,7 +259,6 @@ pub struct Grasp {
     /// Whether the grasp constraint helps friction.
     pub assisted: bool,
 }
-super::component!(Grasp, "grasp");
 
 /// A plane that an instrument touches, with its compliance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -288,7 +279,8 @@ pub struct ContactPlane {
 }
 
 /// Time-stamped local contact model of an instrument, which haptics evaluates at its own rate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "local_contact_model", schema)]
 #[serde(deny_unknown_fields)]
 pub struct LocalContactModel {
     /// Pose of the simulated tip at `at`, in world.
@@ -303,4 +295,3 @@ pub struct LocalContactModel {
     /// When it was computed.
     pub at: SimTime,
 }
-super::component!(LocalContactModel, "local_contact_model");

@@ -6,8 +6,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
-use crate::finite;
+use crate::{Component, ComponentError};
 
 /// How a rigid body moves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -23,7 +22,8 @@ pub enum Motion {
 }
 
 /// A rigid body; its geometry is the entity's `Shape`, or else its surface, with contacts from the collision detectors.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "rigid_body", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigidBody {
     /// How it moves.
@@ -51,18 +51,14 @@ impl Default for RigidBody {
         }
     }
 }
-impl Component for RigidBody {
-    const NAME: &'static str = "rigid_body";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl RigidBody {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("mass", self.mass, 1e-6..=1e3, "1e-6 to 1e3 kg")?;
         ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
         ComponentError::range("restitution", self.restitution, 0.0..=1.0, "0 to 1")?;
         ComponentError::range("linear_damping", self.linear_damping, 0.0..=1e4, "0 to 1e4 1/s")?;
         ComponentError::range("angular_damping", self.angular_damping, 0.0..=1e4, "0 to 1e4 1/s")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
@@ -90,13 +86,12 @@ pub struct Source {
 /// Sources of values in an entity's components, by component and parameter name, for values not covered by [`Tissue`].
 /// In a scenario each entry must belong to a value that the entity gives there, and a value outside its range is
 /// reported.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "sources", check = Self::validate, schema)]
 #[serde(transparent)]
 pub struct Sources(pub BTreeMap<String, BTreeMap<String, Source>>);
-impl Component for Sources {
-    const NAME: &'static str = "sources";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+impl Sources {
+    fn validate(&self) -> Result<(), ComponentError> {
         let all =
             self.0.iter().flat_map(|(of, known)| known.iter().map(move |(name, source)| (of, name, source)));
         for (of, name, Source { from, range }) in all {
@@ -111,18 +106,15 @@ impl Component for Sources {
         }
         Ok(())
     }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
-    }
 }
 
 /// Tissue of an entity, by its name among [`TISSUES`](crate::tissue::TISSUES). In a scenario, parameters that its other
 /// components omit take the tissue's measured values.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "tissue", check = Self::validate, schema)]
 pub struct Tissue(pub String);
-impl Component for Tissue {
-    const NAME: &'static str = "tissue";
-    fn check(&self) -> Result<(), ComponentError> {
+impl Tissue {
+    fn validate(&self) -> Result<(), ComponentError> {
         if crate::tissue::tissue(&self.0).is_some() {
             return Ok(());
         }
@@ -133,25 +125,22 @@ impl Component for Tissue {
             known.join(", ")
         )))
     }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
-    }
 }
 
 /// Temperature per vertex \[°C\].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "temperature", schema)]
 #[serde(deny_unknown_fields)]
 pub struct Temperature {
     /// One value per vertex \[°C\].
     pub celsius: Arc<Vec<f64>>,
 }
-super::component!(Temperature, "temperature");
 
 /// Burn damage per vertex: the Arrhenius integral Ω (Henriques, Moritz 1947).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "burn", schema)]
 #[serde(deny_unknown_fields)]
 pub struct Burn {
     /// One Ω per vertex; 1 means that 63 % of the protein is denatured.
     pub omega: Arc<Vec<f64>>,
 }
-super::component!(Burn, "burn");

@@ -6,26 +6,29 @@ use nalgebra::{Point3, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::Component;
+
 /// Triangles of a surface, as indices into [`VertexPositions`].
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "surface_mesh", schema)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceMesh {
     /// Corner indices, counter-clockwise seen from outside.
     pub triangles: Arc<Vec<[u32; 3]>>,
 }
-super::component!(SurfaceMesh, "surface_mesh");
 
 /// Tetrahedra of a volume, as indices into [`VertexPositions`].
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "tet_mesh", schema)]
 #[serde(deny_unknown_fields)]
 pub struct TetMesh {
     /// Corner indices, positively oriented.
     pub tets: Arc<Vec<[u32; 4]>>,
 }
-super::component!(TetMesh, "tet_mesh");
 
 /// Segments of a thread or band, as indices into [`VertexPositions`].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "line_mesh", schema)]
 #[serde(deny_unknown_fields)]
 pub struct LineMesh {
     /// End point indices.
@@ -33,36 +36,35 @@ pub struct LineMesh {
     /// Radius of the tube \[m\].
     pub radius: f64,
 }
-super::component!(LineMesh, "line_mesh");
 
 /// Vertices in the entity's frame \[m\].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "vertex_positions", schema)]
 #[serde(deny_unknown_fields)]
 pub struct VertexPositions {
     /// One point per vertex \[m\].
     #[schemars(with = "Vec<[f64; 3]>")]
     pub positions: Arc<Vec<Point3<f64>>>,
 }
-super::component!(VertexPositions, "vertex_positions");
 
 /// Texture coordinates, one per vertex, in \[0, 1\].
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "texture_coordinates", schema)]
 #[serde(deny_unknown_fields)]
 pub struct TextureCoordinates {
     /// One `(u, v)` per vertex.
     #[schemars(with = "Vec<[f64; 2]>")]
     pub uv: Arc<Vec<Vector2<f64>>>,
 }
-super::component!(TextureCoordinates, "texture_coordinates");
 
 /// A tree of axis-aligned boxes over an entity's primitives, for reuse or display.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "bounding_volume_tree", schema)]
 #[serde(deny_unknown_fields)]
 pub struct BoundingVolumeTree {
     /// Nodes, the root first.
     pub nodes: Arc<Vec<BoundingVolumeNode>>,
 }
-super::component!(BoundingVolumeTree, "bounding_volume_tree");
 
 /// One box of a [`BoundingVolumeTree`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -38,76 +38,21 @@ pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 
 use crate::registry::{RegistryBuilder, RegistryError};
 
-/// Implements [`Component`](crate::Component) with the default check and a derived schema.
-macro_rules! component {
-    ($type:ty, $name:literal) => {
-        impl $crate::component::Component for $type {
-            const NAME: &'static str = $name;
-            fn schema() -> Option<serde_json::Value> {
-                $crate::components::schema_of::<Self>()
-            }
-        }
-    };
-}
-pub(crate) use component;
-
-pub(crate) fn schema_of<T: schemars::JsonSchema>() -> Option<serde_json::Value> {
-    Some(schemars::schema_for!(T).to_value())
-}
-
 /// Registers every component of the field.
 ///
 /// # Errors
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
-    builder.register::<Name>()?;
-    builder.register::<Parent>()?;
-    builder.register::<Pose>()?;
-    builder.register::<Velocity>()?;
-    builder.register::<Shape>()?;
-    builder.register::<SurfaceMesh>()?;
-    builder.register::<TetMesh>()?;
-    builder.register::<LineMesh>()?;
-    builder.register::<VertexPositions>()?;
-    builder.register::<VertexVelocities>()?;
-    builder.register::<RestPositions>()?;
-    builder.register::<Anchors>()?;
-    builder.register::<Frozen>()?;
-    builder.register::<OutOfValidity>()?;
-    builder.register::<HeatFrozen>()?;
-    builder.register::<MeshRepaired>()?;
-    builder.register::<TextureCoordinates>()?;
-    builder.register::<BoundingVolumeTree>()?;
-    builder.register::<VisualMaterial>()?;
-    builder.register::<Light>()?;
-    builder.register::<Camera>()?;
-    builder.register::<Optics>()?;
-    builder.register::<HeadTracked>()?;
-    builder.register::<RigidBody>()?;
-    builder.register::<Tissue>()?;
-    builder.register::<Sources>()?;
-    builder.register::<Temperature>()?;
-    builder.register::<Burn>()?;
-    builder.register::<ScalarFields>()?;
-    builder.register::<Particles>()?;
-    builder.register::<Instrument>()?;
-    builder.register::<Port>()?;
-    builder.register::<InstrumentTarget>()?;
-    builder.register::<JawState>()?;
-    builder.register::<Activation>()?;
-    builder.register::<InstrumentForce>()?;
-    builder.register::<Grasp>()?;
-    builder.register::<LocalContactModel>()?;
-    builder.register::<Hand>()?;
-    builder.register::<DeviceInfo>()?;
-    builder.register::<DeviceState>()?;
-    builder.register::<DeviceForce>()?;
-    builder.register::<HandTarget>()?;
-    builder.register::<HapticStatus>()?;
-    builder.register::<PersonInput>()?;
-    builder.register::<CollisionList>()?;
-    builder.register::<TaskState>()?;
-    builder.register::<Measured>()?;
-    builder.register::<VitalSigns>()?;
+    crate::register_all!(builder;
+        Name, Parent, Pose, Velocity,
+        Shape, SurfaceMesh, TetMesh, LineMesh, TextureCoordinates, BoundingVolumeTree,
+        VertexPositions, VertexVelocities, RestPositions, Anchors,
+        Frozen, OutOfValidity, HeatFrozen, MeshRepaired,
+        VisualMaterial, Light, Camera, Optics, HeadTracked,
+        RigidBody, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
+        Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
+        Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput,
+        CollisionList, TaskState, Measured, VitalSigns,
+    )?;
     Ok(())
 }

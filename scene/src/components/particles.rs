@@ -6,8 +6,7 @@ use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
-use crate::finite;
+use crate::{Component, ComponentError};
 
 /// Particles that one entity can have.
 pub const PARTICLES_MAX: usize = 65_536;
@@ -24,7 +23,8 @@ pub enum ParticleKind {
 }
 
 /// Particles in the entity's frame.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "particles", check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Particles {
     /// Kind of matter.
@@ -82,12 +82,8 @@ impl Particles {
         let wider = (1.0 + self.spread * age).sqrt();
         (self.radius * wider, self.extinction * density / wider.powi(3))
     }
-}
 
-impl Component for Particles {
-    const NAME: &'static str = "particles";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+    fn validate(&self) -> Result<(), ComponentError> {
         let count = self.positions.len();
         let room = PARTICLES_MAX as f64;
         ComponentError::range("positions (their number)", count as f64, ..=room, "at most 65536")?;
@@ -116,8 +112,5 @@ impl Component for Particles {
             return Err(ComponentError::Malformed("ages: only smoke grows old, this is a fluid".into()));
         }
         Ok(())
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }

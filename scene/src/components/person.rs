@@ -8,12 +8,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
 use crate::components::device::Side;
 use crate::components::graph::{Pose, check_rotation};
 use crate::components::instrument::ActivationMode;
-use crate::finite;
 use crate::time::SimTime;
+use crate::{Component, ComponentError};
 
 /// Largest total of a motion: days of continuous motion. A source that reaches it restarts under a new number.
 pub const PERSON_TOTAL_MAX: f64 = 1e6;
@@ -110,7 +109,8 @@ pub struct PersonView {
 }
 
 /// Input of a person without a haptic device, by pointer, keyboard and gamepad.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "person_input", check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PersonInput {
     /// Number of the input source. Under a new number the totals restart at zero, so that reopening a window moves
@@ -159,12 +159,8 @@ impl PersonInput {
             Side::Right => &mut self.right,
         }
     }
-}
 
-impl Component for PersonInput {
-    const NAME: &'static str = "person_input";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+    fn validate(&self) -> Result<(), ComponentError> {
         for hand in [&self.left, &self.right] {
             let totals = -PERSON_TOTAL_MAX..=PERSON_TOTAL_MAX;
             for moved in hand.moved {
@@ -182,9 +178,6 @@ impl Component for PersonInput {
             ComponentError::range("field_of_view", view.field_of_view, 0.01..=3.0, "0.01 to 3 rad")?;
         }
         Ok(())
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 

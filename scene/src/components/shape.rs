@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
-use crate::finite;
+use crate::{Component, ComponentError};
 
 /// A shape in the entity's frame. Axes of revolution are the local z axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "shape", check = Self::ranges, schema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Shape {
     /// A box.
@@ -56,10 +56,8 @@ pub enum Shape {
     },
 }
 
-impl Component for Shape {
-    const NAME: &'static str = "shape";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+impl Shape {
+    fn ranges(&self) -> Result<(), ComponentError> {
         let positive = |field, value: f64| {
             ComponentError::range(field, value, f64::MIN_POSITIVE..=100.0, "above 0, at most 100 m")
         };
@@ -98,8 +96,5 @@ impl Component for Shape {
                 })
             }
         }
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::Component;
 use crate::entity::Entity;
 
 /// An error of the trainee.
@@ -21,7 +22,8 @@ pub struct TaskError {
 }
 
 /// State of an exercise.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "task_state", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TaskState {
     /// Name of the exercise.
@@ -47,19 +49,19 @@ pub struct TaskState {
     /// Motion metrics: hand → name → value.
     pub metrics: BTreeMap<String, BTreeMap<String, f64>>,
 }
-super::component!(TaskState, "task_state");
 
 /// Measurements of a controller about its simulation: areas, volumes, energies, slips; on the controller's own entity.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "measured", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Measured {
     /// Name → value, SI units, the unit at the end of the name: `cut_area_m2`.
     pub values: BTreeMap<String, f64>,
 }
-super::component!(Measured, "measured");
 
 /// Vital signs of the patient.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "vital_signs", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VitalSigns {
     /// Heart rate \[1/min\].
@@ -71,4 +73,3 @@ pub struct VitalSigns {
     /// Blood lost \[m³\].
     pub blood_loss: f64,
 }
-super::component!(VitalSigns, "vital_signs");

@@ -3,9 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
-use crate::finite;
+use crate::{Component, ComponentError};
 
 /// A texture: a file below the scenario's folder, or a procedural one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -18,7 +17,8 @@ pub enum Texture {
 }
 
 /// Surface appearance: a base colour and up to four maps combined per fragment.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "visual_material", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VisualMaterial {
     /// Linear RGB with opacity, in \[0, 1\].
@@ -61,10 +61,9 @@ impl Default for VisualMaterial {
         }
     }
 }
-impl Component for VisualMaterial {
-    const NAME: &'static str = "visual_material";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl VisualMaterial {
+    fn ranges(&self) -> Result<(), ComponentError> {
         let share = |field, value| ComponentError::range(field, value, 0.0..=1.0, "0 to 1");
         self.base_color.iter().try_for_each(|part| share("base_color", *part))?;
         share("roughness", self.roughness)?;
@@ -74,13 +73,11 @@ impl Component for VisualMaterial {
         self.tiling.iter().try_for_each(|repeats| repeat(*repeats))?;
         ComponentError::range("relief", self.relief, 0.0..=0.05, "0 to 0.05 m")
     }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
-    }
 }
 
 /// A light at the entity's pose, shining along its +z axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "light", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Light {
     /// Linear RGB in \[0, 1\].
@@ -97,10 +94,10 @@ impl Default for Light {
         Self { color: [1.0; 3], intensity: 1.0, cone_angle: std::f64::consts::PI, shadows: true }
     }
 }
-super::component!(Light, "light");
 
 /// A camera at the entity's pose, looking along its +z axis, image down along +y.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "camera", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Camera {
     /// Vertical field of view \[rad\].
@@ -117,10 +114,10 @@ impl Default for Camera {
         Self { field_of_view: 1.05, near: 0.005, far: 1.0, aspect: 4.0 / 3.0 }
     }
 }
-super::component!(Camera, "camera");
 
 /// The optics of a laparoscope, on the entity of its [`Camera`]: the scope's axis is the entity's +z.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "optics", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Optics {
     /// Angle between the scope's axis and the line of sight \[rad\]: 0, 30° or 45° are common.
@@ -132,16 +129,12 @@ pub struct Optics {
     /// Vignetting at the image's corner in \[0, 1\].
     pub vignette: f64,
 }
-impl Component for Optics {
-    const NAME: &'static str = "optics";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl Optics {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("tilt", self.tilt, 0.0..=2.1, "0 to 2.1 rad")?;
         ComponentError::range("distortion", self.distortion, 0.0..=0.5, "0 to 0.5")?;
         ComponentError::range("vignette", self.vignette, 0.0..=1.0, "0 to 1")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }
 
@@ -151,7 +144,8 @@ impl Component for Optics {
 /// The camera's entity is the centre of the screen: z into the screen, x to its right, y down. The pose of
 /// [`Self::head`] is the head's, so that its writer (a tracker, a controller, a scenario) moves the eye. The camera's
 /// near and far apply; its field of view and [`Optics`] do not.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "head_tracked", check = Self::ranges, schema)]
 #[serde(deny_unknown_fields)]
 pub struct HeadTracked {
     /// Entity with the pose of the head: between the eyes, x to the right eye, y down, z straight ahead. Best below the
@@ -175,16 +169,12 @@ fn interocular() -> f64 {
 fn life_size() -> f64 {
     1.0
 }
-impl Component for HeadTracked {
-    const NAME: &'static str = "head_tracked";
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)?;
+
+impl HeadTracked {
+    fn ranges(&self) -> Result<(), ComponentError> {
         let side = |value: f64| ComponentError::range("screen", value, 1e-3..=100.0, "0.001 to 100 m");
         self.screen.iter().try_for_each(|length| side(*length))?;
         ComponentError::range("interocular", self.interocular, 0.0..=0.2, "0 to 0.2 m")?;
         ComponentError::range("scale", self.scale, 1e-3..=1e3, "0.001 to 1000")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        super::schema_of::<Self>()
     }
 }

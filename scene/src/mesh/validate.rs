@@ -8,6 +8,7 @@ use std::path::Path;
 
 use super::data::SurfaceData;
 use super::error::MeshError;
+use crate::disjoint_sets::DisjointSets;
 
 /// Sine of the smallest angle below which a triangle counts as degenerate.
 pub(super) const DEGENERATE: f64 = 1e-9;
@@ -196,7 +197,7 @@ pub fn validate_surface(surface: &SurfaceData) -> SurfaceReport {
             }
         }
     }
-    report.components = bodies.count();
+    report.components = bodies.sets();
     let mut fan_of: Vec<Option<usize>> = vec![None; surface.positions.len()];
     let mut split = vec![false; surface.positions.len()];
     for (t, triangle) in surface.triangles.iter().enumerate() {
@@ -239,30 +240,4 @@ fn find_duplicates(surface: &SurfaceData, report: &mut SurfaceReport) {
         keys.windows(2).filter(|pair| pair[0].0 == pair[1].0).map(|pair| pair[1].1).collect();
     repeated.sort_unstable();
     repeated.into_iter().for_each(|t| report.duplicates.add(t));
-}
-
-/// Union-find with path halving (Tarjan, van Leeuwen 1984).
-pub(super) struct DisjointSets {
-    parent: Vec<usize>,
-}
-
-impl DisjointSets {
-    pub fn new(count: usize) -> Self {
-        Self { parent: (0..count).collect() }
-    }
-    pub fn root(&mut self, mut x: usize) -> usize {
-        while self.parent[x] != x {
-            self.parent[x] = self.parent[self.parent[x]];
-            x = self.parent[x];
-        }
-        x
-    }
-    pub fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.root(a), self.root(b));
-        // The smaller root wins, so that the result does not depend on the order of joins.
-        self.parent[a.max(b)] = a.min(b);
-    }
-    pub fn count(&mut self) -> usize {
-        (0..self.parent.len()).filter(|&x| self.parent[x] == x).count()
-    }
 }

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use super::data::{OUTWARD_FACES, TetData};
 use super::error::MeshError;
-use super::validate::{DisjointSets, Finding};
+use super::validate::Finding;
+use crate::disjoint_sets::DisjointSets;
 
 /// Six volumes over the longest edge cubed, below which a tetrahedron counts as degenerate.
 const DEGENERATE: f64 = 1e-9;
@@ -136,9 +137,11 @@ pub fn validate_tets(volume: &TetData) -> TetReport {
             2 => {}
             _ => report.non_manifold_faces.add(group[0].0),
         }
-        group.windows(2).for_each(|pair| bodies.join(pair[0].1, pair[1].1));
+        for pair in group.windows(2) {
+            bodies.join(pair[0].1, pair[1].1);
+        }
     }
-    report.components = bodies.count();
+    report.components = bodies.sets();
     report
 }
 

@@ -7,8 +7,9 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 use super::{ROOMS, refuse, root};
 
 /// The allowed dependencies of each crate on its neighbours. All others are forbidden.
-const ARROWS: [(&str, &[&str]); 15] = [
-    ("trocar-scene", &[]),
+const ARROWS: [(&str, &[&str]); 16] = [
+    ("trocar-scene", &["trocar-scene-derive"]),
+    ("trocar-scene-derive", &[]),
     ("trocar-devices", &[]),
     ("trocar-kernel", &["trocar-scene"]),
     ("trocar-engine", &["trocar-scene", "trocar-dynamics"]),

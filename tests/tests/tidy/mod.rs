@@ -13,8 +13,9 @@ mod size;
 use std::path::{Path, PathBuf};
 
 /// The crates' folders: crate → folder.
-pub(super) const ROOMS: [(&str, &str); 15] = [
+pub(super) const ROOMS: [(&str, &str); 16] = [
     ("trocar-scene", "scene"),
+    ("trocar-scene-derive", "scene/derive"),
     ("trocar-devices", "devices"),
     ("trocar-kernel", "actors/kernel"),
     ("trocar-engine", "actors/engine"),

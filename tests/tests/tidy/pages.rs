@@ -50,8 +50,9 @@ fn the_readme_shows_the_rooms_that_exist() {
     // Every file in the tree must exist.
     for line in tree.lines() {
         if let Some(folder) = line.split_whitespace().next().and_then(|word| word.strip_suffix('/')) {
-            let exists =
-                ["", "actors/", "ui/", "tests/"].iter().any(|above| root().join(above).join(folder).is_dir());
+            let exists = ["", "scene/", "actors/", "ui/", "tests/"]
+                .iter()
+                .any(|above| root().join(above).join(folder).is_dir());
             assert!(exists, "the README shows {folder}/, which does not exist");
         }
     }

@@ -6,11 +6,9 @@ use trocar::prelude::*;
 use trocar_cli::CommandLine;
 
 /// How often an instrument was faster than is gentle.
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize, Component)]
+#[component(name = "haste")]
 struct Haste(u32);
-impl Component for Haste {
-    const NAME: &'static str = "haste";
-}
 
 /// Counts the hasty ticks of every instrument.
 struct Watcher;

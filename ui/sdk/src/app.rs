@@ -100,11 +100,9 @@ pub enum AppError {
 /// use serde::{Deserialize, Serialize};
 /// use trocar::prelude::*;
 ///
-/// #[derive(Clone, Serialize, Deserialize)]
+/// #[derive(Clone, Serialize, Deserialize, Component)]
+/// #[component(name = "pulse")]
 /// struct Pulse { per_minute: f64 }
-/// impl Component for Pulse {
-///     const NAME: &'static str = "pulse";
-/// }
 ///
 /// let app = App::new().component::<Pulse>();
 /// assert!(app.registry().by_name("pulse").is_ok());

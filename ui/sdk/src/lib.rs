@@ -16,11 +16,9 @@
 //! use trocar::prelude::*;
 //!
 //! /// How often an instrument was faster than is gentle.
-//! #[derive(Clone, Serialize, Deserialize)]
+//! #[derive(Clone, Serialize, Deserialize, Component)]
+//! #[component(name = "haste")]
 //! struct Haste(u32);
-//! impl Component for Haste {
-//!     const NAME: &'static str = "haste";
-//! }
 //!
 //! /// Counts the hasty ticks of every instrument.
 //! struct Watcher;
@@ -103,10 +101,17 @@ pub mod templates;
 pub mod trace;
 pub mod tuning;
 
+/// The scene's data and the contract of controllers: all of `trocar-scene`.
+pub mod scene {
+    /// The derive that finds the scene here, for programs that depend on this crate alone.
+    #[doc(no_inline)]
+    pub use trocar_scene::ComponentOfTrocar as Component;
+    #[doc(no_inline)]
+    pub use trocar_scene::*;
+}
+
 pub use nalgebra;
 #[doc(no_inline)]
 pub use trocar_devices as devices;
 #[doc(no_inline)]
 pub use trocar_kernel as kernel;
-#[doc(no_inline)]
-pub use trocar_scene as scene;

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use trocar_scene::random::SplitMix64;
 use trocar_scene::{
     Burn, Commands, EntityAllocator, Instrument, JawState, Light, ParticleKind, Particles, Pose,
     RegistryBuilder, SCENARIO_SPAWNER, SimTime, Snapshot, Store, SurfaceMesh, Texture, TextureCoordinates,
     VertexPositions, VisualMaterial,
 };
-use trocar_viewer::texture::noise::Mixer;
 use trocar_viewer::{Eye, Layout, Lens, Quality, View};
 
 /// Squares along a side of the tissue.
@@ -88,8 +88,8 @@ fn scene(smoke: bool, blood: bool) -> Result<Snapshot, Box<dyn std::error::Error
 
 /// Smoke that has risen and spread for two seconds.
 fn plume() -> Particles {
-    let mut mixer = Mixer::new(7);
-    let mut unit = move || f64::from(mixer.unit());
+    let mut random = SplitMix64::new(7);
+    let mut unit = move || f64::from(random.unit_f32());
     let (mut positions, mut ages) = (Vec::new(), Vec::new());
     for _ in 0..260 {
         let age = 2.0 * unit();
@@ -114,8 +114,8 @@ fn plume() -> Particles {
 
 /// Blood that has gathered where the tissue is lowest, and a trickle that leads there.
 fn pool() -> Particles {
-    let mut mixer = Mixer::new(11);
-    let mut unit = move || f64::from(mixer.unit());
+    let mut random = SplitMix64::new(11);
+    let mut unit = move || f64::from(random.unit_f32());
     let (level, radius) = (-0.0031, 0.0011);
     let mut positions = Vec::new();
     for row in 0..120 {

@@ -2,9 +2,9 @@
 
 use bytemuck::{Pod, Zeroable};
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::random::SplitMix64;
 use trocar_scene::{Entity, ParticleKind, Particles, Revision, Snapshot};
 
-use crate::texture::noise::Mixer;
 use crate::view::View;
 
 /// Most particles drawn; entities that do not fit are left out, the last ones first.
@@ -147,7 +147,7 @@ impl Swarm {
         (cloud.kind, cloud.color) = (row.kind, row.color.map(|part| part as f32));
         cloud.count = row.positions.len().min(cloud.room);
         (cloud.changed, cloud.radius) = (true, 0.0);
-        let mut mixer = Mixer::new(0);
+        let mut random = SplitMix64::new(0);
         let (mut low, mut high) = (Point3::new(f64::MAX, f64::MAX, f64::MAX), Point3::origin());
         high.coords.fill(f64::MIN);
         let places = &mut self.particles[cloud.first..cloud.first + cloud.count];
@@ -159,7 +159,7 @@ impl Swarm {
                 position: position.coords.map(|part| part as f32).into(),
                 radius: radius as f32,
                 extinction: extinction as f32,
-                turn: mixer.unit(),
+                turn: random.unit_f32(),
                 cloud: index as u32,
                 unused: 0,
             };

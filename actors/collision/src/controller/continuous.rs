@@ -48,13 +48,11 @@ pub struct HeldImpact {
 }
 
 /// Held impacts of a controller of continuous detection; on its own entity.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "held_impacts")]
 pub struct HeldImpacts {
     /// In the order in which they met.
     pub held: Vec<HeldImpact>,
-}
-impl Component for HeldImpacts {
-    const NAME: &'static str = "held_impacts";
 }
 
 /// A body with its vertices at the last tick and now, in world.

@@ -3,11 +3,12 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::component::Component;
+use trocar_scene::Component;
 use trocar_scene::components::InstrumentTarget;
 
 /// Internal state of an instrument's jaws and coupling.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "mechanism_state")]
 #[serde(default, deny_unknown_fields)]
 pub struct MechanismState {
     /// Angle between the jaws' bisector and the shaft's axis, about +y \[rad\].
@@ -22,8 +23,4 @@ pub struct MechanismState {
     /// The newest target sample.
     #[schemars(skip)]
     pub newest_target: Option<InstrumentTarget>,
-}
-
-impl Component for MechanismState {
-    const NAME: &'static str = "mechanism_state";
 }

@@ -10,14 +10,12 @@ use super::rod_contact::Touch;
 use crate::picking::{Jaws, Picks};
 
 /// The grasps on a body: saved in the scene, so that they survive a restart.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "grips")]
 #[serde(default, deny_unknown_fields)]
 pub struct Grips {
     /// By instrument.
     pub picks: Picks,
-}
-impl Component for Grips {
-    const NAME: &'static str = "grips";
 }
 
 impl Grips {

@@ -33,12 +33,9 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 /// # Errors
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
-    builder.register::<grasp::Grips>()?;
-    builder.register::<contact::SoftContacts>()?;
-    builder.register::<contact::RigidContacts>()?;
-    builder.register::<coupling::CoupledBody>()?;
-    builder.register::<coupling::CouplingGiven>()?;
-    builder.register::<coupling::CouplingTaken>()?;
-    builder.register::<PinnedBody>()?;
+    trocar_scene::register_all!(builder;
+        grasp::Grips, PinnedBody, contact::SoftContacts, contact::RigidContacts,
+        coupling::CoupledBody, coupling::CouplingGiven, coupling::CouplingTaken,
+    )?;
     Ok(())
 }

@@ -21,21 +21,17 @@ pub struct PinnedWith {
 }
 
 /// An organ of `linear_fem` with points pinned to other entities.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "pinned", check = Self::ranges, schema)]
 #[serde(deny_unknown_fields)]
 pub struct PinnedBody {
     /// The entities, with their points.
     pub with: Vec<PinnedWith>,
 }
 
-impl Component for PinnedBody {
-    const NAME: &'static str = "pinned";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+impl PinnedBody {
+    fn ranges(&self) -> Result<(), ComponentError> {
         let points = self.with.iter().map(|with| with.points.len()).sum::<usize>() as f64;
         ComponentError::range("points", points, 1.0..=PINS_MAX as f64, "1 to 32 points in all")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }

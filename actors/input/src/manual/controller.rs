@@ -27,7 +27,8 @@ pub type ManualConfig = HandLimits;
 pub struct NoHands;
 
 /// Restart state, on the controller's own entity.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "manual_state")]
 pub struct ManualState {
     /// Source of the totals seen last: [`PersonInput::source`].
     pub source: u32,
@@ -35,9 +36,6 @@ pub struct ManualState {
     pub stepped_at: SimTime,
     /// The hands: left, right; none where the scene has none.
     pub hands: [Option<ManualHand>; 2],
-}
-impl Component for ManualState {
-    const NAME: &'static str = "manual_state";
 }
 
 /// Adds the person to a scene, with an existing hand active; does nothing if the scene has one.

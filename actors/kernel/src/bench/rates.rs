@@ -16,14 +16,12 @@ use crate::spec::{ControllerSpec, SessionOutcome, SessionSpec};
 use crate::supervision::RuntimeClass;
 
 /// State that a toy hand writes at every tick, about the size of a real one.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, Component)]
+#[component(name = "bench_toy_state")]
 struct ToyState {
     position: [f64; 3],
     orientation: [f64; 4],
     force: [f64; 6],
-}
-impl Component for ToyState {
-    const NAME: &'static str = "bench_toy_state";
 }
 
 struct ToyHand {

@@ -9,7 +9,8 @@ use trocar_scene::{
 };
 
 /// A type that only fills the registry.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, Component)]
+#[component(name = NAMES[N])]
 struct Filler<const N: usize>(f64);
 
 const NAMES: [&str; 50] = {
@@ -27,16 +28,10 @@ filler_20filler_21filler_22filler_23filler_24filler_25filler_26filler_27filler_2
 filler_30filler_31filler_32filler_33filler_34filler_35filler_36filler_37filler_38filler_39\
 filler_40filler_41filler_42filler_43filler_44filler_45filler_46filler_47filler_48filler_49";
 
-impl<const N: usize> Component for Filler<N> {
-    const NAME: &'static str = NAMES[N];
-}
-
 /// Number of writes of a writer, used to measure latency.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Component)]
+#[component(name = "bench_mark")]
 pub(super) struct Mark(pub(super) u64);
-impl Component for Mark {
-    const NAME: &'static str = "bench_mark";
-}
 
 macro_rules! fillers {
     ($builder:expr, $($n:literal)*) => { $( $builder.register::<Filler<$n>>()?; )* };

@@ -10,8 +10,8 @@
 use std::collections::VecDeque;
 
 use trocar_scene::SimTime;
+use trocar_scene::random::SplitMix64;
 
-use super::random::SplitMix64;
 use crate::spec::{FaultKind, FaultOrder};
 
 /// Most messages in flight on one link; further messages are lost and counted.

@@ -8,7 +8,6 @@ mod link_faults;
 mod outcome;
 mod parcel;
 mod plan;
-mod random;
 mod schedule;
 
 pub use builder::{FaultAt, secs};

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use serde::Deserialize;
 use thiserror::Error;
+use trocar_scene::random::{GOLDEN_GAMMA, SplitMix64};
 use trocar_scene::{Grasp, SimTime, Snapshot};
 
-use super::random::SplitMix64;
 use crate::spec::FaultKind;
 
 /// Version of the file format that this library reads.
@@ -387,8 +387,7 @@ fn value_error(file: &str, id: &str, key: &'static str, problem: &str) -> FaultP
 
 /// The seed of one fault of a plan.
 pub(super) fn seed_of(plan_seed: u64, index: usize) -> u64 {
-    // Any odd multiplier keeps the seeds of one plan's faults apart.
-    plan_seed ^ (index as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+    plan_seed ^ (index as u64 + 1).wrapping_mul(GOLDEN_GAMMA)
 }
 
 /// A number in [0, 1) from a seed.

@@ -122,7 +122,8 @@ fn a_recorder_that_stalls_is_left_behind_and_one_that_is_slow_is_not() {
 }
 
 /// A derived component whose encoding panics in the next keyframe when the thread asks for it.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Component)]
+#[component(name = "test_brittle", record = RecordPolicy::Derived)]
 struct Brittle(u8);
 thread_local! {
     static BREAK: Cell<bool> = const { Cell::new(false) };
@@ -132,10 +133,6 @@ impl Serialize for Brittle {
         assert!(!BREAK.replace(false), "a component's own code");
         serializer.serialize_newtype_struct("Brittle", &self.0)
     }
-}
-impl Component for Brittle {
-    const NAME: &'static str = "test_brittle";
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
 #[test]

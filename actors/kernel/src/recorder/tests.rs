@@ -24,11 +24,7 @@ const STEP: SimTime = SimTime::from_millis(1);
 
 pub(super) fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
-    builder.register::<Count>().expect("new");
-    builder.register::<Pairs>().expect("new");
-    builder.register::<Shadow>().expect("new");
-    builder.register::<Name>().expect("new");
-    builder.register::<Pose>().expect("new");
+    trocar_scene::register_all!(&mut builder; Count, Pairs, Shadow, Name, Pose).expect("new");
     builder.build()
 }
 

@@ -6,10 +6,11 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use trocar_scene::SimTime;
+use trocar_scene::random::SplitMix64;
 
 use super::child::{ChildSpec, Exhausted, GroupSpec, Restart, RuntimeClass};
 use super::event::{Action, Cause, ChildId, Event, Incident};
-use super::tree::{Flat, Group, Jitter, Streak, TreeError};
+use super::tree::{Flat, Group, Streak, TreeError, jitter};
 
 /// Exit code when the root gives up.
 pub const EXIT_GAVE_UP: i32 = 70;
@@ -53,7 +54,7 @@ pub(super) struct Child {
     pub(super) held: bool,
     pub(super) stalled: bool,
     streak: Streak,
-    jitter: Jitter,
+    jitter: SplitMix64,
     incident: Option<usize>,
 }
 
@@ -96,7 +97,7 @@ impl Supervisor {
             .into_iter()
             .zip(owner)
             .map(|(spec, group)| Child {
-                jitter: Jitter::new(seed, &spec.id),
+                jitter: jitter(seed, &spec.id),
                 spec,
                 group,
                 phase: Phase::Waiting(SimTime::ZERO),

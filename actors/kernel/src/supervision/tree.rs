@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 use trocar_scene::SimTime;
+use trocar_scene::random::{SplitMix64, seed_of};
 
 use super::child::{Backoff, ChildSpec, Exhausted, GroupSpec, Intensity, Node, Strategy};
 
@@ -81,28 +82,10 @@ impl Streak {
     }
 }
 
-/// Jitter of one node's pauses (SplitMix64, Steele et al. 2014). Each node has its own stream, so that a failure of one
-/// does not change the pauses of another.
-#[derive(Clone, Debug)]
-pub(super) struct Jitter(u64);
-
-impl Jitter {
-    /// The stream of node `id`.
-    pub(super) fn new(seed: u64, id: &str) -> Self {
-        // An FNV-1a hash of the name gives distinct streams.
-        let name = id.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-        });
-        Self(seed ^ name)
-    }
-    /// Uniform in [0, 1).
-    pub(super) fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
+/// Jitter of the pauses of node `id`. Each node has its own stream, so that a failure of one does not change the pauses
+/// of another.
+pub(super) fn jitter(seed: u64, id: &str) -> SplitMix64 {
+    SplitMix64::new(seed ^ seed_of(id))
 }
 
 /// Restarts within the sliding window of a group.
@@ -139,7 +122,7 @@ pub(super) struct Group {
     pub(super) leaves: Range<usize>,
     pub(super) window: Window,
     pub(super) streak: Streak,
-    pub(super) jitter: Jitter,
+    pub(super) jitter: SplitMix64,
 }
 
 impl Group {
@@ -230,7 +213,7 @@ impl Flat {
         let me = self.groups.len();
         let first = self.children.len();
         self.groups.push(Group {
-            jitter: Jitter::new(seed, &id),
+            jitter: jitter(seed, &id),
             id,
             parent,
             strategy,

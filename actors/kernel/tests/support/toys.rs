@@ -14,11 +14,9 @@ use trocar_scene::{
 };
 
 /// How often its writer has ticked, through all its lives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Component)]
+#[component(name = "toy_count")]
 pub struct Count(pub u64);
-impl Component for Count {
-    const NAME: &'static str = "toy_count";
-}
 
 /// Its own code panics (1) or hangs until [`let_go`] (2) in the Model; the sender's check goes well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

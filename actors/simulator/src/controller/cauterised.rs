@@ -8,7 +8,8 @@ use crate::electrosurgery::{Arrhenius, LatticeConfig, ThermalMaterial};
 
 /// Tissue under electrosurgery: a volume, or, with a thickness, a membrane. Omitted properties are those of the
 /// entity's `tissue`, else of liver; for ranges and sources see [`trocar_scene::tissue`].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "cauterised", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CauterisedBody {
     /// Thickness of a membrane \[m\]; absent for a volume.
@@ -57,27 +58,6 @@ impl Default for CauterisedBody {
     }
 }
 
-impl Component for CauterisedBody {
-    const NAME: &'static str = "cauterised";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("spacing", self.spacing, 5e-5..=5e-3, "5e-5 to 5e-3 m")?;
-        ComponentError::range("thickness", self.thickness.unwrap_or(1e-3), 1e-5..=0.05, "1e-5 to 0.05 m")?;
-        ComponentError::range("density", self.density, 100.0..=1e4, "100 to 1e4 kg/m³")?;
-        ComponentError::range("heat_capacity", self.heat_capacity, 100.0..=1e4, "100 to 1e4 J/(kg·K)")?;
-        ComponentError::range("conductivity", self.conductivity, 0.0..=100.0, "0 to 100 W/(m·K)")?;
-        ComponentError::range("perfusion", self.perfusion, 0.0..=1.0, "0 to 1 1/s")?;
-        ComponentError::range("water", self.water, 0.0..=0.99, "0 to 0.99")?;
-        ComponentError::range("damage_frequency", self.damage_frequency, 0.0..=1e200, "0 to 1e200 1/s")?;
-        ComponentError::range("damage_energy", self.damage_energy, 0.0..=1e7, "0 to 1e7 J/mol")?;
-        ComponentError::range("charring", self.charring, 100.0..=1e4, "100 to 1e4 °C")?;
-        ComponentError::range("ablation", self.ablation, 100.0..=1e4, "100 to 1e4 °C")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
-}
-
 impl CauterisedBody {
     pub(crate) fn material(&self) -> ThermalMaterial {
         let liver = ThermalMaterial::default();
@@ -98,10 +78,25 @@ impl CauterisedBody {
             ..liver
         }
     }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("spacing", self.spacing, 5e-5..=5e-3, "5e-5 to 5e-3 m")?;
+        ComponentError::range("thickness", self.thickness.unwrap_or(1e-3), 1e-5..=0.05, "1e-5 to 0.05 m")?;
+        ComponentError::range("density", self.density, 100.0..=1e4, "100 to 1e4 kg/m³")?;
+        ComponentError::range("heat_capacity", self.heat_capacity, 100.0..=1e4, "100 to 1e4 J/(kg·K)")?;
+        ComponentError::range("conductivity", self.conductivity, 0.0..=100.0, "0 to 100 W/(m·K)")?;
+        ComponentError::range("perfusion", self.perfusion, 0.0..=1.0, "0 to 1 1/s")?;
+        ComponentError::range("water", self.water, 0.0..=0.99, "0 to 0.99")?;
+        ComponentError::range("damage_frequency", self.damage_frequency, 0.0..=1e200, "0 to 1e200 1/s")?;
+        ComponentError::range("damage_energy", self.damage_energy, 0.0..=1e7, "0 to 1e7 J/mol")?;
+        ComponentError::range("charring", self.charring, 100.0..=1e4, "100 to 1e4 °C")?;
+        ComponentError::range("ablation", self.ablation, 100.0..=1e4, "100 to 1e4 °C")
+    }
 }
 
 /// An electrode: an instrument that burns while it is switched on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "electrode", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ElectrodeTip {
     /// Power at full activation \[W\].
@@ -119,13 +114,9 @@ impl Default for ElectrodeTip {
     }
 }
 
-impl Component for ElectrodeTip {
-    const NAME: &'static str = "electrode";
-    fn check(&self) -> Result<(), ComponentError> {
+impl ElectrodeTip {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("power", self.power, 0.0..=400.0, "0 to 400 W")?;
         ComponentError::range("contact_area", self.contact_area, 1e-8..=1e-4, "1e-8 to 1e-4 m²")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }

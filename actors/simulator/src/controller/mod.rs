@@ -55,41 +55,14 @@ pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     trocar_dynamics::register(builder)?;
-    builder.register::<MassSpringBody>()?;
-    builder.register::<SpringFactor>()?;
-    builder.register::<cutting::surface::Cuts>()?;
-    builder.register::<DynamicFemBody>()?;
-    builder.register::<XpbdBody>()?;
-    builder.register::<XpbdGroups>()?;
-    builder.register::<DynamicFemMemory>()?;
-    builder.register::<LinearFemBody>()?;
-    builder.register::<linear_fem::contacts::Contacts>()?;
-    builder.register::<PinPlaces>()?;
-    builder.register::<CauterisedBody>()?;
-    builder.register::<ElectrodeTip>()?;
-    builder.register::<RemovedElements>()?;
-    builder.register::<CoagulatedElements>()?;
-    builder.register::<VolumeCuts>()?;
-    builder.register::<SurfaceElements>()?;
-    builder.register::<HeatState>()?;
-    builder.register::<Plume>()?;
-    builder.register::<SmokeCloud>()?;
-    builder.register::<SmokeCloudState>()?;
-    builder.register::<Vessel>()?;
-    builder.register::<VesselState>()?;
-    builder.register::<Liquid>()?;
-    builder.register::<LiquidWall>()?;
-    builder.register::<Irrigator>()?;
-    builder.register::<Sucker>()?;
-    builder.register::<LiquidState>()?;
-    builder.register::<SewnTissue>()?;
-    builder.register::<SutureNeedle>()?;
-    builder.register::<SutureMemory>()?;
-    builder.register::<ThreadBody>()?;
-    builder.register::<ThreadMemory>()?;
-    builder.register::<KnotState>()?;
-    builder.register::<TiedBody>()?;
-    builder.register::<Patient>()?;
-    builder.register::<PatientState>()?;
+    trocar_scene::register_all!(builder;
+        MassSpringBody, SpringFactor, DynamicFemBody, DynamicFemMemory, XpbdBody, XpbdGroups,
+        LinearFemBody, linear_fem::contacts::Contacts, PinPlaces,
+        cutting::surface::Cuts, VolumeCuts, SurfaceElements,
+        CauterisedBody, ElectrodeTip, RemovedElements, CoagulatedElements, HeatState, Plume,
+        SmokeCloud, SmokeCloudState, Vessel, VesselState, Patient, PatientState,
+        Liquid, LiquidWall, Irrigator, Sucker, LiquidState,
+        SewnTissue, SutureNeedle, SutureMemory, ThreadBody, ThreadMemory, KnotState, TiedBody,
+    )?;
     Ok(())
 }

@@ -8,19 +8,15 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
-use trocar_scene::{
-    Access, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
-};
+use trocar_scene::{Access, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates};
 
 /// Removed elements of a body's first mesh: tetrahedra of a volume, triangles of a membrane.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "removed_elements")]
 #[serde(default, deny_unknown_fields)]
 pub struct RemovedElements {
     /// In the order of removal.
     pub elements: Arc<Vec<u32>>,
-}
-impl Component for RemovedElements {
-    const NAME: &'static str = "removed_elements";
 }
 
 /// An element that heat has stiffened and shrunk.
@@ -36,17 +32,12 @@ pub struct Coagulated {
 }
 
 /// Partly or fully coagulated elements of a body.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "coagulated_elements")]
 #[serde(default, deny_unknown_fields)]
 pub struct CoagulatedElements {
     /// Ascending.
     pub elements: Arc<Vec<Coagulated>>,
-}
-impl Component for CoagulatedElements {
-    const NAME: &'static str = "coagulated_elements";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 /// Reads and writes of every controller that moves divisible bodies, volumes and membranes.

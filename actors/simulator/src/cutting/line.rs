@@ -5,6 +5,7 @@
 use nalgebra::Point3;
 use trocar_collision::primitive::Triangle;
 use trocar_dynamics::tet_mesh::Sweep;
+use trocar_scene::disjoint_sets::DisjointSets;
 
 /// A line after a cut.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -107,28 +108,15 @@ pub fn tear_line(
 /// Number of connected pieces.
 #[must_use]
 pub fn pieces(nodes: usize, segments: &[[u32; 2]]) -> usize {
-    let mut of: Vec<u32> = (0..nodes as u32).collect();
+    let mut parts = DisjointSets::new(nodes);
     let mut used = vec![false; nodes];
-    let root = |of: &[u32], mut node: u32| {
-        while of[node as usize] != node {
-            node = of[node as usize];
-        }
-        node
-    };
     let mut count = 0;
     for ends in segments {
-        for &node in ends {
-            count += usize::from(!std::mem::replace(&mut used[node as usize], true));
-        }
-        let [a, b] = ends.map(|node| root(&of, node));
-        if a != b {
-            // The lower number, so that chains stay short for consecutive nodes.
-            of[a.max(b) as usize] = a.min(b);
-            count -= 1;
-        }
+        let ends = ends.map(|node| node as usize);
         for node in ends {
-            of[*node as usize] = a.min(b);
+            count += usize::from(!std::mem::replace(&mut used[node], true));
         }
+        count -= usize::from(parts.join(ends[0], ends[1]));
     }
     count
 }

@@ -5,6 +5,7 @@
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_scene::random::{GOLDEN_GAMMA, SplitMix64};
 
 use super::error::{FluidError, FluidStepError, parameter};
 
@@ -185,15 +186,9 @@ impl Smoke {
 
 /// A unit direction from a puff's number and age: no generator state has to be stored.
 fn direction(number: u64, age: f64) -> Vector3<f64> {
-    let mut bits = number.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ age.to_bits().rotate_left(23);
-    let mut uniform = || {
-        // SplitMix64 (Steele, Lea and Flood, 2014).
-        bits = bits.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut mixed = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((mixed ^ (mixed >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    };
-    let (z, angle) = (2.0 * uniform() - 1.0, std::f64::consts::TAU * uniform());
+    let seed = number.wrapping_mul(GOLDEN_GAMMA) ^ age.to_bits().rotate_left(23);
+    let mut random = SplitMix64::new(seed);
+    let (z, angle) = (2.0 * random.unit() - 1.0, std::f64::consts::TAU * random.unit());
     let side = (1.0 - z * z).sqrt();
     Vector3::new(side * angle.cos(), side * angle.sin(), z)
 }

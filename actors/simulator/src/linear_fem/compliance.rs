@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use thiserror::Error;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
+use trocar_scene::disjoint_sets::DisjointSets;
 
 use super::bounds::BATCH;
 use crate::linear_algebra::{FactorError, SparseCholesky, nested_dissection};
@@ -181,29 +182,22 @@ impl Boundary {
 /// The smallest node of a part that is not constrained against rigid motion, if any: a part, connected by common nodes
 /// or bonds, needs three fixed nodes that span a triangle.
 fn loose(mesh: &TetMesh, free: &[bool], bonds: &[[u32; 2]]) -> Option<u32> {
-    let mut parent: Vec<u32> = (0..free.len() as u32).collect();
-    fn root(parent: &mut [u32], mut node: u32) -> u32 {
-        while parent[node as usize] != node {
-            parent[node as usize] = parent[parent[node as usize] as usize];
-            node = parent[node as usize];
-        }
-        node
-    }
-    let mut join = |one: u32, other: u32| {
-        let (a, b) = (root(&mut parent, one), root(&mut parent, other));
-        parent[a.max(b) as usize] = a.min(b);
-    };
+    let mut parts = DisjointSets::new(free.len());
     for [first, others @ ..] in mesh.tets() {
-        others.iter().for_each(|other| join(*first, *other));
+        for other in others {
+            parts.join(*first as usize, *other as usize);
+        }
     }
-    bonds.iter().for_each(|&[one, other]| join(one, other));
+    for &[one, other] in bonds {
+        parts.join(one as usize, other as usize);
+    }
     // Per part: a fixed node, the vector from it to the farthest one, and whether another lies off that line.
     let mut first: Vec<Option<u32>> = vec![None; free.len()];
     let mut along = vec![Vector3::zeros(); free.len()];
     let mut spans = vec![false; free.len()];
     let fixed: Vec<(u32, usize)> = (0..free.len() as u32)
         .filter(|&node| !free[node as usize])
-        .map(|node| (node, root(&mut parent, node) as usize))
+        .map(|node| (node, parts.root(node as usize)))
         .collect();
     let way = |from: u32, to: u32| mesh.rest()[to as usize] - mesh.rest()[from as usize];
     for &(node, part) in &fixed {
@@ -217,7 +211,7 @@ fn loose(mesh: &TetMesh, free: &[bool], bonds: &[[u32; 2]]) -> Option<u32> {
             spans[part] |= along[part].cross(&way(begin, node)).norm() > 1e-9 * along[part].norm_squared();
         }
     }
-    (0..free.len() as u32).find(|&node| parent[node as usize] == node && !spans[node as usize])
+    (0..free.len() as u32).find(|&node| parts.is_root(node as usize) && !spans[node as usize])
 }
 
 /// Displacements of the free surface nodes per force on them \[m/N\], as f32: the rounding error is far below the

@@ -1,10 +1,12 @@
 //! Islands: contacts connected by movable bodies or jaws. Fixed bodies connect nothing.
 
+use trocar_scene::disjoint_sets::DisjointSets;
+
 /// Islands of contacts and joints; buffers reused in the next step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Islands {
-    /// Union-find parents of bodies, then of joints: an element of the same island with a number no larger.
-    parents: Vec<u32>,
+    /// Bodies, then joints.
+    joined: DisjointSets,
     /// Island of each root.
     number: Vec<u32>,
     /// Contacts and joints by island, each in order, and the start of each island.
@@ -18,29 +20,18 @@ const NONE: u32 = u32::MAX;
 impl Islands {
     /// Starts with unconnected bodies and joints.
     pub fn begin(&mut self, bodies: usize, joints: usize) {
-        self.parents.clear();
-        self.parents.extend(0..(bodies + joints) as u32);
-    }
-
-    fn first(&mut self, mut of: usize) -> usize {
-        while self.parents[of] as usize != of {
-            let next = self.parents[of] as usize;
-            self.parents[of] = self.parents[next];
-            of = next;
-        }
-        of
+        self.joined.reset(bodies + joints);
     }
 
     /// Connects two of them.
     pub fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.first(a), self.first(b));
-        self.parents[a.max(b)] = a.min(b) as u32;
+        self.joined.join(a, b);
     }
 
     /// Sorts contacts, each given by a body that it pushes, and joints, which are numbered after the bodies, into
     /// islands.
     pub fn sort(&mut self, bodies: usize, pushed: impl Iterator<Item = usize> + Clone) {
-        let all = self.parents.len();
+        let all = self.joined.elements();
         self.number.clear();
         self.number.resize(all, NONE);
         self.starts.clear();
@@ -49,7 +40,7 @@ impl Islands {
         for (of, is_joint) in
             pushed.clone().map(|body| (body, false)).chain((bodies..all).map(|of| (of, true)))
         {
-            let first = self.first(of);
+            let first = self.joined.root(of);
             if self.number[first] == NONE {
                 self.number[first] = self.starts.len() as u32;
                 self.starts.push([0; 2]);
@@ -70,14 +61,14 @@ impl Islands {
         self.joints.resize(joints, 0);
         // Each start becomes the end.
         for (contact, body) in pushed.enumerate() {
-            let first = self.first(body);
+            let first = self.joined.root(body);
             let island = self.number[first] as usize;
             let place = &mut self.starts[island][0];
             self.contacts[*place as usize] = contact as u32;
             *place += 1;
         }
         for joint in bodies..all {
-            let first = self.first(joint);
+            let first = self.joined.root(joint);
             let island = self.number[first] as usize;
             let place = &mut self.starts[island][1];
             self.joints[*place as usize] = (joint - bodies) as u32;

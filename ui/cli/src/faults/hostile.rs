@@ -6,11 +6,9 @@ use trocar_scene::{
 };
 
 /// The component that hostile controllers write on their own entities.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, Component)]
+#[component(name = "nuisance")]
 pub struct Nuisance(pub f64);
-impl Component for Nuisance {
-    const NAME: &'static str = "nuisance";
-}
 
 fn access() -> Access {
     Access::new().writes::<Nuisance>(EntitySet::Own).spawns()

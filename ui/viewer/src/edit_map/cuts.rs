@@ -181,10 +181,14 @@ mod tests {
 
     #[test]
     fn every_point_of_a_border_is_found_again() {
-        let mut mixer = crate::texture::noise::Mixer::new(6);
+        let mut random = trocar_scene::random::SplitMix64::new(6);
         for _ in 0..200 {
-            let mut point =
-                || Vector2::new(f64::from(mixer.unit()) * 1.4 - 0.2, f64::from(mixer.unit()) * 1.4 - 0.2);
+            let mut point = || {
+                Vector2::new(
+                    f64::from(random.unit_f32()) * 1.4 - 0.2,
+                    f64::from(random.unit_f32()) * 1.4 - 0.2,
+                )
+            };
             let edges: Vec<[Vector2<f64>; 2]> = (0..5).map(|_| [point(), point()]).collect();
             let grid = Grid::new(&edges);
             for [a, b] in &edges {

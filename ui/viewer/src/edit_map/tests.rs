@@ -1,20 +1,24 @@
 use super::*;
-use crate::texture::noise::Mixer;
+use trocar_scene::random::SplitMix64;
 
 /// A patch of `n × n` quads with jittered corners, mapped into the middle of the texture.
 fn patch(n: u32, seed: u64) -> (Vec<[u32; 3]>, Vec<Vector2<f64>>) {
-    let mut mixer = Mixer::new(seed);
+    let mut random = SplitMix64::new(seed);
     let mut uv = Vec::new();
     for (i, j) in (0..=n).flat_map(|j| (0..=n).map(move |i| (i, j))) {
-        let shake = |mixer: &mut Mixer| 0.3 * (f64::from(mixer.unit()) - 0.5) / f64::from(n);
-        let at = [i, j].map(|k| 0.1 + 0.8 * f64::from(k) / f64::from(n) + shake(&mut mixer));
+        let shake = |random: &mut SplitMix64| 0.3 * (f64::from(random.unit_f32()) - 0.5) / f64::from(n);
+        let at = [i, j].map(|k| 0.1 + 0.8 * f64::from(k) / f64::from(n) + shake(&mut random));
         uv.push(Vector2::new(at[0], at[1]));
     }
     let mut triangles = Vec::new();
     for (i, j) in (0..n).flat_map(|j| (0..n).map(move |i| (i, j))) {
         let a = j * (n + 1) + i;
         let (b, c, d) = (a + 1, a + n + 2, a + n + 1);
-        triangles.extend(if mixer.bits() & 1 == 0 { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] });
+        triangles.extend(if random.next_u64() & 1 == 0 {
+            [[a, b, c], [a, c, d]]
+        } else {
+            [[a, b, d], [b, c, d]]
+        });
     }
     (triangles, uv)
 }
@@ -28,9 +32,9 @@ fn what_is_painted_at_a_vertex_is_read_at_its_texture_coordinate() {
     for seed in 0..20 {
         let n = 3 + (seed % 6) as u32;
         let (triangles, uv) = patch(n, seed);
-        let mut mixer = Mixer::new(100 + seed);
+        let mut random = SplitMix64::new(100 + seed);
         // A smooth field, so that values between texels are known as well.
-        let center = Vector2::new(f64::from(mixer.unit()), f64::from(mixer.unit()));
+        let center = Vector2::new(f64::from(random.unit_f32()), f64::from(random.unit_f32()));
         let omega: Vec<f64> = uv.iter().map(|at| 2.5 * (-(at - center).norm_squared() / 0.2).exp()).collect();
         let blood: Vec<f64> = uv.iter().map(|at| at.x).collect();
         let mut map = EditMap::new(256, 256).expect("a valid size");
@@ -95,13 +99,13 @@ fn only_texels_of_burned_triangles_change() {
 #[test]
 fn painting_step_by_step_gives_the_same_as_painting_once() {
     let (triangles, uv) = patch(6, 9);
-    let mut mixer = Mixer::new(5);
+    let mut random = SplitMix64::new(5);
     let mut stepwise = EditMap::new(100, 60).expect("a valid size");
     stepwise.set_surface(&triangles, &uv);
     let mut omega = vec![0.0; uv.len()];
     for _ in 0..60 {
-        let vertex = mixer.bits() as usize % omega.len();
-        omega[vertex] += f64::from(mixer.unit()) * 10f64.powi((mixer.bits() % 4) as i32);
+        let vertex = random.next_u64() as usize % omega.len();
+        omega[vertex] += f64::from(random.unit_f32()) * 10f64.powi((random.next_u64() % 4) as i32);
         stepwise.paint(&burned(&omega));
     }
     let mut once = EditMap::new(100, 60).expect("a valid size");
@@ -117,12 +121,12 @@ fn no_untouched_texel_bleeds_into_a_burned_surface() {
     let mut map = EditMap::new(64, 64).expect("a valid size");
     map.set_surface(&triangles, &uv);
     map.paint(&burned(&vec![1e5; uv.len()]));
-    let mut mixer = Mixer::new(1);
+    let mut random = SplitMix64::new(1);
     for _ in 0..20_000 {
-        let corners = triangles[mixer.bits() as usize % triangles.len()].map(|v| uv[v as usize]);
-        let (a, b) = (f64::from(mixer.unit()), f64::from(mixer.unit()));
+        let corners = triangles[random.next_u64() as usize % triangles.len()].map(|v| uv[v as usize]);
+        let (a, b) = (f64::from(random.unit_f32()), f64::from(random.unit_f32()));
         let (a, b) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
-        let on_rim = if mixer.bits() & 1 == 0 { 0.0 } else { b };
+        let on_rim = if random.next_u64() & 1 == 0 { 0.0 } else { b };
         let at = corners[0] + (corners[1] - corners[0]) * a + (corners[2] - corners[0]) * on_rim;
         assert!(map.sample(at)[0] > 0.999_999, "{at}");
     }

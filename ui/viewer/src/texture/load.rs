@@ -119,17 +119,18 @@ mod tests {
         let png = std::fs::read(written(folder.path(), "a.png", 16, 16)).expect("it was written");
         let jpeg = std::fs::read(written(folder.path(), "a.jpg", 16, 16)).expect("it was written");
         let target = folder.path().join("damaged");
-        let mut mixer = super::super::noise::Mixer::new(3);
+        let mut random = trocar_scene::random::SplitMix64::new(3);
         let mut refused = 0;
         for bytes in [&png, &jpeg] {
             for _ in 0..400 {
                 let mut damaged = bytes.clone();
-                for _ in 0..1 + mixer.bits() % 4 {
-                    let at = mixer.bits() as usize % damaged.len();
-                    damaged[at] = mixer.bits() as u8;
+                for _ in 0..1 + random.next_u64() % 4 {
+                    let at = random.next_u64() as usize % damaged.len();
+                    damaged[at] = random.next_u64() as u8;
                 }
                 damaged.truncate(
-                    bytes.len() - (mixer.bits() as usize % bytes.len()) * (mixer.bits() % 2) as usize,
+                    bytes.len()
+                        - (random.next_u64() as usize % bytes.len()) * (random.next_u64() % 2) as usize,
                 );
                 std::fs::write(&target, &damaged).expect("the file is written");
                 match load(&target, 64) {

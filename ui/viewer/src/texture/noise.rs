@@ -4,36 +4,7 @@
 //! All functions here have period 1 in both directions, so that textures computed from them tile without a seam. They
 //! use only `+ − × ÷ √` and rounding: the same seed gives the same bits on every machine.
 
-/// A seed from a name: FNV-1a, so that each texture has its own lattices.
-pub fn seed_of(name: &str) -> u64 {
-    name.bytes()
-        .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))
-}
-
-/// A sequence of well mixed 64-bit numbers (SplitMix64; Steele, Lea, Flood 2014).
-#[derive(Clone, Debug)]
-pub struct Mixer(u64);
-
-impl Mixer {
-    /// The sequence of a seed.
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    /// The next number.
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// The next number as a fraction in \[0, 1).
-    pub fn unit(&mut self) -> f32 {
-        (self.bits() >> 40) as f32 / (1u64 << 24) as f32
-    }
-}
+use trocar_scene::random::SplitMix64;
 
 /// `x − ⌊x⌋`, in \[0, 1).
 pub fn wrap(x: f32) -> f32 {
@@ -97,13 +68,13 @@ impl Perlin {
         const STEEP: f32 = 0.382_683_43;
         const QUARTER: [[f32; 2]; 4] = [[1.0, 0.0], [FLAT, STEEP], [DIAGONAL, DIAGONAL], [STEEP, FLAT]];
         let cells = cells.map(|count| count.max(1));
-        let mut mixer = Mixer::new(seed);
-        let origin = [mixer.unit(), mixer.unit()];
+        let mut random = SplitMix64::new(seed);
+        let origin = [random.unit_f32(), random.unit_f32()];
         let gradients = (0..cells[0] as usize * cells[1] as usize)
             .map(|_| {
-                let random = mixer.bits() >> 60;
-                let [x, y] = QUARTER[(random & 3) as usize];
-                match random >> 2 {
+                let bits = random.next_u64() >> 60;
+                let [x, y] = QUARTER[(bits & 3) as usize];
+                match bits >> 2 {
                     0 => [x, y],
                     1 => [-y, x],
                     2 => [-x, -y],
@@ -259,13 +230,13 @@ impl Worley {
     pub fn new(seed: u64, cells: [u32; 2], jitter: f32) -> Self {
         let cells = cells.map(|count| count.max(3));
         let jitter = jitter.clamp(0.0, 0.35);
-        let mut mixer = Mixer::new(seed);
-        let origin = [mixer.unit(), mixer.unit()];
+        let mut random = SplitMix64::new(seed);
+        let origin = [random.unit_f32(), random.unit_f32()];
         let points = (0..cells[0] as usize * cells[1] as usize)
             .map(|_| {
-                let x = 0.5 + jitter * (2.0 * mixer.unit() - 1.0);
-                let y = 0.5 + jitter * (2.0 * mixer.unit() - 1.0);
-                [x, y, mixer.unit()]
+                let x = 0.5 + jitter * (2.0 * random.unit_f32() - 1.0);
+                let y = 0.5 + jitter * (2.0 * random.unit_f32() - 1.0);
+                [x, y, random.unit_f32()]
             })
             .collect();
         Self { cells, origin, points }
@@ -300,8 +271,8 @@ mod tests {
     use super::*;
 
     fn points() -> impl Iterator<Item = (f32, f32)> {
-        let mut mixer = Mixer::new(7);
-        (0..4000).map(move |_| (mixer.unit(), mixer.unit()))
+        let mut random = SplitMix64::new(7);
+        (0..4000).map(move |_| (random.unit_f32(), random.unit_f32()))
     }
 
     #[test]

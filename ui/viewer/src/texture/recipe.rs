@@ -1,7 +1,8 @@
 //! Assembles a procedural texture from a painter's values per texel.
 
+use trocar_scene::random::seed_of;
+
 use super::image8::{Image8, byte};
-use super::noise::seed_of;
 use super::relief;
 
 /// The maps of one texture. All have the same size and tile without a seam.

@@ -2,7 +2,9 @@
 //! space colonization algorithm", 2007) on a torus, with radii by Murray's law (1926): the cube of a vessel's radius is
 //! the sum of the cubes of its branches' radii.
 
-use super::noise::{Mixer, wrap, wrapped_difference};
+use trocar_scene::random::SplitMix64;
+
+use super::noise::{wrap, wrapped_difference};
 
 /// Parameters of a vessel tree; lengths in widths of the tile.
 #[derive(Clone, Copy, Debug)]
@@ -52,15 +54,15 @@ fn square(d: [f32; 2]) -> f32 {
 impl VesselTree {
     /// Grows a tree.
     pub fn grow(seed: u64, growth: &Growth) -> Self {
-        let mut mixer = Mixer::new(seed);
+        let mut random = SplitMix64::new(seed);
         let step = growth.step.clamp(0.002, 0.1);
         let reached = (2.0 * step) * (2.0 * step);
         // Stratified, so that every region is supplied.
         let side = (growth.attractors.clamp(1, 4096) as f32).sqrt().ceil() as u32;
-        let mut nodes = trunk(&mut mixer, growth, step);
+        let mut nodes = trunk(&mut random, growth, step);
         let mut attractors: Vec<Attractor> = (0..side * side)
             .map(|index| {
-                let at = [index % side, index / side].map(|i| (i as f32 + mixer.unit()) / side as f32);
+                let at = [index % side, index / side].map(|i| (i as f32 + random.unit_f32()) / side as f32);
                 Attractor { at, nearest: 0, distance: f32::MAX }
             })
             .collect();
@@ -85,7 +87,7 @@ impl VesselTree {
                 let mut pull = [0.0f32; 2];
                 group.iter().for_each(|(_, d)| (0..2).for_each(|k| pull[k] += d[k]));
                 // A random deviation keeps vessels from being straight lines and breaks ties of opposite directions.
-                (0..2).for_each(|k| pull[k] += 0.7 * (mixer.unit() - 0.5));
+                (0..2).for_each(|k| pull[k] += 0.7 * (random.unit_f32() - 0.5));
                 let length = square(pull).sqrt().max(1e-6);
                 let parent = group[0].0;
                 let at = [0, 1].map(|k| wrap(nodes[parent].at[k] + step * pull[k] / length));
@@ -179,13 +181,13 @@ impl Attractor {
 }
 
 /// A winding line of nodes from the root on: without it, all branches would start at one point, like spokes.
-fn trunk(mixer: &mut Mixer, growth: &Growth, step: f32) -> Vec<Node> {
+fn trunk(random: &mut SplitMix64, growth: &Growth, step: f32) -> Vec<Node> {
     let mut nodes = vec![Node { at: growth.root, parent: 0, radius: growth.tip_radius }];
     let length = square(growth.trunk).sqrt();
     let mut direction = growth.trunk.map(|x| x / length.max(1e-6));
     let mut bend = 0.0;
     for index in 1..=((length / step) as usize).min(200) {
-        bend = 0.85 * bend + 0.16 * (mixer.unit() - 0.5);
+        bend = 0.85 * bend + 0.16 * (random.unit_f32() - 0.5);
         direction = [direction[0] - bend * direction[1], direction[1] + bend * direction[0]];
         let norm = square(direction).sqrt();
         direction = direction.map(|x| x / norm);

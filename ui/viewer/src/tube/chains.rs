@@ -146,10 +146,11 @@ mod tests {
     #[test]
     fn bad_segments_are_left_out_and_every_good_one_is_used_once() {
         assert_eq!(found(&[[0, 0], [0, 9], [1, 0], [0, 1]], 2), [(vec![0, 1], false, [false; 2])]);
-        let mut mixer = crate::texture::noise::Mixer::new(4);
+        let mut random = trocar_scene::random::SplitMix64::new(4);
         for _ in 0..200 {
-            let segments: Vec<[u32; 2]> =
-                (0..mixer.bits() % 40).map(|_| [0, 1].map(|_| (mixer.bits() % 14) as u32)).collect();
+            let segments: Vec<[u32; 2]> = (0..random.next_u64() % 40)
+                .map(|_| [0, 1].map(|_| (random.next_u64() % 14) as u32))
+                .collect();
             let mut expected: Vec<[u32; 2]> = segments
                 .iter()
                 .map(|[a, b]| [*a.min(b), *a.max(b)])

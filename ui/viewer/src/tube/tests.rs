@@ -185,14 +185,14 @@ fn degenerate_input_gives_a_sound_tube_or_none() {
 
 #[test]
 fn random_threads_are_sound() {
-    let mut mixer = crate::texture::noise::Mixer::new(77);
+    let mut random = trocar_scene::random::SplitMix64::new(77);
     let mut tube = Tube::new(TubeStyle::default());
     for round in 0..300 {
-        let count = 2 + (mixer.bits() % 12) as u32;
+        let count = 2 + (random.next_u64() % 12) as u32;
         let points: Vec<Point3<f64>> = (0..count)
-            .map(|_| Point3::from([0, 1, 2].map(|_| f64::from((mixer.unit() * 6.0).floor()) * 0.01)))
+            .map(|_| Point3::from([0, 1, 2].map(|_| f64::from((random.unit_f32() * 6.0).floor()) * 0.01)))
             .collect();
-        let closed = count > 2 && mixer.bits() & 1 == 0;
+        let closed = count > 2 && random.next_u64() & 1 == 0;
         let segments: Vec<[u32; 2]> =
             (0..if closed { count } else { count - 1 }).map(|k| [k, (k + 1) % count]).collect();
         tube.update(&segments, &points, 0.001);

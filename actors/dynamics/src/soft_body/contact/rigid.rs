@@ -39,7 +39,8 @@ pub struct AppliedTotals {
 }
 
 /// State that a rigid body publishes for soft ones in contact, and the impulses that it has taken from them.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "rigid_contacts", check = Self::ranges)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigidContacts {
     /// Its mass properties.
@@ -55,16 +56,6 @@ pub struct RigidContacts {
     pub last_pull: [Vector3<f64>; 2],
     /// Impulses taken, by giver.
     pub taken: Vec<AppliedTotals>,
-}
-
-impl Component for RigidContacts {
-    const NAME: &'static str = "rigid_contacts";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        let inverse = self.inertia.mass_inverse;
-        ComponentError::range("inertia.mass_inverse", inverse, 0.0..=f64::MAX, "0 or more, in 1/kg")?;
-        ComponentError::range("step", self.step, 0.0..=f64::MAX, "0 or more, in s")
-    }
 }
 
 impl ImpulseTotals {
@@ -146,6 +137,12 @@ impl RigidContacts {
             }
         }
         has_changed.then_some(wrench)
+    }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        let inverse = self.inertia.mass_inverse;
+        ComponentError::range("inertia.mass_inverse", inverse, 0.0..=f64::MAX, "0 or more, in 1/kg")?;
+        ComponentError::range("step", self.step, 0.0..=f64::MAX, "0 or more, in s")
     }
 }
 

@@ -22,9 +22,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
 use trocar_scene::{
-    Access, Collision, CollisionList, Component, ComponentError, Detection, Entity, EntitySet, Frozen,
-    Instrument, LineMesh, Primitive, Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions,
-    VertexVelocities,
+    Access, Collision, CollisionList, Component, Detection, Entity, EntitySet, Frozen, Instrument, LineMesh,
+    Primitive, Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions, VertexVelocities,
 };
 
 use super::{ImpulseTotals, RigidContacts};
@@ -94,7 +93,8 @@ pub struct ContactSums {
 }
 
 /// Contact state of a soft body, for contacts that detectors find.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "soft_contacts")]
 #[serde(default, deny_unknown_fields)]
 pub struct SoftContacts {
     /// The contacts that it answers, also for the other side.
@@ -113,12 +113,6 @@ pub struct SoftContacts {
     pub taken: Vec<ContactSums>,
     /// Sum of the forces of all its contacts in the last tick \[N\].
     pub force_in_world: Vector3<f64>,
-}
-impl Component for SoftContacts {
-    const NAME: &'static str = "soft_contacts";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 impl ContactSums {

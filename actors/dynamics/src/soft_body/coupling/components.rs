@@ -71,7 +71,8 @@ pub struct CoupledWith {
 }
 
 /// A body of `xpbd` coupled with others. Its controller must be the faster one, or equally fast.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "coupled", check = Self::ranges, schema, partners = Self::partners)]
 #[serde(deny_unknown_fields)]
 pub struct CoupledBody {
     /// The other bodies.
@@ -82,13 +83,8 @@ impl CoupledBody {
     fn partners(&self) -> Vec<&str> {
         self.with.iter().map(|with| with.body.as_str()).collect()
     }
-}
 
-impl Component for CoupledBody {
-    const NAME: &'static str = "coupled";
-    const PARTNERS: Option<fn(&Self) -> Vec<&str>> = Some(Self::partners);
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+    fn ranges(&self) -> Result<(), ComponentError> {
         let bodies = 1.0..=BODIES_MAX as f64;
         ComponentError::range("with", self.with.len() as f64, bodies, "1 to 8 bodies")?;
         for CoupledWith { joined, lies, .. } in &self.with {
@@ -103,9 +99,6 @@ impl Component for CoupledBody {
             ComponentError::range("lies.friction", lies.friction, 0.0..=10.0, "0 to 10")?;
         }
         Ok(())
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 
@@ -142,17 +135,12 @@ pub struct GivenTo {
 }
 
 /// Faster sides of all couplings of a body.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "coupling_given")]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingGiven {
     /// Couplings with bodies of other controllers, in the order of [`CoupledBody::with`].
     pub to: Vec<GivenTo>,
-}
-impl Component for CouplingGiven {
-    const NAME: &'static str = "coupling_given";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 /// Impulses that a body has taken from one faster body, by ghost.
@@ -180,7 +168,8 @@ pub struct TakenFrom {
 }
 
 /// Impulses that a body has taken from all faster bodies.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "coupling_taken")]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingTaken {
     /// Number of reports so far.
@@ -191,10 +180,4 @@ pub struct CouplingTaken {
     pub step: f64,
     /// By giver, in order.
     pub from: Vec<TakenFrom>,
-}
-impl Component for CouplingTaken {
-    const NAME: &'static str = "coupling_taken";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, RecordPolicy, Registry, RegistryBuilder, Revision,
-    Snapshot, WriterId, finite,
+    Snapshot, WriterId,
 };
 
 /// Which component a row is of; the order is that of their names.
@@ -90,35 +90,30 @@ impl Component for Bomb {
     }
 }
 
-macro_rules! plain {
-    ($name:ident($inner:ty) = $text:literal, $($body:tt)*) => {
-        #[derive(Clone, Debug, Serialize, Deserialize)]
-        pub struct $name(pub $inner);
-        impl Component for $name {
-            const NAME: &'static str = $text;
-            $($body)*
-        }
-    };
-}
-plain!(Count(u8) = "seq_count",);
-plain!(
-    Level(f64) = "seq_level",
-    fn check(&self) -> Result<(), ComponentError> {
-        finite::check(self)
-    }
-);
-plain!(Pairs(Vec<u8>) = "seq_pairs",);
-plain!(Shadow(u8) = "seq_shadow", const RECORD: RecordPolicy = RecordPolicy::Derived;);
-// Known to nobody.
-plain!(Stranger(u8) = "seq_stranger",);
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "seq_count")]
+pub struct Count(pub u8);
+
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "seq_level")]
+pub struct Level(pub f64);
+
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "seq_pairs")]
+pub struct Pairs(pub Vec<u8>);
+
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "seq_shadow", record = RecordPolicy::Derived)]
+pub struct Shadow(pub u8);
+
+/// Known to nobody.
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "seq_stranger")]
+pub struct Stranger(pub u8);
 
 pub fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
-    builder.register::<Shadow>().expect("new");
-    builder.register::<Bomb>().expect("new");
-    builder.register::<Pairs>().expect("new");
-    builder.register::<Level>().expect("new");
-    builder.register::<Count>().expect("new");
+    trocar_scene::register_all!(&mut builder; Shadow, Bomb, Pairs, Level, Count).expect("new");
     builder.build()
 }
 

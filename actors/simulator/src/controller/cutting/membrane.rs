@@ -12,7 +12,7 @@ use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext};
 use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
-    Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
+    Access, Commands, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
 use super::surface::Cuts;
@@ -22,7 +22,8 @@ use crate::cutting::{Sheet, TopologyChange, VertexChange};
 use crate::mass_spring::Patch;
 
 /// State of a membrane's topology changes that its mesh does not contain.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "surface_elements")]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfaceElements {
     /// For each triangle, the triangle of the first mesh that it is a part of.
@@ -31,12 +32,6 @@ pub struct SurfaceElements {
     pub births: Arc<Vec<Birth>>,
     /// How many of the elements removed by heat have been taken out.
     pub taken: u32,
-}
-impl Component for SurfaceElements {
-    const NAME: &'static str = "surface_elements";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 /// Cutting and tearing criteria of a membrane.

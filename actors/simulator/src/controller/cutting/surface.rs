@@ -9,7 +9,8 @@ use super::scissors::{Blades, swept};
 use crate::cutting::{Sheet, SheetState};
 
 /// State of the cuts that the mesh does not contain.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "cuts")]
 #[serde(default, deny_unknown_fields)]
 pub struct Cuts {
     /// Cut edges that have not opened yet.
@@ -22,9 +23,6 @@ pub struct Cuts {
     pub blades: Vec<Blades>,
     /// Total length of all cut lips \[m\].
     pub length: f64,
-}
-impl Component for Cuts {
-    const NAME: &'static str = "cuts";
 }
 
 impl Cuts {

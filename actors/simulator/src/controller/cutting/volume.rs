@@ -18,8 +18,7 @@ use trocar_dynamics::tet_mesh::{
     self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
 };
 use trocar_scene::{
-    Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh,
-    TextureCoordinates,
+    Access, Commands, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh, TextureCoordinates,
 };
 
 use super::scissors::{Blades, swept};
@@ -27,7 +26,8 @@ use crate::controller::cauterised::CauterisedBody;
 use crate::controller::thermal_damage::{self, Coagulated, Heated, RemovedElements};
 
 /// State of a volume's topology changes that its mesh does not contain.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "volume_cuts")]
 #[serde(default, deny_unknown_fields)]
 pub struct VolumeCuts {
     /// Opened interior faces.
@@ -46,12 +46,6 @@ pub struct VolumeCuts {
     pub torn: u32,
     /// Previous blades of all scissors, in the frame of the body.
     pub blades: Vec<Blades>,
-}
-impl Component for VolumeCuts {
-    const NAME: &'static str = "volume_cuts";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 impl VolumeCuts {

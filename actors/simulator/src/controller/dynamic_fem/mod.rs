@@ -26,7 +26,16 @@ use saved_state::DynamicFemMemory;
 const UNSOLVED_MAX: u32 = 20;
 
 /// A soft volume. It needs a tetrahedral mesh, and `anchors` where it is to be fixed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(
+    name = "dynamic_fem", check = Self::ranges, schema,
+    soft_body = SoftAbilities {
+        responds_to_contacts: true,
+        answers_couplings: true,
+        loses_elements: true,
+        ..SoftAbilities::NONE
+    },
+)]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicFemBody {
     /// Young's modulus \[Pa\].
@@ -67,28 +76,6 @@ impl Default for DynamicFemBody {
             cut: false,
             strength: None,
         }
-    }
-}
-
-impl Component for DynamicFemBody {
-    const NAME: &'static str = "dynamic_fem";
-    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities {
-        responds_to_contacts: true,
-        answers_couplings: true,
-        loses_elements: true,
-        ..SoftAbilities::NONE
-    });
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
-        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
-        ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
-        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
-        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
-        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 
@@ -159,6 +146,15 @@ impl DynamicFemBody {
         let mut solver = self.at_rest(mesh, &body.pinned, heated)?;
         solver.restore(&state).map_err(|e| e.to_string())?;
         Ok(solver)
+    }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
+        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
+        ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
     }
 }
 

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::tet_mesh::Birth;
-use trocar_scene::{Component, ComponentError, SimTime};
+use trocar_scene::{Component, SimTime};
 
 use crate::dynamic_fem::{Coupling, DynamicFem, DynamicFemState};
 
 /// Solver state after the last step, besides positions and velocities: the initial guess of the next step, and the
 /// origin of the factor in use.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "dynamic_fem_memory")]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicFemMemory {
     /// Accelerations of the vertices in the last step \[m/s²\].
@@ -56,13 +57,6 @@ pub struct WantedFactor {
     pub due: SimTime,
     /// Number of the job.
     pub key: u64,
-}
-
-impl Component for DynamicFemMemory {
-    const NAME: &'static str = "dynamic_fem_memory";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 impl DynamicFemMemory {

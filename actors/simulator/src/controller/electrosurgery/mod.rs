@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused, freeze};
 use trocar_dynamics::tet_mesh::Birth;
+use trocar_scene::disjoint_sets::DisjointSets;
 use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{
@@ -47,7 +48,8 @@ const DENATURED: f64 = 10.0;
 const CHARRED: f64 = 1e4;
 
 /// State for a restart. Too large to be recorded; it is derived from recorded data.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "heat_state", record = RecordPolicy::Derived)]
 pub struct HeatState {
     /// The surface of the first mesh.
     pub triangles: Arc<Vec<[u32; 3]>>,
@@ -55,10 +57,6 @@ pub struct HeatState {
     pub rest: Arc<Vec<Point3<f64>>>,
     /// State of the tissue.
     pub state: Arc<ElectrosurgeryState>,
-}
-impl Component for HeatState {
-    const NAME: &'static str = "heat_state";
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
 struct Body {
@@ -305,26 +303,16 @@ fn is_moved(scene: &Snapshot, entity: Entity) -> Result<bool, String> {
 
 /// Areas of the connected parts of a surface, largest first \[m²\].
 fn pieces(triangles: &[[u32; 3]], positions: &[Point3<f64>]) -> Vec<f64> {
-    let mut parent: Vec<usize> = (0..positions.len()).collect();
-    let root = |parent: &mut Vec<usize>, mut x: usize| {
-        while parent[x] != x {
-            parent[x] = parent[parent[x]];
-            x = parent[x];
-        }
-        x
-    };
-    for triangle in triangles {
-        let first = root(&mut parent, triangle[0] as usize);
-        for &vertex in &triangle[1..] {
-            let other = root(&mut parent, vertex as usize);
-            parent[other] = first;
-        }
+    let mut parts = DisjointSets::new(positions.len());
+    for &[a, b, c] in triangles {
+        parts.join(a as usize, b as usize);
+        parts.join(a as usize, c as usize);
     }
     let mut areas: BTreeMap<usize, f64> = BTreeMap::new();
     for triangle in triangles {
         let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
         let area = 0.5 * (b - a).cross(&(c - a)).norm();
-        *areas.entry(root(&mut parent, triangle[0] as usize)).or_default() += area;
+        *areas.entry(parts.root(triangle[0] as usize)).or_default() += area;
     }
     let mut areas: Vec<f64> = areas.into_values().collect();
     areas.sort_by(|a, b| b.total_cmp(a));

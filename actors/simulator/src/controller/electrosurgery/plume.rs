@@ -5,13 +5,11 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::Component;
 
 /// Cumulative emission of a body: a late reader misses nothing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "plume")]
 pub struct Plume {
     /// Smoke since the beginning \[kg\].
     pub emitted: f64,
     /// Position of the latest emission, in the body's frame \[m\].
     pub place: Point3<f64>,
-}
-impl Component for Plume {
-    const NAME: &'static str = "plume";
 }

@@ -33,7 +33,8 @@ const FAR: f64 = 1e3;
 const HEATERS: usize = 4;
 
 /// A blood vessel: a line from its source (the first vertex) to its end.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "vessel", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vessel {
     /// Inner radius \[m\].
@@ -72,10 +73,8 @@ impl Default for Vessel {
     }
 }
 
-impl Component for Vessel {
-    const NAME: &'static str = "vessel";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+impl Vessel {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("radius", self.radius, 1e-5..=0.02, "1e-5 to 0.02 m")?;
         ComponentError::range("wall", self.wall, 0.0..=0.01, "0 to 0.01 m")?;
         ComponentError::range("before", self.before, 0.0..=0.5, "0 to 0.5 m")?;
@@ -84,13 +83,11 @@ impl Component for Vessel {
         }
         ComponentError::range("outwards", self.outwards.norm(), 1e-6..=1e6, "a direction")
     }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
 }
 
 /// State of a vessel: injury and blood loss.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "vessel_state")]
 pub struct VesselState {
     /// The wound, and the cumulative blood loss.
     pub bleeding: BleedingState,
@@ -108,9 +105,6 @@ pub struct VesselState {
     pub burned: u32,
     /// Previous blades of all scissors, in the vessel's frame.
     pub blades: Vec<Blades>,
-}
-impl Component for VesselState {
-    const NAME: &'static str = "vessel_state";
 }
 
 impl VesselState {

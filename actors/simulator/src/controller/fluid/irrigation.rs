@@ -8,7 +8,8 @@ use trocar_scene::{Activation, Component, ComponentError, ControllerError, Entit
 use crate::fluid::{Fluid, Hole, Spout};
 
 /// An irrigator: a tube at an instrument, along its axis, that emits the scene's liquid while it is switched on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "irrigator", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Irrigator {
     /// Flow rate at full level \[m³/s\].
@@ -24,20 +25,9 @@ impl Default for Irrigator {
     }
 }
 
-impl Component for Irrigator {
-    const NAME: &'static str = "irrigator";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("rate", self.rate, 0.0..=1e-3, "0 to 1e-3 m³/s")?;
-        ComponentError::range("area", self.area, 1e-8..=1e-2, "1e-8 to 1e-2 m²")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
-}
-
 /// A sucker: a tube at an instrument that removes the scene's liquid near its tip while it is switched on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "sucker", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sucker {
     /// Suction rate at full level \[m³/s\], if there is enough liquid.
@@ -50,18 +40,6 @@ impl Default for Sucker {
     /// Two litres in a minute.
     fn default() -> Self {
         Self { rate: 3.3e-5, reach: 0.008 }
-    }
-}
-
-impl Component for Sucker {
-    const NAME: &'static str = "sucker";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("rate", self.rate, 0.0..=1e-2, "0 to 1e-2 m³/s")?;
-        ComponentError::range("reach", self.reach, 1e-4..=0.1, "1e-4 to 0.1 m")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 
@@ -106,6 +84,11 @@ impl Irrigator {
         let given = spout.given + self.rate * level(scene, entity) * dt;
         spout.pour(given, dt, &hole, fluid);
     }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("rate", self.rate, 0.0..=1e-3, "0 to 1e-3 m³/s")?;
+        ComponentError::range("area", self.area, 1e-8..=1e-2, "1e-8 to 1e-2 m²")
+    }
 }
 
 impl Sucker {
@@ -125,5 +108,10 @@ impl Sucker {
         let taken = fluid.suck(&tip, self.reach, (suction.waiting / particle).floor() as u64);
         suction.taken += taken;
         suction.waiting -= taken as f64 * particle;
+    }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("rate", self.rate, 0.0..=1e-2, "0 to 1e-2 m³/s")?;
+        ComponentError::range("reach", self.reach, 1e-4..=0.1, "1e-4 to 0.1 m")
     }
 }

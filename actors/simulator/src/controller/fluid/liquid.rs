@@ -26,7 +26,8 @@ const FAR: f64 = 1e3;
 
 /// A liquid; its particles are the entity's particles, which define its appearance. Particles exist within the entity's
 /// box.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "liquid", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Liquid {
     /// Particle spacing at rest \[m\].
@@ -60,10 +61,8 @@ impl Default for Liquid {
     }
 }
 
-impl Component for Liquid {
-    const NAME: &'static str = "liquid";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+impl Liquid {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("spacing", self.spacing, 1e-4..=0.1, "1e-4 to 0.1 m")?;
         ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
         ComponentError::range("viscosity", self.viscosity, 0.0..=1.0, "0 to 1 m²/s")?;
@@ -74,28 +73,21 @@ impl Component for Liquid {
         let room = trocar_scene::PARTICLES_MAX as f64 / 2.0;
         ComponentError::range("particles_max", f64::from(self.particles_max), 1.0..=room, "1 to 32768")
     }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
 }
 
 /// A wall: a surface that liquids do not cross.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "liquid_wall", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LiquidWall {
     /// Free slip. Otherwise the wall's sample particles cause drag, as bumps of half a particle.
     pub smooth: bool,
 }
 
-impl Component for LiquidWall {
-    const NAME: &'static str = "liquid_wall";
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
-}
-
 /// State for a restart.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+// Too large to be recorded; it is derived from recorded data.
+#[component(name = "liquid_state", record = RecordPolicy::Derived)]
 pub struct LiquidState {
     /// The particles.
     pub fluid: Arc<FluidState>,
@@ -104,11 +96,6 @@ pub struct LiquidState {
     /// Suction of each sucker so far.
     #[serde(default)]
     pub suctions: Vec<(Entity, Suction)>,
-}
-impl Component for LiquidState {
-    const NAME: &'static str = "liquid_state";
-    /// Too large to be recorded; it is derived from recorded data.
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
 /// A wall at its last sampling, with its samples.

@@ -21,7 +21,8 @@ const PLUME_MAX: f64 = 1.0;
 const FAR: f64 = 1e3;
 
 /// Smoke in a cavity; its puffs are the entity's particles, which define its appearance.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "smoke", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SmokeCloud {
     /// Mass of smoke per puff \[kg\].
@@ -50,33 +51,25 @@ impl Default for SmokeCloud {
     }
 }
 
-impl Component for SmokeCloud {
-    const NAME: &'static str = "smoke";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+impl SmokeCloud {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("puff", self.puff, 1e-15..=1.0, "1e-15 to 1 kg")?;
         ComponentError::range("lifetime", self.lifetime, 1e-3..=1e4, "0.001 to 10000 s")?;
         ComponentError::range("warmth", self.warmth, 0.0..=1e3, "0 to 1000 K")?;
         ComponentError::range("wind", self.wind.norm(), 0.0..=100.0, "0 to 100 m/s")?;
         ComponentError::range("puffs_max", f64::from(self.puffs_max), 1.0..=65_536.0, "1 to 65536")
     }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
 }
 
 /// State for a restart.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+// Too large to be recorded; it is derived from recorded data.
+#[component(name = "smoke_state", record = RecordPolicy::Derived)]
 pub struct SmokeCloudState {
     /// The puffs, in the frame of the cloud.
     pub smoke: Arc<SmokeState>,
     /// Smoke taken over from each plume \[kg\].
     pub taken: Vec<(Entity, f64)>,
-}
-impl Component for SmokeCloudState {
-    const NAME: &'static str = "smoke_state";
-    /// Too large to be recorded; it is derived from recorded data.
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
 /// Simulates the smoke of the scene.

@@ -23,7 +23,8 @@ const LOSS_MAX: f64 = 0.01;
 const LOST_MAX: f64 = 1.0;
 
 /// A patient whose circulation responds to blood loss.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "patient", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Patient {
     /// Blood volume \[m³\]; cardiac output and vascular capacity scale with it. An adult of 70 kg has 5 litres, a
@@ -55,22 +56,17 @@ impl Patient {
             ..adult.of_blood(self.blood)
         }
     }
-}
 
-impl Component for Patient {
-    const NAME: &'static str = "patient";
-    fn check(&self) -> Result<(), ComponentError> {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("blood", self.blood, 1e-5..=0.05, "1e-5 to 0.05 m³")?;
         ComponentError::range("arterial_pressure", self.arterial_pressure, 1e3..=5e4, "1000 to 50000 Pa")?;
         ComponentError::range("heart_rate", self.heart_rate, 20.0..=600.0, "20 to 600 1/min")
     }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
 }
 
 /// State for a restart, and the pressures that drive bleeding.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "patient_state")]
 pub struct PatientState {
     /// The circulation.
     pub circulation: CirculationState,
@@ -80,9 +76,6 @@ pub struct PatientState {
     pub venous: f64,
     /// Cumulative loss of all vessels already subtracted \[m³\].
     pub accounted: f64,
-}
-impl Component for PatientState {
-    const NAME: &'static str = "patient_state";
 }
 
 impl PatientState {

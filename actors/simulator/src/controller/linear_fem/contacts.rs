@@ -39,14 +39,12 @@ pub struct Place {
 }
 
 /// Points that rods pressed on in the last tick; a restart continues with them.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "linear_fem_contacts")]
 #[serde(default, deny_unknown_fields)]
 pub struct Contacts {
     /// In the order of detection.
     pub places: Vec<Place>,
-}
-impl Component for Contacts {
-    const NAME: &'static str = "linear_fem_contacts";
 }
 
 impl Contacts {

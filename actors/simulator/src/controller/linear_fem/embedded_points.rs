@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_on_triangle;
 use trocar_dynamics::soft_body::{Deformable, PinnedBody, PinnedWith};
 use trocar_dynamics::tet_mesh::TetMesh;
-use trocar_scene::{Component, ComponentError, Entity, Snapshot};
+use trocar_scene::{Component, Entity, Snapshot};
 
 use crate::linear_fem::{Attachment, Hold};
 
@@ -16,17 +16,12 @@ use crate::linear_fem::{Attachment, Hold};
 const OUTSIDE: f64 = 1e-9;
 
 /// The points in the frames of their entities \[m\]; a restart continues with them.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "pin_places")]
 #[serde(default, deny_unknown_fields)]
 pub struct PinPlaces {
     /// In the order of [`PinnedBody::with`].
     pub in_entity: Vec<Point3<f64>>,
-}
-impl Component for PinPlaces {
-    const NAME: &'static str = "pin_places";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 /// A pinned point.

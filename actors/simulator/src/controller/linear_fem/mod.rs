@@ -51,7 +51,11 @@ const ROUNDS_MAX: usize = 8;
 const INSIDE_EVERY: u64 = 10;
 /// An organ with immediate response to contact, for small displacements. It needs a tetrahedral mesh, and `anchors`
 /// where it is fixed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(
+    name = "linear_fem", check = Self::ranges, schema,
+    soft_body = SoftAbilities { is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE },
+)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinearFemBody {
     /// Young's modulus \[Pa\].
@@ -81,21 +85,12 @@ impl LinearFemBody {
         let tears = self.strength.map(|strength| (strength, lame));
         Ok(FailureCriteria { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
     }
-}
 
-impl Component for LinearFemBody {
-    const NAME: &'static str = "linear_fem";
-    const SOFT_BODY: Option<SoftAbilities> =
-        Some(SoftAbilities { is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE });
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
         ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")?;
         ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 

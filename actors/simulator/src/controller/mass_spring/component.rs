@@ -84,7 +84,11 @@ impl Default for Springs {
 }
 
 /// A mass-spring body. It needs a mesh, and `anchors` where it is to be fixed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(
+    name = "mass_spring", check = Self::ranges, schema,
+    soft_body = SoftAbilities { responds_to_contacts: true, loses_elements: true, ..SoftAbilities::NONE },
+)]
 #[serde(default, deny_unknown_fields)]
 pub struct MassSpringBody {
     /// Its material.
@@ -123,25 +127,6 @@ impl Default for MassSpringBody {
             tears_at: None,
             strength: None,
         }
-    }
-}
-
-impl Component for MassSpringBody {
-    const NAME: &'static str = "mass_spring";
-    const SOFT_BODY: Option<SoftAbilities> =
-        Some(SoftAbilities { responds_to_contacts: true, loses_elements: true, ..SoftAbilities::NONE });
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("lag", self.lag, 0.0..=1.0, "0 to 1 s")?;
-        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
-        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
-        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
-        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
-        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
-        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 
@@ -216,5 +201,15 @@ impl MassSpringBody {
             thickness: if is_line { body.radius } else { self.thickness },
             closed: matches!(self.springs, Springs::Volume { .. }),
         }
+    }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("lag", self.lag, 0.0..=1.0, "0 to 1 s")?;
+        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
+        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
     }
 }

@@ -18,7 +18,8 @@ use crate::suture_thread::bishop_frame::perpendicular;
 
 /// Tissue that a needle penetrates. It needs a tetrahedral mesh, and `anchors` where it is fixed. See [`Resistance`]
 /// for the meaning of the forces.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "sewn", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SewnTissue {
     /// Young's modulus \[Pa\].
@@ -74,12 +75,8 @@ impl SewnTissue {
             ..Resistance::default()
         }
     }
-}
 
-impl Component for SewnTissue {
-    const NAME: &'static str = "sewn";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
         ComponentError::range("puncture_force", self.puncture_force, 0.0..=1e6, "0 to 1e6 N")?;
@@ -96,9 +93,6 @@ impl Component for SewnTissue {
         }
         Ok(())
     }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
 }
 
 /// Radius of the bend in which the thread leaves the needle's tail \[m\].
@@ -106,7 +100,8 @@ const BEND: f64 = 4e-3;
 
 /// A needle with a swaged thread. It needs a line mesh, which then follows needle and thread; positions are in the
 /// frame of the entity, which does not move.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "needle", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SutureNeedle {
     /// Arc length \[m\].
@@ -263,12 +258,8 @@ impl SutureNeedle {
         let place = Point3::from(self.tip) - rotation * solid.point(self.length);
         Ok(Isometry3::from_parts(Translation3::from(place), rotation))
     }
-}
 
-impl Component for SutureNeedle {
-    const NAME: &'static str = "needle";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("length", self.length, 2e-3..=0.3, "2 mm to 0.3 m")?;
         ComponentError::range("angle", self.angle, 1e-3..=5.0, "0.001 to 5 rad")?;
         ComponentError::range("wire_radius", self.wire_radius, 2e-5..=5e-3, "20 µm to 5 mm")?;
@@ -278,9 +269,6 @@ impl Component for SutureNeedle {
         self.thread().check()?;
         ComponentError::range("jaw_force", self.jaw_force, 0.0..=1e3, "0 to 1000 N")?;
         ComponentError::range("jaw_torque", self.jaw_torque, 0.0..=10.0, "0 to 10 N·m")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 
@@ -298,7 +286,8 @@ pub struct HeldNeedle {
 }
 
 /// State after the last tick.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "suture_memory")]
 #[serde(default, deny_unknown_fields)]
 pub struct SutureMemory {
     /// Needle, thread and channels, in the world; `None` before the first tick.
@@ -318,11 +307,4 @@ pub struct SutureMemory {
     /// Shortest length of the thread's loop since the current knot was formed, and since the last grasp or release of
     /// the thread \[m\]; `None` while there is no loop.
     pub loop_min: Option<f64>,
-}
-
-impl Component for SutureMemory {
-    const NAME: &'static str = "suture_memory";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }

@@ -122,7 +122,8 @@ impl LiesOn {
 }
 
 /// A suture thread. It needs a line mesh, and `anchors` where it is to be fixed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "thread", check = Self::ranges, schema, partners = Self::partners)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadBody {
     /// The suture.
@@ -181,13 +182,8 @@ impl ThreadBody {
     fn partners(&self) -> Vec<&str> {
         self.lies_on.iter().map(|on| on.body.as_str()).collect()
     }
-}
 
-impl Component for ThreadBody {
-    const NAME: &'static str = "thread";
-    const PARTNERS: Option<fn(&Self) -> Vec<&str>> = Some(Self::partners);
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+    fn ranges(&self) -> Result<(), ComponentError> {
         for (field, known, range, valid) in [
             ("friction", &self.friction, 0.0..=10.0, "0 to 10"),
             ("bending_stiffness", &self.bending_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
@@ -231,9 +227,6 @@ impl Component for ThreadBody {
                 ComponentError::range("ear", *ear, 1e-3..=0.5, "1e-3 to 0.5 m")
             }
         }
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 

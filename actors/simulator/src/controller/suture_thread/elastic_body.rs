@@ -37,7 +37,8 @@ pub struct Mark {
 /// An elastic body that a thread is tied around, named in [`ThreadBody`](crate::controller::ThreadBody). It needs a
 /// tetrahedral mesh, and `anchors` where it is fixed. It deforms elastically for small deformations, as
 /// [`LinearFemBody`](crate::controller::LinearFemBody) does, and does not move as a whole. Only that thread deforms it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "tied", check = Self::ranges, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TiedBody {
     /// Young's modulus \[Pa\].
@@ -58,10 +59,8 @@ impl Default for TiedBody {
     }
 }
 
-impl Component for TiedBody {
-    const NAME: &'static str = "tied";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
+impl TiedBody {
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
         ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
@@ -69,9 +68,6 @@ impl Component for TiedBody {
             let size = Vector3::from(mark.across).norm();
             ComponentError::range("mark.across", size, 1e-6..=1e6, "a direction")
         })
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 

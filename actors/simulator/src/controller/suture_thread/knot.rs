@@ -33,7 +33,8 @@ pub fn knot_code(kind: Option<&KnotKind>) -> f64 {
 }
 
 /// The last classification of a thread's knot.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "knot_state", check = Self::ranges)]
 #[serde(default, deny_unknown_fields)]
 pub struct KnotState {
     /// Code as in [`knot_code`].
@@ -55,14 +56,6 @@ pub struct KnotState {
     pub amphichiral: bool,
     /// Progress of reading the order of the throws.
     pub reading: Option<Reading>,
-}
-
-impl Component for KnotState {
-    const NAME: &'static str = "knot_state";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("throws", self.throws.len() as f64, 0.0..=THROWS_MAX as f64, "0 to 8")
-    }
 }
 
 impl KnotState {
@@ -145,5 +138,9 @@ impl KnotState {
         ] {
             values.insert(format!("{name}.{what}"), value);
         }
+    }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("throws", self.throws.len() as f64, 0.0..=THROWS_MAX as f64, "0 to 8")
     }
 }

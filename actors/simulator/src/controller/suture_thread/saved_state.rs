@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Entity};
+use trocar_scene::{Component, Entity};
 
 use super::grasp::Grip;
 use crate::controller::cutting::scissors::Blades;
@@ -21,7 +21,8 @@ pub struct Met {
 }
 
 /// State after the last tick.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "thread_memory")]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadMemory {
     /// Rest lengths of the edges \[m\].
@@ -49,13 +50,6 @@ pub struct ThreadMemory {
     pub loop_min: f64,
     /// Maximum penetration depth of a contact so far \[m\].
     pub penetration_max: f64,
-}
-
-impl Component for ThreadMemory {
-    const NAME: &'static str = "thread_memory";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
 }
 
 impl ThreadMemory {

@@ -73,7 +73,16 @@ impl Default for Matter {
 }
 
 /// A position-based body. It needs a mesh, and `anchors` where it is to be fixed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(
+    name = "xpbd", check = Self::ranges, schema,
+    soft_body = SoftAbilities {
+        responds_to_contacts: true,
+        couples: true,
+        loses_elements: true,
+        ..SoftAbilities::NONE
+    },
+)]
 #[serde(default, deny_unknown_fields)]
 pub struct XpbdBody {
     /// Its material.
@@ -112,30 +121,6 @@ impl Default for XpbdBody {
             strength: None,
             tears_at: None,
         }
-    }
-}
-
-impl Component for XpbdBody {
-    const NAME: &'static str = "xpbd";
-    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities {
-        responds_to_contacts: true,
-        couples: true,
-        loses_elements: true,
-        ..SoftAbilities::NONE
-    });
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("parts", f64::from(self.parts), 1.0..=1000.0, "1 to 1000")?;
-        ComponentError::range("iterations", f64::from(self.iterations), 1.0..=1000.0, "1 to 1000")?;
-        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
-        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
-        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
-        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
-        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
-        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
     }
 }
 
@@ -205,6 +190,17 @@ impl XpbdBody {
         solver.restore(state)?;
         Ok((solver, network))
     }
+
+    fn ranges(&self) -> Result<(), ComponentError> {
+        ComponentError::range("parts", f64::from(self.parts), 1.0..=1000.0, "1 to 1000")?;
+        ComponentError::range("iterations", f64::from(self.iterations), 1.0..=1000.0, "1 to 1000")?;
+        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
+        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
+    }
 }
 
 fn of_network(
@@ -228,7 +224,8 @@ fn of_network(
 /// Constraint groups (colours) of a body whose mesh was cut, each in the order of its mesh: edges and hinges ascending
 /// by their edges, tetrahedra by their numbers. They depend on the history of topology changes, and they determine the
 /// order of a sweep, so a restart needs them.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Component)]
+#[component(name = "xpbd_groups")]
 #[serde(default, deny_unknown_fields)]
 pub struct XpbdGroups {
     /// Of a cloth's edges.
@@ -237,9 +234,6 @@ pub struct XpbdGroups {
     pub bends: Arc<Vec<u16>>,
     /// Of a volume's elements.
     pub tets: Arc<Vec<u16>>,
-}
-impl Component for XpbdGroups {
-    const NAME: &'static str = "xpbd_groups";
 }
 
 impl XpbdGroups {

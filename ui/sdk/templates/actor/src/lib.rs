@@ -18,7 +18,8 @@ pub const SPEED_MAX: f64 = 0.1;
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// The coach's advice, on its own entity: for reports, for replay, and for the coach after a restart.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "advice")]
 pub struct Advice {
     /// Number of warnings.
     pub count: u32,
@@ -26,10 +27,6 @@ pub struct Advice {
     pub speed_max: f64,
     /// Number of events that it has received.
     pub events: u32,
-}
-
-impl Component for Advice {
-    const NAME: &'static str = "advice";
 }
 
 /// The actor.

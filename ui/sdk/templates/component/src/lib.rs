@@ -1,6 +1,6 @@
 //! New components: a vessel that bleeds, and the pool under it.
 //!
-//! A component is plain data on an entity. Implementing [`Component`] is enough: scenario files can then contain it, it
+//! A component is plain data on an entity. Deriving [`Component`] is enough: scenario files can then contain it, it
 //! is checked whatever its source, recorded and replayed, is part of the state hash, and every controller can read it.
 
 mod bleeder;
@@ -8,11 +8,13 @@ mod bleeder;
 pub use bleeder::Bleeder;
 use schemars::JsonSchema;
 use trocar::prelude::*;
-use trocar::scene::finite;
 
 /// A vessel that bleeds into the field.
 // This sentence is shown by `trocar list components` and by editors with the schema, as are those of the fields.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+// The name is used in files, hashes and messages. It must never change: recordings are read by it. `schema` allows the
+// component in scenarios, and describes it to editors and `trocar schema`.
+#[component(name = "bleeding", check = Self::ranges, schema)]
 // Unknown keys are refused: in a scenario, an ignored key is worse than an error.
 #[serde(default, deny_unknown_fields)]
 pub struct Bleeding {
@@ -30,37 +32,23 @@ impl Default for Bleeding {
     }
 }
 
-impl Component for Bleeding {
-    /// Used in files, hashes and messages. It must never change: recordings are read by it.
-    const NAME: &'static str = "bleeding";
-
-    /// Called before a value is used, whether from a scenario, a controller, a recording or the network. A refused
-    /// value never reaches a snapshot, so readers need not check again.
-    fn check(&self) -> Result<(), ComponentError> {
-        // An override must check for NaN and infinities itself, as the default does.
-        finite::check(self)?;
+impl Bleeding {
+    /// Called before a value is used, whether from a scenario, a controller, a recording or the network, once NaN and
+    /// infinities are ruled out. A refused value never reaches a snapshot, so readers need not check again.
+    fn ranges(&self) -> Result<(), ComponentError> {
         ComponentError::range("flow", self.flow, 0.0..=1e-4, "0 to 1e-4 m³/s")?;
         ComponentError::range("lost", self.lost, 0.0..=0.01, "0 to 0.01 m³")?;
         ComponentError::range("sealed", self.sealed, 0.0..=1.0, "0 to 1")
     }
-
-    /// The schema for scenarios, for editors and `trocar schema`.
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
 }
 
 /// The pool of blood around a vessel, for viewers.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Component)]
+// It can be computed from `Bleeding`, so it is not recorded, and is not part of the state hash.
+#[component(name = "blood_pool", record = RecordPolicy::Derived)]
 pub struct BloodPool {
     /// Its radius \[m\].
     pub radius: f64,
-}
-
-impl Component for BloodPool {
-    const NAME: &'static str = "blood_pool";
-    /// It can be computed from [`Bleeding`], so it is not recorded, and is not part of the state hash.
-    const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
 /// Trocar with this crate's additions.

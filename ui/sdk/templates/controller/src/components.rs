@@ -3,7 +3,8 @@
 use trocar::prelude::*;
 
 /// On an organ: how it follows the breath. Set by the scenario.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "breathes")]
 #[serde(deny_unknown_fields)]
 pub struct Breathes {
     /// Height of its origin at the end of expiration, in its parent's frame \[m\].
@@ -12,12 +13,9 @@ pub struct Breathes {
     pub share: f64,
 }
 
-impl Component for Breathes {
-    const NAME: &'static str = "breathes";
-}
-
 /// On the controller's own entity: the state of respiration. All that is needed to continue after a failure.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Component)]
+#[component(name = "respiration")]
 pub struct Respiration {
     /// Phase of the present breath, 0 to 1.
     pub phase: f64,
@@ -35,10 +33,6 @@ impl Default for Respiration {
     fn default() -> Self {
         Self { phase: 0.0, depth: 1.0, next_depth: None, breaths: 0, held_secs: 0.0 }
     }
-}
-
-impl Component for Respiration {
-    const NAME: &'static str = "respiration";
 }
 
 /// Share of the tidal volume at a phase, 0 to 1: a raised cosine, smooth from one breath to the next.

@@ -13,7 +13,8 @@ use ffi::{Chain, Engine, EngineError};
 use trocar::prelude::*;
 
 /// A chain, with all parameters and state of the engine. The scenario contains it, and each step updates it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
+#[component(name = "chain_state")]
 #[serde(deny_unknown_fields)]
 pub struct ChainState {
     /// How many masses.
@@ -35,10 +36,6 @@ pub struct ChainState {
     /// Their velocities [m/s], three numbers each.
     #[serde(default)]
     pub velocities: Vec<f64>,
-}
-
-impl Component for ChainState {
-    const NAME: &'static str = "chain_state";
 }
 
 /// Drives the engine.

@@ -2,13 +2,14 @@
 
 use std::collections::HashMap;
 
+use trocar_scene::random::seed_of;
 use wgpu::util::DeviceExt;
 
 use super::{Order, ParticleCopies, Recipe, group, layout, over, pipeline, scene_depth, texels};
 use crate::gpu::Gpu;
 use crate::gpu::targets::target;
 use crate::particles::Swarm;
-use crate::texture::noise::{Fbm, seed_of};
+use crate::texture::noise::Fbm;
 use crate::view::View;
 
 /// Side of the puff texture \[texels\].
