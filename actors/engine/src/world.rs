@@ -20,16 +20,16 @@ use trocar_scene::components::{
     Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::time::SimTime;
 
 use trocar_dynamics::instrument::contact::Contact;
-use trocar_dynamics::instrument::coupling::Wrench as WrenchOnHand;
 use trocar_dynamics::instrument::grasp::{self, Hold, PadContact};
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 pub use trocar_dynamics::rigid_world::FLOOR;
-use trocar_dynamics::rigid_world::{Wrench, check};
+use trocar_dynamics::rigid_world::check;
 
 use crate::anticipate::first_obstacle;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
@@ -521,7 +521,7 @@ impl RigidWorld {
     }
     /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps since
     /// the last call.
-    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<WrenchOnHand> {
+    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<Wrench> {
         self.graspers.get_mut(&entity).map(Grasper::take_wrench_on_hand)
     }
     /// `instrument_from_body`, if both are simulated.

@@ -22,6 +22,7 @@ use trocar_scene::components::{
 };
 use trocar_scene::controller::{BuildContext, Controller, ControllerError, Tick};
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::{Revision, SimTime};
 
@@ -29,7 +30,7 @@ use crate::instrument::grasp::Hold;
 use crate::instrument::mechanism::MechanismState;
 use crate::instrument::state::{InstrumentState, JawOpening};
 use crate::instrument::target_track::TargetTrack;
-use crate::rigid_world::{World, WorldError, Wrench};
+use crate::rigid_world::{World, WorldError};
 use crate::soft_body::contact::RigidContacts;
 use access::{declared_access, declared_rows, meets_soft_bodies, moved_entities};
 use external_contact_model::{held_by, modelled_by_others};

@@ -4,11 +4,12 @@
 use trocar_scene::commands::Commands;
 use trocar_scene::components::Motion;
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::SimTime;
 
 use super::RigidBodiesController;
-use crate::rigid_world::{World, WorldError, Wrench};
+use crate::rigid_world::{World, WorldError};
 use crate::soft_body::contact::RigidContacts;
 use crate::soft_body::contact::rigid::motion;
 use crate::soft_body::contact::tracking::answers;

@@ -2,9 +2,9 @@
 
 pub(crate) mod error;
 pub mod mass_properties;
+pub(crate) mod mobility;
 pub(crate) mod world;
-pub(crate) mod wrench;
 
 pub use error::WorldError;
+pub use mobility::tangential_mobility_max;
 pub use world::{FLOOR, Inertia, Scheduling, ToolView, World, check};
-pub use wrench::{Wrench, most_across};

@@ -3,15 +3,15 @@
 
 use nalgebra::{Matrix3, Point3};
 use serde::{Deserialize, Serialize};
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
     Collision, Component, Detection, Entity, Instrument, InstrumentTarget, Pose, RigidBody, Shape, SimTime,
     Velocity,
 };
 
 use super::WorldError;
-use super::wrench::Wrench as Push;
 use crate::instrument::contact::Contact;
-use crate::instrument::coupling::{VirtualCoupling, Wrench};
+use crate::instrument::coupling::CriticallyDampedCoupling;
 use crate::instrument::grasp::Hold;
 use crate::instrument::local_model::Obstacle;
 use crate::instrument::state::InstrumentState;
@@ -51,7 +51,7 @@ pub struct ToolView {
     /// Pose, velocity and jaw opening.
     pub state: InstrumentState,
     /// The virtual coupling to its hand.
-    pub coupling: VirtualCoupling,
+    pub coupling: CriticallyDampedCoupling,
     /// The body that it holds by opposing contacts of both jaws.
     pub hold: Option<Hold>,
     /// Normal force on the pads of jaw A and jaw B in the last step \[N\].
@@ -157,7 +157,7 @@ pub trait World: Send + Sized + 'static {
     ///
     /// # Errors
     /// No such body; a non-finite force.
-    fn push(&mut self, entity: Entity, push: &Push) -> Result<(), WorldError>;
+    fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), WorldError>;
     /// Mass properties of a body as seen by contacts; `None` for an immovable or unknown body.
     fn inertia(&self, entity: Entity) -> Option<Inertia>;
 

@@ -6,8 +6,9 @@ use nalgebra::{ComplexField, Matrix3, Point3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
 use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 
-use trocar_dynamics::rigid_world::{Inertia, Wrench, mass_properties};
+use trocar_dynamics::rigid_world::{Inertia, mass_properties};
 
 use super::{Body, RigidWorld};
 use crate::conversion::{point_from_rapier, pose_to_rapier, rotation_from_rapier, vector_to_rapier};

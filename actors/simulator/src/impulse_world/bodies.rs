@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
 
 use super::aabb::Bounds;

@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::instrument::grasp::{PadContact, carry_on, opposed_body};
-use trocar_dynamics::rigid_world::Wrench;
 use trocar_scene::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 
 use super::instrument::Tool;
 use super::narrow_phase::ContactPoint;

@@ -5,7 +5,7 @@
 //! closed tip, +z distal, jaws opening along x.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_dynamics::instrument::coupling::{VirtualCoupling, Wrench};
+use trocar_dynamics::instrument::coupling::CriticallyDampedCoupling;
 use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::jaw::{
     JAW_MASS_SHARE, SATURATION_ANGLE, TURNING_MOMENT, blade, drive_reference, instrument_from_jaw, jaw_count,
@@ -14,6 +14,7 @@ use trocar_dynamics::instrument::jaw::{
 use trocar_dynamics::instrument::set_point::SetPoint;
 use trocar_dynamics::instrument::state::{InstrumentState, JawOpening};
 use trocar_dynamics::instrument::target_track::TargetTrack;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::shapes::working_end;
 use trocar_scene::{Instrument, Primitive, SimTime, Velocity};
 
@@ -31,7 +32,7 @@ const SHAFT_REACH: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub(super) struct Tool {
     pub instrument: Instrument,
-    pub coupling: VirtualCoupling,
+    pub coupling: CriticallyDampedCoupling,
     /// Index of its body in the solver.
     pub slot: usize,
     pub mass: RigidMass,
@@ -82,7 +83,7 @@ impl Tool {
             jaw_of.push(Some(jaw));
         }
         let mut tool = Self {
-            coupling: VirtualCoupling::new(
+            coupling: CriticallyDampedCoupling::new(
                 instrument.mass,
                 gyration,
                 instrument.coupling_stiffness,

@@ -7,7 +7,8 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::instrument::contact::Contact;
 use trocar_dynamics::instrument::grasp::PadContact;
-use trocar_dynamics::rigid_world::{World, WorldError, Wrench, check};
+use trocar_dynamics::rigid_world::{World, WorldError, check};
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 
 use super::bodies::{Body, Solid, Trail, state_of};

@@ -2,14 +2,14 @@
 
 use nalgebra::{Matrix3, Point3};
 use trocar_dynamics::instrument::contact::Contact;
-use trocar_dynamics::instrument::coupling::Wrench;
 use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 use trocar_dynamics::rigid_world::{
-    FLOOR, Inertia, Scheduling, ToolView, World, WorldError, Wrench as Push, check, mass_properties,
+    FLOOR, Inertia, Scheduling, ToolView, World, WorldError, check, mass_properties,
 };
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
     Collision, Detection, Entity, Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape,
     SimTime, Velocity,
@@ -227,13 +227,13 @@ impl World for ImpulseWorld {
         }
     }
 
-    fn push(&mut self, entity: Entity, push: &Push) -> Result<(), WorldError> {
+    fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), WorldError> {
         let body = self.bodies.get_mut(&entity).ok_or(WorldError::Unknown { entity })?;
         if !push.force.iter().chain(push.torque.iter()).all(|x| x.is_finite()) {
             return Err(WorldError::Diverged { entities: vec![entity] });
         }
         body.push = *push;
-        if *push != Push::default() {
+        if *push != Wrench::default() {
             body.sleeps = false;
             body.still_secs = 0.0;
         }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use thiserror::Error;
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 
 use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState};
 

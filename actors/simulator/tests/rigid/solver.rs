@@ -1,7 +1,7 @@
 //! Rigid bodies against closed forms: free rotation, a struck rod, bouncing, rolling, rest.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_simulator::rigid::{
     ContactConfig, Integrator, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
 };

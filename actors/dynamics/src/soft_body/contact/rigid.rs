@@ -8,11 +8,12 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Component, ComponentError, Entity, Frozen, SimTime, Snapshot, Velocity};
 
 use super::SoftContacts;
 use super::bodies::AppliedImpulses;
-use crate::rigid_world::{Inertia, Wrench, most_across};
+use crate::rigid_world::{Inertia, tangential_mobility_max};
 
 /// Cumulative impulse on a body that moves as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -242,7 +243,7 @@ impl RigidProxy {
     pub fn yields(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> [f64; 2] {
         let lever = (at - self.centre).cross_matrix();
         let feels = Matrix3::identity() * self.mass_inverse - lever * self.inertia_inverse * lever;
-        [normal.dot(&(feels * normal)), most_across(&feels, normal)]
+        [normal.dot(&(feels * normal)), tangential_mobility_max(&feels, normal)]
     }
 
     /// Velocity of a point \[m/s\].
