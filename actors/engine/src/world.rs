@@ -29,7 +29,7 @@ use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 pub use trocar_dynamics::rigid_world::FLOOR;
-use trocar_dynamics::rigid_world::check;
+use trocar_dynamics::rigid_world::{FLOOR_HALF_EXTENTS, check};
 
 use crate::anticipate::first_obstacle;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
@@ -113,12 +113,12 @@ impl RigidWorld {
             ..PhysicsWorld::default()
         };
         if let Some(height) = settings.floor_height {
-            let half = 0.05;
-            let floor = ColliderBuilder::cuboid(2.0, 2.0, half)
+            let [x, y, z] = FLOOR_HALF_EXTENTS;
+            let floor = ColliderBuilder::cuboid(x, y, z)
                 .collision_groups(groups(GROUP_FIXED, !GROUP_FIXED))
                 .friction_combine_rule(CoefficientCombineRule::GeometricMean)
                 .user_data(contacts::tag(FLOOR, Primitive::Shape(0)));
-            let place = RapierPose::translation(0.0, 0.0, height - half);
+            let place = RapierPose::translation(0.0, 0.0, height - z);
             physics.insert(RigidBodyBuilder::fixed().pose(place), floor);
         }
         Ok(Self {

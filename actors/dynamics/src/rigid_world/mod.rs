@@ -3,8 +3,10 @@
 pub(crate) mod error;
 pub mod mass_properties;
 pub(crate) mod mobility;
+pub(crate) mod settings;
 pub(crate) mod world;
 
 pub use error::WorldError;
 pub use mobility::tangential_mobility_max;
-pub use world::{FLOOR, Inertia, Scheduling, ToolView, World, check};
+pub use settings::{WorldSettings, check_setting};
+pub use world::{FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, check};

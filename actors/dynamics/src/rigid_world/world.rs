@@ -19,6 +19,8 @@ use crate::instrument::target_track::TargetTrack;
 
 /// The entity under which the world's own floor reports its contacts.
 pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
+/// Half of the floor's width, depth and thickness \[m\].
+pub const FLOOR_HALF_EXTENTS: [f64; 3] = [2.0, 2.0, 0.05];
 
 /// Settings that the controller of a world needs.
 #[derive(Clone, Debug, PartialEq)]

@@ -25,12 +25,7 @@ impl World for RigidWorld {
         Self::new(settings, now)
     }
     fn scheduling(settings: &EngineSettings) -> Scheduling {
-        Scheduling {
-            substep_secs: settings.substep_secs,
-            method: Detection::Engine,
-            claims_all_poses: settings.claims_all_poses,
-            contact_models_by_others: settings.contact_models_by_others.clone(),
-        }
+        settings.shared().scheduling(Detection::Engine)
     }
     fn now(&self) -> SimTime {
         self.now()

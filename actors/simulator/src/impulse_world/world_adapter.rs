@@ -7,7 +7,7 @@ use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 use trocar_dynamics::rigid_world::{
-    FLOOR, Inertia, Scheduling, ToolView, World, WorldError, check, mass_properties,
+    FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, WorldError, check, mass_properties,
 };
 use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
@@ -40,9 +40,8 @@ impl World for ImpulseWorld {
         })?;
         let mut world = Self::empty(settings, solver, now);
         if let Some(height) = world.settings.floor_height {
-            let half = 0.05;
-            let floor = Shape::Box { half_extents: [2.0, 2.0, half] };
-            let pose = Pose::at(0.0, 0.0, height - half);
+            let floor = Shape::Box { half_extents: FLOOR_HALF_EXTENTS };
+            let pose = Pose::at(0.0, 0.0, height - FLOOR_HALF_EXTENTS[2]);
             let body = RigidBody { motion: Motion::Static, ..RigidBody::default() };
             world.insert_body(FLOOR, &body, &floor, &pose, &Velocity::default())?;
         }
@@ -50,12 +49,7 @@ impl World for ImpulseWorld {
     }
 
     fn scheduling(settings: &RigidSettings) -> Scheduling {
-        Scheduling {
-            substep_secs: settings.substep_secs,
-            method: Detection::Simulator,
-            claims_all_poses: settings.claims_all_poses,
-            contact_models_by_others: settings.contact_models_by_others.clone(),
-        }
+        settings.shared().scheduling(Detection::Simulator)
     }
 
     fn now(&self) -> SimTime {
