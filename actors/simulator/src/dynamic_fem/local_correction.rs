@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::tet_mesh::{gradients, shape};
 
 use super::incremental_potential::{Element, Matter};
-use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SparseCholesky, minimum_degree};
+use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SupernodalCholesky, minimum_degree};
 
 /// Maximum number of nodes near the cut: farther ones respond alike in both.
 const NEAR_MAX: usize = 300;
@@ -22,8 +22,8 @@ pub(super) struct NearCut {
     nodes: Vec<u32>,
     /// Rows of the second problem that each node moves with.
     homes: Vec<NodeWeights>,
-    apart: SparseCholesky,
-    together: SparseCholesky,
+    apart: SupernodalCholesky,
+    together: SupernodalCholesky,
     flat: [Vec<f64>; 2],
 }
 
@@ -148,7 +148,7 @@ fn factored(
     elements: &[Near],
     count: usize,
     homes: &[NodeWeights],
-) -> Result<(Vec<u32>, SparseCholesky), FactorError> {
+) -> Result<(Vec<u32>, SupernodalCholesky), FactorError> {
     let mut pairs: Vec<(u32, u32)> = Vec::new();
     for element in elements {
         let all = || element.nodes.iter().flat_map(|node| &homes[*node as usize]).map(|(at, _)| *at);
@@ -183,7 +183,7 @@ fn factored(
             }
         }
     }
-    let mut factor = SparseCholesky::new(matrix.pattern(), 1)?;
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), 1)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok((rows, factor))
 }

@@ -12,7 +12,7 @@ use super::incremental_potential::{
 };
 use super::lbfgs::{Memory, dot};
 use super::stale_factor::{self, StaleFactor};
-use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
+use crate::linear_algebra::{BlockMatrix, FactorError, SupernodalCholesky};
 
 /// Where the factor was computed: a restored body recomputes it there, bit for bit.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,7 +52,7 @@ pub struct DynamicFem {
     pub(super) debt: u32,
     pub(super) factored_at: FactoredAt,
     pub(super) hessian: BlockMatrix,
-    pub(super) factor: SparseCholesky,
+    pub(super) factor: SupernodalCholesky,
     /// Set while the factor is that of the former mesh.
     pub(super) lent: Option<StaleFactor>,
     /// See [`Self::analysed`].

@@ -13,14 +13,14 @@ use super::incremental_potential::{Coupling, Inputs};
 use super::local_correction::{About, NearCut};
 use super::solver::{DynamicFem, FactoredAt};
 use super::state::DynamicFemState;
-use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
+use crate::linear_algebra::{BlockMatrix, FactorError, SupernodalCholesky};
 
 /// A factor with its node numbering.
 pub struct Analysis {
     /// Row of each node in elimination order; `None` for fixed ones.
     numbers: Vec<Option<u32>>,
     hessian: BlockMatrix,
-    factor: SparseCholesky,
+    factor: SupernodalCholesky,
     factored_at: FactoredAt,
 }
 
@@ -195,7 +195,7 @@ impl DynamicFem {
 
 /// Applies the approximate inverse Hessian to vectors of the nodes.
 pub(super) fn solve(
-    factor: &mut SparseCholesky,
+    factor: &mut SupernodalCholesky,
     numbers: &[Option<u32>],
     lent: Option<&mut StaleFactor>,
     flat: &mut [f64],

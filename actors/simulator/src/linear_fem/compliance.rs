@@ -9,7 +9,7 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::bounds::BATCH;
-use crate::linear_algebra::{FactorError, SparseCholesky, nested_dissection};
+use crate::linear_algebra::{FactorError, SupernodalCholesky, nested_dissection};
 use crate::stiffness::{Bonds, bound_stiffness};
 
 /// Limits of a precomputation.
@@ -257,7 +257,7 @@ impl Compliance {
     pub(super) fn from_factor(
         fingerprint: u64,
         boundary: &Boundary,
-        factor: &SparseCholesky,
+        factor: &SupernodalCholesky,
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, PrecomputeError> {
         let rows = 3 * boundary.surface.len();
@@ -307,7 +307,7 @@ pub(super) fn factor(
     bonds: &Bonds<'_>,
     boundary: &Boundary,
     limits: &Limits,
-) -> Result<SparseCholesky, PrecomputeError> {
+) -> Result<SupernodalCholesky, PrecomputeError> {
     let nodes = mesh.rest().len();
     if nodes > limits.nodes_max {
         return Err(PrecomputeError::TooManyNodes { nodes, nodes_max: limits.nodes_max });
@@ -318,7 +318,7 @@ pub(super) fn factor(
         return Err(PrecomputeError::TooLarge { surface_nodes, bytes, bytes_max: limits.bytes_max });
     }
     let matrix = bound_stiffness(mesh, material, weights, bonds, &boundary.numbers, boundary.free());
-    let mut factor = SparseCholesky::new(matrix.pattern(), BATCH)?;
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), BATCH)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok(factor)
 }

@@ -22,7 +22,7 @@ use super::active_set::{ActiveSet, Packed};
 use super::bounds::{BATCH, RANK, REMNANT, UNKNOWNS_MAX};
 use super::compliance::Boundary;
 use super::element_removal::root_of_stiffness;
-use crate::linear_algebra::SparseCholesky;
+use crate::linear_algebra::SupernodalCholesky;
 use crate::stiffness::stiffness_block;
 
 /// Least pivot of T as a fraction of its diagonal: below, it is dominated by rounding.
@@ -89,7 +89,7 @@ pub(super) struct Serving<'a> {
     pub mesh: &'a TetMesh,
     pub material: &'a Elastic,
     pub boundary: &'a Boundary,
-    pub factor: &'a mut SparseCholesky,
+    pub factor: &'a mut SupernodalCholesky,
 }
 
 impl Correction {
@@ -268,7 +268,7 @@ impl Correction {
 
     /// Adds the unknowns of changes, solving for all columns at once; returns how many: all before one with a singular
     /// pivot.
-    fn append(&mut self, borders: Vec<(Border, Rows)>, factor: &mut SparseCholesky) -> usize {
+    fn append(&mut self, borders: Vec<(Border, Rows)>, factor: &mut SupernodalCholesky) -> usize {
         let rows = factor.rows();
         let columns: usize = borders.iter().map(|(border, _)| border.count).sum();
         if columns == 0 || rows == 0 {

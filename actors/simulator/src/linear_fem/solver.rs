@@ -12,7 +12,7 @@ use super::bounds::ROWS_MAX;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
 use super::low_rank_update::{Correction, Through};
-use crate::linear_algebra::SparseCholesky;
+use crate::linear_algebra::SupernodalCholesky;
 use crate::stiffness::Bonds;
 
 /// A force distributed over free surface nodes.
@@ -80,7 +80,7 @@ pub struct LinearFem {
     pub(super) mesh: TetMesh,
     pub(super) boundary: Boundary,
     pub(super) material: Elastic,
-    pub(super) factor: SparseCholesky,
+    pub(super) factor: SupernodalCholesky,
     pub(super) compliance: Arc<Compliance>,
     pub(super) correction: Correction,
     /// Free surface nodes: those of the compliance, and their copies.
@@ -150,7 +150,7 @@ impl LinearFem {
         mesh: TetMesh,
         material: Elastic,
         boundary: Boundary,
-        factor: SparseCholesky,
+        factor: SupernodalCholesky,
         compliance: Compliance,
     ) -> Self {
         let (rows, free) = (3 * boundary.surface.len(), 3 * boundary.free());

@@ -6,7 +6,7 @@ use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::tet_mesh::{FaceOf, TetMesh, Volume};
-use trocar_simulator::linear_algebra::SparseCholesky;
+use trocar_simulator::linear_algebra::SupernodalCholesky;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, LinearFemError, Load, patch};
 use trocar_simulator::stiffness::stiffness;
 
@@ -107,7 +107,7 @@ fn direct(mesh: &TetMesh, wall: &[u32], forces: &[Vector3<f64>]) -> Vec<Vector3<
         })
         .collect();
     let matrix = stiffness(mesh, &beam::material(), &numbers, next as usize);
-    let mut factor = SparseCholesky::new(matrix.pattern(), 1).expect("room");
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), 1).expect("room");
     factor.factor(matrix.pattern(), matrix.values()).expect("definite");
     let mut right = vec![0.0; 3 * next as usize];
     for (number, force) in numbers.iter().zip(forces) {
