@@ -16,7 +16,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
 use trocar_dynamics::soft_body::method::{Measures, StepContext};
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
@@ -111,7 +111,7 @@ pub struct EngineSoftMethod {
 }
 
 /// A contact with a rod during a step.
-struct Pressed {
+struct ActiveContact {
     /// The contact point at the beginning of the step \[m\].
     touched: Vector3<f64>,
     /// Its mobility, with all contacts on its vertices counted \[1/kg\].
@@ -142,27 +142,27 @@ impl EngineSoftMethod {
     }
 
     /// The mobility of each contact; contacts that share a vertex share its mobility.
-    fn pressed(&self, touches: &[Touch]) -> Vec<Pressed> {
+    fn pressed(&self, touches: &[RodContact]) -> Vec<ActiveContact> {
         let is_free =
             |node: &u32| self.pinned.binary_search(node).is_err() && self.led.binary_search(node).is_err();
         let mut shared = std::collections::BTreeMap::<u32, f64>::new();
         for (node, _) in touches.iter().flat_map(joint) {
             *shared.entry(node).or_default() += 1.0;
         }
-        let of = |touch: &Touch| {
+        let of = |touch: &RodContact| {
             let free = joint(touch).filter(|(node, _)| is_free(node));
             let yields = free.map(|(node, share)| shared[&node] * share * share / self.masses[node as usize]);
-            Pressed { touched: self.place(touch), yields: yields.sum(), impulse: Vector3::zeros() }
+            ActiveContact { touched: self.place(touch), yields: yields.sum(), impulse: Vector3::zeros() }
         };
         touches.iter().map(of).collect()
     }
 
-    fn place(&self, touch: &Touch) -> Vector3<f64> {
+    fn place(&self, touch: &RodContact) -> Vector3<f64> {
         joint(touch).map(|(node, share)| self.positions[node as usize].coords * share).sum()
     }
 
     /// Force of a contact \[N\] in a substep of `h` seconds that begins `since` seconds into the step.
-    fn force(&self, touch: &Touch, pressed: &Pressed, since: f64, h: f64) -> Vector3<f64> {
+    fn force(&self, touch: &RodContact, pressed: &ActiveContact, since: f64, h: f64) -> Vector3<f64> {
         let EngineSoftBody { contact_stiffness, friction, .. } = self.kind;
         let slip: Vector3<f64> =
             joint(touch).map(|(node, share)| self.velocities[node as usize] * share).sum::<Vector3<f64>>()
@@ -202,7 +202,7 @@ impl EngineSoftMethod {
 }
 
 /// Nodes and weights of a contact.
-fn joint(touch: &Touch) -> impl Iterator<Item = (u32, f64)> {
+fn joint(touch: &RodContact) -> impl Iterator<Item = (u32, f64)> {
     touch.nodes.into_iter().zip(touch.weights).filter(|(_, weight)| *weight != 0.0)
 }
 
@@ -276,9 +276,9 @@ impl SoftMethod for EngineSoftMethod {
         &self.velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         let triangles = &body.triangles[..];
-        Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
+        ContactSurface { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
     }
 
     fn step(

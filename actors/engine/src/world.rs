@@ -34,7 +34,7 @@ use trocar_dynamics::rigid_world::{FLOOR_HALF_EXTENTS, check};
 use crate::anticipate::first_obstacle;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;
-use crate::penalty::{Penalties, Trail};
+use crate::penalty::{Penalties, PoseHistory};
 use crate::settings::EngineSettings;
 use crate::{EngineError, contacts, shapes};
 
@@ -55,9 +55,9 @@ struct Body {
     colliders: Vec<ColliderHandle>,
     motion: Motion,
     /// Remaining motion of a kinematic body towards its target pose.
-    travel: Option<Travel>,
+    travel: Option<KinematicMove>,
     /// Past poses, if an external detector finds the body's contacts.
-    trail: Option<Trail>,
+    trail: Option<PoseHistory>,
     friction: f64,
     /// External wrench on the body; torque about the world origin.
     push: Wrench,
@@ -65,7 +65,7 @@ struct Body {
 
 /// Motion of a kinematic body towards its target pose.
 #[derive(Clone, Copy, Debug)]
-struct Travel {
+struct KinematicMove {
     to: RapierPose,
     /// Steps that remain.
     steps: u32,
@@ -97,7 +97,7 @@ pub struct RigidWorld {
     pads: Vec<PadContact>,
     /// Contacts from external detectors.
     penalties: Penalties,
-    tools: BTreeMap<Entity, Trail>,
+    tools: BTreeMap<Entity, PoseHistory>,
 }
 
 impl RigidWorld {
@@ -320,7 +320,7 @@ impl RigidWorld {
         let body = self.physics.bodies.get_mut(known.handle).ok_or(EngineError::Unknown { entity })?;
         if known.motion == Motion::Kinematic {
             let steps = (travel_secs / self.settings.substep_secs).round().clamp(1.0, 1000.0) as u32;
-            known.travel = Some(Travel { to: pose_to_rapier(pose), steps });
+            known.travel = Some(KinematicMove { to: pose_to_rapier(pose), steps });
             return Ok(());
         }
         body.set_position(pose_to_rapier(pose), true);

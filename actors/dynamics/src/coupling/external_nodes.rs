@@ -24,7 +24,7 @@ pub struct GhostNode {
     /// External force \[N\], in addition to what moves it along its path.
     pub pull: Vector3<f64>,
     /// Its predicted path.
-    pub path: Path,
+    pub path: PredictedPath,
     /// Stiffness of the spring to the path \[N/m\].
     pub stiffness: f64,
 }
@@ -32,7 +32,7 @@ pub struct GhostNode {
 /// A motion with constant acceleration for a while, then with constant velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Path {
+pub struct PredictedPath {
     /// Current position \[m\].
     pub position: Point3<f64>,
     /// Current velocity \[m/s\].
@@ -47,7 +47,7 @@ impl GhostNode {
     /// An immovable one.
     #[must_use]
     pub fn as_wall(self) -> Self {
-        let path = Path { position: self.position, ..Path::default() };
+        let path = PredictedPath { position: self.position, ..PredictedPath::default() };
         Self {
             velocity: Vector3::zeros(),
             mobility: 0.0,
@@ -69,7 +69,13 @@ impl GhostNode {
 
     /// Its velocity after a substep without contact forces, and its mobility \[1/kg\]. The spring to its path is
     /// implicit; the path advances by the substep.
-    fn flies(&self, h: f64, was: Vector3<f64>, moved: Vector3<f64>, path: &mut Path) -> (Vector3<f64>, f64) {
+    fn flies(
+        &self,
+        h: f64,
+        was: Vector3<f64>,
+        moved: Vector3<f64>,
+        path: &mut PredictedPath,
+    ) -> (Vector3<f64>, f64) {
         let velocity = moved + path.go(h) + self.pull * (self.mobility * h);
         let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
         let now = path.position.coords.lerp(&(was + velocity * h), loose);
@@ -77,7 +83,7 @@ impl GhostNode {
     }
 }
 
-impl Path {
+impl PredictedPath {
     /// Advances by `h` seconds; returns the change of velocity.
     pub fn go(&mut self, h: f64) -> Vector3<f64> {
         let change = self.acceleration * h.min(self.lasts);
@@ -103,7 +109,7 @@ pub struct Tie {
 
 /// A contact that keeps a node of the body on one side of a triangle of guests: a one-sided spring with friction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Press {
+pub struct NodeContact {
     /// The node.
     pub node: u32,
     /// The guests, with their weights; the sum is 1.
@@ -128,7 +134,7 @@ pub struct ExternalNodes<'a> {
     /// Ties between the body and the guests.
     pub ties: &'a [Tie],
     /// Contacts with the guests' surface.
-    pub presses: &'a [Press],
+    pub presses: &'a [NodeContact],
 }
 
 /// Result of a step for a guest.
@@ -139,7 +145,7 @@ pub struct GhostMoved {
     /// Velocity \[m/s\].
     pub velocity: Vector3<f64>,
     /// Its path, advanced by the step.
-    pub path: Path,
+    pub path: PredictedPath,
     /// Impulse by ties and contacts \[N·s\].
     pub impulse: Vector3<f64>,
     /// Work of that impulse \[J\].
@@ -152,14 +158,14 @@ pub struct GhostImpulses {
     /// For each guest.
     pub guests: Vec<GhostMoved>,
     /// For each tie.
-    pub ties: Vec<Tied>,
+    pub ties: Vec<TieResult>,
     /// For each contact.
-    pub presses: Vec<Pressed>,
+    pub presses: Vec<NodeContactResult>,
 }
 
 /// Result of a step for a tie.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Tied {
+pub struct TieResult {
     /// Force on the body, averaged over the step \[N\].
     pub force: Vector3<f64>,
     /// Dissipated energy \[J\]: by damping and by implicit integration.
@@ -168,7 +174,7 @@ pub struct Tied {
 
 /// Result of a step for a contact.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pressed {
+pub struct NodeContactResult {
     /// Force on the body, averaged over the step \[N\].
     pub force: Vector3<f64>,
     /// Whether it was active at the end.
@@ -201,14 +207,14 @@ pub struct ExternalNodesState {
 }
 
 /// All nodes of a substep: those of one body after another, then the guests.
-pub(crate) struct Places<'a> {
+pub(crate) struct SubstepNodes<'a> {
     pub bodies: Vec<&'a mut [[f64; 4]]>,
     pub guests: &'a mut [[f64; 4]],
     /// One over the squared substep \[1/s²\].
     pub rate: f64,
 }
 
-impl Places<'_> {
+impl SubstepNodes<'_> {
     fn body(&mut self, node: u32) -> &mut [f64; 4] {
         let mut node = node as usize;
         for body in &mut self.bodies {
@@ -338,9 +344,9 @@ impl ExternalNodes<'_> {
         };
         moved.guests.extend(self.guests.iter().map(still));
         moved.ties.clear();
-        moved.ties.resize(self.ties.len(), Tied::default());
+        moved.ties.resize(self.ties.len(), TieResult::default());
         moved.presses.clear();
-        moved.presses.resize(self.presses.len(), Pressed::default());
+        moved.presses.resize(self.presses.len(), NodeContactResult::default());
         scratch.tied.clear();
         scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
     }
@@ -349,7 +355,7 @@ impl ExternalNodes<'_> {
     pub fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
         let ExternalNodesState { places, before, aparts, given, ties, presses, .. } = scratch;
         before.clone_from(places);
-        let mut all = Places { bodies, guests: places, rate: 0.0 };
+        let mut all = SubstepNodes { bodies, guests: places, rate: 0.0 };
         aparts.clear();
         aparts.extend(self.ties.iter().map(|tie| all.apart(tie.node, &tie.guests).0));
         aparts.extend(self.presses.iter().map(|press| all.apart(press.node, &press.guests).0));
@@ -375,7 +381,7 @@ impl ExternalNodes<'_> {
     /// One constraint iteration.
     pub fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
         let ExternalNodesState { places, aparts, ties, presses, .. } = scratch;
-        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        let mut all = SubstepNodes { bodies, guests: places, rate: 1.0 / (h * h) };
         for ((tie, multiplier), then) in self.ties.iter().zip(ties).zip(&*aparts) {
             let (stretch, yields) = all.apart(tie.node, &tie.guests);
             if yields == 0.0 {
@@ -411,7 +417,7 @@ impl ExternalNodes<'_> {
     /// Ends a substep.
     pub fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState, parts: f64) {
         let ExternalNodesState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
-        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        let mut all = SubstepNodes { bodies, guests: places, rate: 1.0 / (h * h) };
         // Work of the impulses on everything they act on; with the springs' energy its negative is the dissipated
         // energy. Computed from displacements of the ends: opposing forces on a light node cancel within a substep.
         let taken =

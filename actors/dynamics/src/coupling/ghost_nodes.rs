@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, Path};
+use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, PredictedPath};
 
 /// Maximum number of remembered steps.
 const PAST_MAX: usize = 512;
@@ -17,7 +17,7 @@ const HALVINGS: u32 = 16;
 
 /// Why a report was rejected; the ghosts are unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum GhostsError {
+pub enum GhostNodesError {
     /// A list of the wrong length.
     #[error("{what} of {found} nodes: there are {expected} ghosts")]
     Size {
@@ -35,7 +35,7 @@ pub enum GhostsError {
 
 /// Report of the slower body after a step, for the nodes with ghosts.
 #[derive(Clone, Copy, Debug)]
-pub struct News<'a> {
+pub struct SlowBodyReport<'a> {
     /// Positions \[m\].
     pub positions: &'a [Point3<f64>],
     /// Velocities \[m/s\].
@@ -49,11 +49,11 @@ pub struct News<'a> {
     pub masses_inverse: &'a [f64],
     /// Impulses taken in the last step \[N·s\].
     pub last: &'a [Vector3<f64>],
-    /// [`Ghosts::work`] as of the last impulses taken \[J\].
+    /// [`GhostNodes::work`] as of the last impulses taken \[J\].
     pub given_work: f64,
     /// Total work of all impulses taken, on the slower body \[J\].
     pub received: f64,
-    /// [`Ghosts::steps`] as of the last impulses taken.
+    /// [`GhostNodes::steps`] as of the last impulses taken.
     pub steps: u64,
     /// Length of its steps \[s\].
     pub step: f64,
@@ -62,7 +62,7 @@ pub struct News<'a> {
 /// A step of the faster body that the slower one has not reported on yet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Past {
+struct UnreportedStep {
     /// Its length \[s\].
     dt: f64,
     /// Impulses on the ghosts \[N·s\]; zero ones omitted.
@@ -72,12 +72,12 @@ struct Past {
 /// Ghost nodes of one slower body; all quantities in one non-rotating frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Ghosts {
+pub struct GhostNodes {
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
     masses_inverse: Vec<f64>,
     /// Predicted path of each ghost, with a force \[N\], and a spring to the path \[N/m\].
-    paths: Vec<Path>,
+    paths: Vec<PredictedPath>,
     pulls: Vec<Vector3<f64>>,
     springs: Vec<f64>,
     /// Position error of each ghost, still to be corrected \[m\].
@@ -85,7 +85,7 @@ pub struct Ghosts {
     given: Vec<Vector3<f64>>,
     /// Number of steps so far, and the most recent ones, oldest first.
     steps: u64,
-    past: VecDeque<Past>,
+    past: VecDeque<UnreportedStep>,
     /// Total work on the ghosts, and the part of it whose impulses the slower body has taken \[J\].
     work: f64,
     given_work: f64,
@@ -99,12 +99,12 @@ pub struct Ghosts {
     exchanged: f64,
 }
 
-impl Ghosts {
+impl GhostNodes {
     /// For nodes at rest at these positions \[m\]; immovable until the first report.
     ///
     /// # Errors
     /// A non-finite position.
-    pub fn new(positions: &[Point3<f64>]) -> Result<Self, GhostsError> {
+    pub fn new(positions: &[Point3<f64>]) -> Result<Self, GhostNodesError> {
         let mut ghosts = Self::default();
         ghosts.more(positions)?;
         Ok(ghosts)
@@ -114,11 +114,13 @@ impl Ghosts {
     ///
     /// # Errors
     /// A non-finite position.
-    pub fn more(&mut self, positions: &[Point3<f64>]) -> Result<(), GhostsError> {
+    pub fn more(&mut self, positions: &[Point3<f64>]) -> Result<(), GhostNodesError> {
         finite("a place", positions.iter().flat_map(|at| at.iter()))?;
         self.positions.extend_from_slice(positions);
         let count = self.positions.len();
-        let still = positions.iter().map(|position| Path { position: *position, ..Path::default() });
+        let still = positions
+            .iter()
+            .map(|position| PredictedPath { position: *position, ..PredictedPath::default() });
         self.paths.extend(still);
         self.masses_inverse.resize(count, 0.0);
         self.springs.resize(count, 0.0);
@@ -199,7 +201,7 @@ impl Ghosts {
     ///
     /// # Errors
     /// A list of the wrong length, or a non-finite value.
-    pub fn hear(&mut self, news: &News<'_>) -> Result<(), GhostsError> {
+    pub fn hear(&mut self, news: &SlowBodyReport<'_>) -> Result<(), GhostNodesError> {
         let expected = self.count();
         for (what, found) in [
             ("places", news.positions.len()),
@@ -210,7 +212,7 @@ impl Ghosts {
             ("impulses", news.last.len()),
         ] {
             if found != expected {
-                return Err(GhostsError::Size { what, found, expected });
+                return Err(GhostNodesError::Size { what, found, expected });
             }
         }
         finite("a place", news.positions.iter().flat_map(|at| at.iter()))?;
@@ -219,13 +221,13 @@ impl Ghosts {
         finite("a work", [news.given_work, news.received].iter())?;
         let mut positive = news.mobilities.iter().chain(news.masses_inverse).chain([&news.step]);
         if !positive.all(|value| *value >= 0.0 && value.is_finite()) {
-            return Err(GhostsError::Number("a time or a mobility"));
+            return Err(GhostNodesError::Number("a time or a mobility"));
         }
         // Replay the impulses that it has not taken yet, from its reported state.
         let since = self.steps.saturating_sub(news.steps) as usize;
         self.past.drain(..self.past.len().saturating_sub(since));
         let mut guests: Vec<GhostNode> = (0..expected).map(|node| expect(news, node)).collect();
-        for Past { dt, given } in &self.past {
+        for UnreportedStep { dt, given } in &self.past {
             let mut given = given.iter().peekable();
             for (ghost, guest) in guests.iter_mut().enumerate() {
                 let impulse = given.next_if(|(of, _)| *of as usize == ghost).map(|(_, impulse)| *impulse);
@@ -327,7 +329,10 @@ impl Ghosts {
             self.past.pop_front();
         }
         let given = guests.iter().zip(0..).filter(|(after, _)| after.impulse != Vector3::zeros());
-        self.past.push_back(Past { dt, given: given.map(|(after, ghost)| (ghost, after.impulse)).collect() });
+        self.past.push_back(UnreportedStep {
+            dt,
+            given: given.map(|(after, ghost)| (ghost, after.impulse)).collect(),
+        });
         self.steps += 1;
         for (ghost, after) in guests.iter().enumerate().take(self.count()) {
             self.positions[ghost] = after.position;
@@ -361,7 +366,7 @@ impl Ghosts {
 }
 
 /// A node with the motion that the slower body predicts from the time of its report.
-fn expect(news: &News<'_>, node: usize) -> GhostNode {
+fn expect(news: &SlowBodyReport<'_>, node: usize) -> GhostNode {
     let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
     let mobility = news.mobilities[node].min(mass_inverse);
     // A node whose mass nothing restrains continues its motion. A restrained node is at the equilibrium of its forces:
@@ -377,7 +382,7 @@ fn expect(news: &News<'_>, node: usize) -> GhostNode {
         mobility: if mobility > 0.0 { mass_inverse } else { 0.0 },
         // Balance of the last step's impulse: in equilibrium nothing moves.
         pull: news.last[node] * -per_step,
-        path: Path {
+        path: PredictedPath {
             position: news.positions[node],
             velocity: begin,
             acceleration: change * (loose * per_step),
@@ -387,6 +392,6 @@ fn expect(news: &News<'_>, node: usize) -> GhostNode {
     }
 }
 
-fn finite<'a>(what: &'static str, values: impl IntoIterator<Item = &'a f64>) -> Result<(), GhostsError> {
-    values.into_iter().all(|x| x.is_finite()).then_some(()).ok_or(GhostsError::Number(what))
+fn finite<'a>(what: &'static str, values: impl IntoIterator<Item = &'a f64>) -> Result<(), GhostNodesError> {
+    values.into_iter().all(|x| x.is_finite()).then_some(()).ok_or(GhostNodesError::Number(what))
 }

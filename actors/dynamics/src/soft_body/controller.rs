@@ -16,14 +16,14 @@ use trocar_scene::{
 
 use super::contact::SoftContacts;
 use super::contact::penalty::{self, RespondingBody};
-use super::contact::tracking::{self, Shape, Surroundings};
-use super::coupling::slow_side::Answering;
-use super::frozen::{FrozenPart, Refused};
+use super::contact::tracking::{self, AdjacencyCache, Shape};
+use super::coupling::slow_side::SlowSide;
+use super::frozen::{FrozenPart, RejectedBody};
 use super::grasp::{Grips, Holder};
 use super::instrument_rods::{Rod, rods_of_all};
 use super::jaws::is_blade;
 use super::method::{Measures, Step, StepContext, finite_vertices};
-use super::rod_contact::{COLLISIONS_MAX, Touch, collision, touches};
+use super::rod_contact::{COLLISIONS_MAX, RodContact, collision, touches};
 use super::{Deformable, SoftMethod};
 use crate::picking::{DrivenVertex, Jaws, Pick};
 
@@ -33,7 +33,7 @@ struct Body<M> {
     is_pinned: Vec<bool>,
     grips: Grips,
     /// State of the slower side of a coupling, if others are coupled with it.
-    answering: Option<Answering>,
+    answering: Option<SlowSide>,
     frozen: bool,
     meets: StepInputs,
     /// Detected contacts: their persistent state, the sum of the force magnitudes \[N\], and the number of active ones.
@@ -47,7 +47,7 @@ struct StepInputs {
     world_from_body: Isometry3<f64>,
     gravity: Vector3<f64>,
     rods: Vec<Rod>,
-    touches: Vec<Touch>,
+    touches: Vec<RodContact>,
     led: Vec<DrivenVertex>,
     given: Vec<(u32, Vector3<f64>)>,
     forces: Vec<Vector3<f64>>,
@@ -72,8 +72,8 @@ impl StepInputs {
 pub struct SoftController<M> {
     gravity_in_world: Vector3<f64>,
     bodies: Vec<Body<M>>,
-    refused: Vec<Refused>,
-    surroundings: Surroundings,
+    refused: Vec<RejectedBody>,
+    surroundings: AdjacencyCache,
     registry: Arc<Registry>,
 }
 
@@ -88,14 +88,14 @@ impl<M: SoftMethod> SoftController<M> {
             let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
             match Body::read(kind, entity, context.scene) {
                 Ok(body) => bodies.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+                Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if bodies.is_empty() && refused.is_empty() {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
-        let (surroundings, registry) = (Surroundings::default(), context.scene.registry().clone());
+        let (surroundings, registry) = (AdjacencyCache::default(), context.scene.registry().clone());
         Ok(Self { gravity_in_world, bodies, refused, surroundings, registry })
     }
 
@@ -153,7 +153,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
-        let access = Answering::access(access, &self.registry, &bodies);
+        let access = SlowSide::access(access, &self.registry, &bodies);
         M::access(tracking::access(access, &self.registry, &bodies), &bodies)
     }
 
@@ -174,7 +174,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                 body.freeze(&reason, tick, out);
             }
         }
-        let mut found = Found::default();
+        let mut found = TickContacts::default();
         let mut measured = Measured::default();
         for body in &mut self.bodies {
             found.pushed = 0.0;
@@ -204,7 +204,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
 
 /// Contact results of a tick.
 #[derive(Default)]
-struct Found {
+struct TickContacts {
     collisions: Vec<Collision>,
     /// Maximum penetration depth \[m\].
     depth_max: f64,
@@ -225,7 +225,7 @@ impl<M: SoftMethod> Body<M> {
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let frozen = scene.get::<Frozen>(entity).is_some();
         let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
-        let answering = if answers { Answering::new(&body, scene) } else { None };
+        let answering = if answers { SlowSide::new(&body, scene) } else { None };
         let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
         let (meets, pressed) = (StepInputs::default(), (0.0, 0));
         Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })
@@ -300,7 +300,7 @@ impl<M: SoftMethod> Body<M> {
     }
 
     /// Writes the body's state and contact forces after a step.
-    fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut Found, out: &mut Commands) {
+    fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut TickContacts, out: &mut Commands) {
         let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
         let site = self.meets.site(scene, tick);
@@ -333,7 +333,7 @@ impl<M: SoftMethod> Body<M> {
     fn hold(
         &mut self,
         site: &StepContext<'_>,
-        touched: &[Touch],
+        touched: &[RodContact],
         out: &mut Commands,
     ) -> Result<Vec<DrivenVertex>, String> {
         let parts = self.body.holdable();

@@ -16,7 +16,7 @@ pub enum FrozenPart {
 }
 
 /// A body that is frozen because it could not be built.
-pub struct Refused {
+pub struct RejectedBody {
     /// The body.
     pub entity: Entity,
     name: String,
@@ -25,7 +25,7 @@ pub struct Refused {
     untold: Option<String>,
 }
 
-impl Refused {
+impl RejectedBody {
     /// Excludes a body that could not be rebuilt after a restart.
     ///
     /// # Errors

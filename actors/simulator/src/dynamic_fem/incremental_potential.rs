@@ -99,7 +99,7 @@ pub(super) struct Damping {
 }
 
 /// Elastic and viscous energy and forces of the elements.
-pub(super) struct Matter<'a> {
+pub(super) struct ElementForces<'a> {
     pub elements: &'a [Element],
     pub material: Material,
     pub lame: [f64; 2],
@@ -109,7 +109,7 @@ pub(super) struct Matter<'a> {
     pub dt: f64,
 }
 
-impl Matter<'_> {
+impl ElementForces<'_> {
     /// Returns the energy \[J\] and adds its gradient \[N\].
     pub fn add(&self, positions: &[Point3<f64>], gradient: &mut [Vector3<f64>]) -> f64 {
         let mut energy = 0.0;
@@ -201,7 +201,7 @@ pub(super) fn couplings(inputs: &Inputs, positions: &[Point3<f64>], out: &mut Ve
 
 /// Adds the elastic, viscous and inertial parts of the Hessian over the numbered nodes.
 pub(super) fn add_hessian(
-    matter: &Matter,
+    matter: &ElementForces,
     mass: &Mass,
     positions: &[Point3<f64>],
     numbers: &[Option<u32>],

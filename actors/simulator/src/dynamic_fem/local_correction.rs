@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::tet_mesh::{gradients, shape};
 
-use super::incremental_potential::{Element, Matter};
+use super::incremental_potential::{Element, ElementForces};
 use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SupernodalCholesky, minimum_degree};
 
 /// Maximum number of nodes near the cut: farther ones respond alike in both.
@@ -28,8 +28,8 @@ pub(super) struct NearCut {
 }
 
 /// A body around its cut.
-pub(super) struct About<'a> {
-    pub matter: Matter<'a>,
+pub(super) struct CutNeighbourhood<'a> {
+    pub matter: ElementForces<'a>,
     /// Masses of the nodes \[kg\].
     pub masses: &'a [f64],
     /// Fixed nodes.
@@ -41,14 +41,14 @@ pub(super) struct About<'a> {
 
 impl NearCut {
     /// Around the new nodes, at these positions \[m\].
-    pub fn new(about: &About<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
+    pub fn new(about: &CutNeighbourhood<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
         let near = about.near();
-        let elements: Vec<Near> = about
+        let elements: Vec<NearElement> = about
             .matter
             .elements
             .iter()
             .filter(|element| !element.is_gone() && element.nodes.iter().any(|node| near[*node as usize]))
-            .map(|element| Near::new(element, &about.matter, positions))
+            .map(|element| NearElement::new(element, &about.matter, positions))
             .collect();
         let own: Vec<u32> = (0..near.len() as u32).filter(|&node| near[node as usize]).collect();
         let mut alone = vec![NodeWeights::new(); near.len()];
@@ -98,7 +98,7 @@ impl NearCut {
     }
 }
 
-impl About<'_> {
+impl CutNeighbourhood<'_> {
     /// Free nodes near the cut: the new nodes, their parents, and layers around these.
     fn near(&self) -> Vec<bool> {
         let mut near: Vec<bool> = (0..self.masses.len()).map(|node| node >= self.known).collect();
@@ -124,14 +124,14 @@ impl About<'_> {
 }
 
 /// An element near the cut.
-struct Near {
+struct NearElement {
     nodes: [u32; 4],
     /// Its stiffness \[N/m\], damping included, between its nodes.
     blocks: [[Matrix3<f64>; 4]; 4],
 }
 
-impl Near {
-    fn new(element: &Element, matter: &Matter<'_>, positions: &[Point3<f64>]) -> Self {
+impl NearElement {
+    fn new(element: &Element, matter: &ElementForces<'_>, positions: &[Point3<f64>]) -> Self {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
         let stiffness = matter.material.stiffness(&f);
         let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));
@@ -144,8 +144,8 @@ impl Near {
 
 /// Factor of the elements over `count` unknowns with node weights, and the row of each.
 fn factored(
-    about: &About<'_>,
-    elements: &[Near],
+    about: &CutNeighbourhood<'_>,
+    elements: &[NearElement],
     count: usize,
     homes: &[NodeWeights],
 ) -> Result<(Vec<u32>, SupernodalCholesky), FactorError> {
@@ -176,7 +176,7 @@ fn factored(
     for (home, mass) in homes.iter().zip(about.masses).filter(|(home, _)| !home.is_empty()) {
         add(home, home, &Matrix3::from_diagonal_element(mass * inertia));
     }
-    for Near { nodes, blocks } in elements {
+    for NearElement { nodes, blocks } in elements {
         for (node, row) in nodes.iter().zip(blocks) {
             for (other, block) in nodes.iter().zip(row) {
                 add(&homes[*node as usize], &homes[*other as usize], block);

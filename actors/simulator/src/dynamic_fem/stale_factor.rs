@@ -6,11 +6,11 @@
 //! nothing jumps when it arrives.
 
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::tet_mesh::{Birth, TetMesh};
+use trocar_dynamics::tet_mesh::{NodeOrigin, TetMesh};
 
 use super::config::DynamicFemError;
 use super::incremental_potential::{Coupling, Inputs};
-use super::local_correction::{About, NearCut};
+use super::local_correction::{CutNeighbourhood, NearCut};
 use super::solver::{DynamicFem, FactoredAt};
 use super::state::DynamicFemState;
 use crate::linear_algebra::{BlockMatrix, FactorError, SupernodalCholesky};
@@ -26,14 +26,14 @@ pub struct Analysis {
 
 /// How nodes unknown to the factor move with its nodes.
 pub(super) struct StaleFactor {
-    births: Vec<Birth>,
+    births: Vec<NodeOrigin>,
     /// The factor's nodes that each new node moves with, and their weights.
     parents: Vec<Vec<(u32, f64)>>,
     near: NearCut,
 }
 
 /// The original nodes that each new one moves with.
-fn parents(known: usize, births: &[Birth]) -> Vec<Vec<(u32, f64)>> {
+fn parents(known: usize, births: &[NodeOrigin]) -> Vec<Vec<(u32, f64)>> {
     let mut parents: Vec<Vec<(u32, f64)>> = Vec::with_capacity(births.len());
     for birth in births {
         let mut own: Vec<(u32, f64)> = Vec::new();
@@ -106,7 +106,7 @@ impl DynamicFem {
         &mut self,
         mesh: TetMesh,
         fixed: &[u32],
-        born: &[Birth],
+        born: &[NodeOrigin],
         change: impl FnOnce(&mut Self),
     ) -> Result<(), FactorError> {
         let lends = self.has_factor();
@@ -139,7 +139,7 @@ impl DynamicFem {
         self.debt = state.debt;
     }
 
-    fn lend(&mut self, births: Vec<Birth>) -> Result<(), FactorError> {
+    fn lend(&mut self, births: Vec<NodeOrigin>) -> Result<(), FactorError> {
         let known = self.numbers.len();
         self.numbers.resize(self.positions.len(), None);
         self.work.flat.clear();
@@ -153,7 +153,7 @@ impl DynamicFem {
         for birth in &births {
             places.push(birth.mix(&places, |a, b, share| a + (b - a) * share));
         }
-        let about = About {
+        let about = CutNeighbourhood {
             matter: self.matter(self.factored_at.dt, &[]),
             masses: &self.mass.lumped,
             is_fixed: &self.fixed,
@@ -173,7 +173,7 @@ impl DynamicFem {
     ///
     /// # Errors
     /// Not enough memory.
-    pub fn take_over(&mut self, analysis: Analysis, births: &[Birth]) -> Result<(), FactorError> {
+    pub fn take_over(&mut self, analysis: Analysis, births: &[NodeOrigin]) -> Result<(), FactorError> {
         let Analysis { numbers, hessian, factor, factored_at } = analysis;
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
         (self.factored_at, self.debt, self.lent) = (factored_at, 0, None);

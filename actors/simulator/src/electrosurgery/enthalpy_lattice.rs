@@ -15,7 +15,7 @@ use super::lattice_block::{
     xyz,
 };
 use super::material::ThermalMaterial;
-use super::voxelisation::{EDGE, PADDED, Site, TissueLattice};
+use super::voxelisation::{CellLocation, EDGE, PADDED, TissueLattice};
 
 /// Excess at a side that activates the neighbouring block \[K\].
 const ARRIVES: f64 = 1.0;
@@ -153,7 +153,12 @@ impl ThermalGrid {
             let Some(raster) = self.lattice.raster(block.key) else { continue };
             for (site, now) in block.raster.sites.iter_mut().zip(raster.sites.iter()) {
                 if now.nodes != [0; 4] {
-                    *site = Site { element: site.element, other: site.other, others: site.others, ..*now };
+                    *site = CellLocation {
+                        element: site.element,
+                        other: site.other,
+                        others: site.others,
+                        ..*now
+                    };
                 }
             }
             block.raster.cut = raster.cut;

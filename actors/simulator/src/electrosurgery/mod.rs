@@ -34,7 +34,7 @@ pub(crate) mod voxelisation;
 use nalgebra::{Point3, Vector4};
 
 pub use arrhenius::Arrhenius;
-pub use cut_barrier::Parted;
+pub use cut_barrier::CutTissue;
 pub use electrode::{Electrode, Mode};
 pub use electrode_contact::{Contact, shares};
 pub use energy_balance::{HeatLedger, HeatReport};
@@ -44,10 +44,10 @@ pub use state::{BlockState, ElectrosurgeryState};
 pub use voxelisation::Tissue;
 
 use bioheat_fem::OrganHeat;
-use cut_barrier::Rim;
+use cut_barrier::OriginalBoundary;
 use damage::ElementBurns;
 use enthalpy_lattice::{LatticeOutputs, ThermalGrid};
-use heat_source::Source;
+use heat_source::HeatedCells;
 use lattice_block::{Block, CELLS, CHARRED};
 use voxelisation::TissueLattice;
 
@@ -116,14 +116,14 @@ pub struct Electrosurgery {
     /// Original elements with the present elements that are parts of them, sorted.
     parts: Vec<(u32, u32)>,
     /// Boundary of the original mesh.
-    rim: Rim,
+    rim: OriginalBoundary,
     corners: usize,
     organ: OrganHeat,
     organ_damage: Vec<f64>,
     grid: ThermalGrid,
     burns: ElementBurns,
     ledger: HeatLedger,
-    source: Source,
+    source: HeatedCells,
     plume_in_rest: Option<Point3<f64>>,
 }
 
@@ -154,7 +154,7 @@ impl Electrosurgery {
             material,
             positions: tissue.positions().to_vec(),
             parts: (0..elements.len() as u32).map(|element| (element, element)).collect(),
-            rim: Rim::of(tissue),
+            rim: OriginalBoundary::of(tissue),
             elements,
             corners: tissue.corners(0).len(),
             organ: OrganHeat::new(tissue, &material),
@@ -162,7 +162,7 @@ impl Electrosurgery {
             grid: ThermalGrid::new(cells, lattice.spacing, lattice.blocks_max, &material),
             burns: ElementBurns::new(tissue, lattice.spacing)?,
             ledger: HeatLedger::default(),
-            source: Source::default(),
+            source: HeatedCells::default(),
             plume_in_rest: None,
         })
     }

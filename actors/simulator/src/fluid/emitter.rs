@@ -24,7 +24,7 @@ pub struct Hole {
 /// State of an emitter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Spout {
+pub struct Emitter {
     /// Cumulative volume received \[m³\].
     pub given: f64,
     /// Part of it too small for a particle \[m³\].
@@ -35,7 +35,7 @@ pub struct Spout {
     pub unseen: f64,
 }
 
-impl Spout {
+impl Emitter {
     /// Validates the state.
     ///
     /// # Errors
@@ -88,7 +88,7 @@ mod tests {
     fn what_is_given_is_what_is_emitted_however_often_one_listens() {
         let mut fluid = Fluid::new(FluidConfig::default()).expect("a liquid");
         let hole = Hole { place: Point3::origin(), outwards: Vector3::x(), area: 2e-6 };
-        let mut spout = Spout::default();
+        let mut spout = Emitter::default();
         for step in 1..=200_u32 {
             // 5 ml/s; now and then an update is lost or repeated.
             let given = f64::from(step) * 5e-6 * 0.005;
@@ -110,6 +110,6 @@ mod tests {
         spout.pour(1e-6, 0.1, &hole, &mut fluid);
         assert_eq!(spout.given, 6e-6, "less than before is nothing new");
         spout.check().expect("a state");
-        assert!(Spout { waiting: -1.0, ..spout }.check().is_err());
+        assert!(Emitter { waiting: -1.0, ..spout }.check().is_err());
     }
 }

@@ -18,7 +18,7 @@ use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::shapes::working_end;
 use trocar_scene::{Instrument, Primitive, SimTime, Velocity};
 
-use super::bodies::{Solid, Trail, origin, state_of};
+use super::bodies::{PoseHistory, Solid, origin, state_of};
 use super::convex_parts::Part;
 use super::settings::RigidSettings;
 use crate::rigid::{Arm, Joint, RigidMass, RigidState};
@@ -47,7 +47,7 @@ pub(super) struct Tool {
     pub set_point: SetPoint,
     pub hold: Option<Hold>,
     pub pad_force: [f64; 2],
-    pub trail: Trail,
+    pub trail: PoseHistory,
     /// Wrench of the coupling in this step, about the tip.
     pub wrench: Wrench,
     wrench_sum: Wrench,
@@ -104,7 +104,7 @@ impl Tool {
             set_point: SetPoint::default(),
             hold,
             pad_force: [0.0; 2],
-            trail: Trail::default(),
+            trail: PoseHistory::default(),
             wrench: Wrench::default(),
             wrench_sum: Wrench::default(),
             wrench_steps: 0,

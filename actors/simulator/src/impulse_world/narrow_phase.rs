@@ -8,7 +8,7 @@ use trocar_scene::{Entity, Primitive};
 
 use super::bodies::{Body, Solid};
 use super::closest_features::{TouchPoint, touch};
-use super::detected_contact::Found;
+use super::detected_contact::DetectedContact;
 use super::instrument::Tool;
 
 /// Contact margin: contacts exist before there is any penetration \[m\].
@@ -74,13 +74,13 @@ pub(super) enum Collider {
 pub(super) struct WorldView<'a> {
     pub bodies: &'a mut BTreeMap<Entity, Body>,
     pub tools: &'a BTreeMap<Entity, Tool>,
-    pub found: &'a [Found],
+    pub found: &'a [DetectedContact],
     pub step_secs: f64,
 }
 
 /// Buffers of a step.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Meetings {
+pub(super) struct NarrowPhase {
     pub all: Vec<ContactPoint>,
     order: Vec<(f64, f64, Collider)>,
     points: Vec<TouchPoint>,
@@ -166,7 +166,7 @@ impl WorldView<'_> {
     }
 }
 
-impl Meetings {
+impl NarrowPhase {
     /// Finds all contacts.
     pub fn meet(&mut self, mut everything: WorldView<'_>) {
         self.all.clear();

@@ -11,10 +11,10 @@ use trocar_dynamics::rigid_world::{World, WorldError, check};
 use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 
-use super::bodies::{Body, Solid, Trail, state_of};
-use super::detected_contact::Found;
+use super::bodies::{Body, PoseHistory, Solid, state_of};
+use super::detected_contact::DetectedContact;
 use super::instrument::Tool;
-use super::narrow_phase::{Key, Meetings, WorldView};
+use super::narrow_phase::{Key, NarrowPhase, WorldView};
 use super::{RigidSettings, grasp_detection};
 use crate::rigid::{
     Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
@@ -35,8 +35,8 @@ pub struct ImpulseWorld {
     pub(super) bodies: BTreeMap<Entity, Body>,
     pub(super) tools: BTreeMap<Entity, Tool>,
     pub(super) now: SimTime,
-    pub(super) found: Vec<Found>,
-    pub(super) meetings: Meetings,
+    pub(super) found: Vec<DetectedContact>,
+    pub(super) meetings: NarrowPhase,
     /// Contact impulses of the last step, by key.
     pub(super) former: Vec<(Key, Vector3<f64>)>,
     pub(super) penetration_max: f64,
@@ -77,7 +77,7 @@ impl ImpulseWorld {
             tools: BTreeMap::new(),
             now,
             found: Vec::new(),
-            meetings: Meetings::default(),
+            meetings: NarrowPhase::default(),
             former: Vec::new(),
             penetration_max: 0.0,
             contacts: Vec::new(),
@@ -141,7 +141,7 @@ impl ImpulseWorld {
             }
             _ => None,
         };
-        let mut trail = by_others.then(Trail::default);
+        let mut trail = by_others.then(PoseHistory::default);
         if let Some(trail) = &mut trail {
             trail.push(self.now, pose);
         }

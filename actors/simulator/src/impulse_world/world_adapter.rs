@@ -16,10 +16,10 @@ use trocar_scene::{
 };
 
 use super::RigidSettings;
-use super::bodies::{Solid, Travel, state_of};
+use super::bodies::{KinematicMove, Solid, state_of};
 use super::contact_report::told;
 use super::convex_parts::{mass_of, mass_of_solid, parts_of};
-use super::detected_contact::{FOUND_MAX, Found};
+use super::detected_contact::{DetectedContact, FOUND_MAX};
 use super::instrument::Tool;
 use super::obstacle_prediction::first_obstacle;
 use super::world::{ImpulseWorld, TOOLS_MAX};
@@ -157,7 +157,7 @@ impl World for ImpulseWorld {
         let pose = pose.isometry();
         if body.component.motion == Motion::Kinematic {
             let steps = (travel_secs / self.settings.substep_secs).round().clamp(1.0, 1000.0) as u32;
-            body.travel = Some(Travel { to: pose, steps });
+            body.travel = Some(KinematicMove { to: pose, steps });
             return Ok(());
         }
         body.pose = pose;
@@ -217,7 +217,7 @@ impl World for ImpulseWorld {
                 (None, Some(tool)) => tool.trail.at(collision.detected_at).map(Some),
                 (None, None) => Some(None),
             };
-            self.found.extend(Found::new(collision, [then(collision.a), then(collision.b)]));
+            self.found.extend(DetectedContact::new(collision, [then(collision.a), then(collision.b)]));
         }
     }
 

@@ -79,13 +79,13 @@ pub(super) struct Correction {
 /// A force in terms of the correction: p − Yᵀ f, and T⁻¹ times that. The correction of the compliance between two
 /// forces is the product of the first of one and the second of the other.
 #[derive(Clone, Debug)]
-pub(super) struct Through {
+pub(super) struct CorrectedForce {
     pub parts: DVector<f64>,
     pub shares: DVector<f64>,
 }
 
 /// Inputs of a correction.
-pub(super) struct Serving<'a> {
+pub(super) struct CorrectionInputs<'a> {
     pub mesh: &'a TetMesh,
     pub material: &'a Elastic,
     pub boundary: &'a Boundary,
@@ -152,7 +152,7 @@ impl Correction {
 
     /// Removes elements, up to [`BATCH`] unknowns at once; returns how many: all before one that makes the correction
     /// singular.
-    pub fn take(&mut self, tets: &[u32], of: &mut Serving<'_>) -> usize {
+    pub fn take(&mut self, tets: &[u32], of: &mut CorrectionInputs<'_>) -> usize {
         let mut borders = Vec::new();
         for (&tet, first) in tets.iter().zip((self.unknowns()..).step_by(RANK)) {
             let root = root_of_stiffness(of.mesh, of.material, tet as usize) * self.weight(tet).sqrt();
@@ -176,7 +176,7 @@ impl Correction {
 
     /// Releases the next split nodes, each with its later copies, at most `most` and up to [`BATCH`] unknowns at once;
     /// returns how many. Fewer where there are no more, no room, or a singular pivot.
-    pub fn release(&mut self, most: usize, bond: f64, of: &mut Serving<'_>) -> usize {
+    pub fn release(&mut self, most: usize, bond: f64, of: &mut CorrectionInputs<'_>) -> usize {
         let (before, mut next) = (self.released, self.unknowns());
         let mut borders = Vec::new();
         // Index among all released nodes, for each that moves.
@@ -229,7 +229,7 @@ impl Correction {
     }
 
     /// G and H for releasing a node, from the elements attached to it and to copies still moving with it.
-    fn border(&self, node: u32, first: usize, bond: f64, of: &Serving<'_>) -> (Border, Rows) {
+    fn border(&self, node: u32, first: usize, bond: f64, of: &CorrectionInputs<'_>) -> (Border, Rows) {
         let mut g: Vec<(u32, Block)> = Vec::new();
         let mut h = Rows::new(first, 3);
         let goes = |other: u32| other >= node && self.home(other).contains(&first);
@@ -338,7 +338,7 @@ impl Correction {
         &self,
         boundary: &Boundary,
         forces: impl Iterator<Item = (u32, Vector3<f64>)> + Clone,
-    ) -> Option<Through> {
+    ) -> Option<CorrectedForce> {
         if self.y.is_empty() {
             return None;
         }
@@ -352,7 +352,7 @@ impl Correction {
         }
         let mut shares = parts.clone();
         self.factored.solve(shares.as_mut_slice());
-        Some(Through { parts, shares })
+        Some(CorrectedForce { parts, shares })
     }
 
     /// Forces on the unknowns: p.

@@ -52,15 +52,15 @@ pub use material::Resistance;
 pub use state::{
     BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, StrandContact, SutureState, Tip,
 };
-pub use tissue::{NODES_MAX, Place, Tissue, Way};
+pub use tissue::{MaterialPoint, NODES_MAX, PathEnd, Tissue};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::suture_thread::island::Island;
-use crate::suture_thread::island::coupled_body::Tied;
+use crate::suture_thread::island::coupled_body::TieResult;
 use crate::suture_thread::{
-    ContactMemory, Fineness, Hold, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape, Spared, Surroundings,
-    ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
+    ContactMemory, Fineness, Hold, IgnoredObstacle, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape,
+    Surroundings, ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
 };
 use needle::{NeedleShape, Solid};
 use needle_tissue::{Sewing, Workspace};
@@ -91,7 +91,7 @@ pub struct Grip {
 
 /// Result of a grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gripped {
+pub struct GripResult {
     /// Force on the needle, in the world \[N\], mean over the step.
     pub force: Vector3<f64>,
     /// Torque on the needle about the grip point \[N·m\], mean over the step.
@@ -116,7 +116,7 @@ pub struct StepInputs<'a> {
     /// Obstacles of the thread besides itself and the tissue; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
     /// Parts of the thread that ignore some of the obstacles.
-    pub spared: &'a [Spared],
+    pub spared: &'a [IgnoredObstacle],
 }
 
 /// Statistics of a step. Forces are those at its end.
@@ -158,12 +158,12 @@ pub struct Suture {
     room: Workspace,
     /// Tissue nodes at the beginning of the step.
     began: Vec<Point3<f64>>,
-    spared: Vec<Spared>,
+    spared: Vec<IgnoredObstacle>,
     /// Reused buffer, empty between steps.
     obstacles: Vec<Obstacle<'static>>,
     nothing: ThreadState,
     events: Vec<Event>,
-    gripped: Vec<Gripped>,
+    gripped: Vec<GripResult>,
     on_tissue: Vector3<f64>,
 }
 
@@ -287,7 +287,7 @@ impl Suture {
 
     /// Results of the grips in the last step, in their order.
     #[must_use]
-    pub fn gripped(&self) -> &[Gripped] {
+    pub fn gripped(&self) -> &[GripResult] {
         &self.gripped
     }
 
@@ -321,7 +321,7 @@ impl Suture {
         self.events.clear();
         self.on_tissue = Vector3::zeros();
         self.gripped.clear();
-        let nothing = Gripped { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
+        let nothing = GripResult { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
         self.gripped.resize(around.grips.len(), nothing);
         self.began.clear();
         self.began.extend_from_slice(self.tissue.positions());
@@ -335,7 +335,7 @@ impl Suture {
         let mut obstacles = emptied(std::mem::take(&mut self.obstacles));
         obstacles.extend_from_slice(around.obstacles);
         obstacles.push(Obstacle::fixed(shape, Isometry3::identity(), friction));
-        let here = Here { around, obstacles: &obstacles, began: &began };
+        let here = StepObstacles { around, obstacles: &obstacles, began: &began };
         self.island.begin(self.trial.thread.as_ref().unwrap_or(&self.nothing), &here.surroundings(&[]));
         let done = self.parts(dt, &here, &mut report, &mut of_thread);
         if let (Ok(()), Some(material)) = (&done, &self.material) {
@@ -353,7 +353,7 @@ impl Suture {
     fn parts(
         &mut self,
         dt: f64,
-        here: &Here<'_>,
+        here: &StepObstacles<'_>,
         report: &mut SutureReport,
         of_thread: &mut ThreadReport,
     ) -> Result<(), SutureError> {
@@ -397,7 +397,7 @@ impl Suture {
         dt: f64,
         fractions: [f64; 2],
         divisible: bool,
-        here: &Here<'_>,
+        here: &StepObstacles<'_>,
         of_thread: &mut ThreadReport,
     ) -> Result<(), SutureError> {
         self.tissue.begin();
@@ -463,7 +463,8 @@ impl Suture {
             gripped.torque += Vector3::from(turn.force) * weight;
             let grip = &around.grips[index];
             // A slipping grip stays where its spring carries the force limit.
-            let given = |of: &Tied| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
+            let given =
+                |of: &TieResult| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
             let (by, turn) = (given(&place), given(&turn));
             gripped.slipped = (by != Vector3::zeros() || turn != Vector3::zeros()).then(|| {
                 let rotation = nalgebra::UnitQuaternion::from_scaled_axis(turn) * grip.to.rotation;
@@ -501,7 +502,7 @@ impl Suture {
 
     fn check(&self, dt: f64, around: &StepInputs<'_>) -> Result<(), SutureError> {
         let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
-        let whole = Here { around, obstacles: around.obstacles, began: &[] };
+        let whole = StepObstacles { around, obstacles: around.obstacles, began: &[] };
         let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
         sound.map_err(|error| match error {
             ThreadStepError::Given { what, index, why } => SutureError::Given { what, index, why },
@@ -537,15 +538,15 @@ fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
 }
 
 /// Obstacles of needle and thread in a step: those given, and the tissue as the last one.
-struct Here<'a> {
+struct StepObstacles<'a> {
     around: &'a StepInputs<'a>,
     obstacles: &'a [Obstacle<'a>],
     /// Tissue nodes at the beginning of the step.
     began: &'a [Point3<f64>],
 }
 
-impl Here<'_> {
-    fn surroundings<'b>(&'b self, spared: &'b [Spared]) -> Surroundings<'b> {
+impl StepObstacles<'_> {
+    fn surroundings<'b>(&'b self, spared: &'b [IgnoredObstacle]) -> Surroundings<'b> {
         Surroundings {
             gravity: self.around.gravity,
             holds: self.around.holds,

@@ -9,7 +9,7 @@ use super::joints::{self, Pair};
 use super::needle::{NeedleState, Solid};
 use super::state::{StrandContact, SutureState};
 use crate::suture_thread::contact::{Rows, Side, place, tangents};
-use crate::suture_thread::discrete_elastic_rod::Iterate;
+use crate::suture_thread::discrete_elastic_rod::RodIterate;
 use crate::suture_thread::{ThreadMaterial, ThreadState};
 
 /// Number of chords that approximate the wire: on a half circle of 26 mm, each is off the arc by 10 µm at most.
@@ -103,7 +103,7 @@ pub(super) fn contact(
     solid: &Solid,
     material: &ThreadMaterial,
     (start, needle): (&SutureState, &NeedleState),
-    at: &Iterate,
+    at: &RodIterate,
     strand: &Strand,
 ) -> Pair {
     let Strand { edge, chord, .. } = *strand;

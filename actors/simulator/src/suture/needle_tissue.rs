@@ -5,18 +5,20 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3, Vector6};
 
 use super::StepInputs;
-use super::joints::{self, Joint, Mobility, Pair, Site};
+use super::joints::{self, Joint, JointPoint, Mobility, Pair};
 use super::material::Resistance;
 use super::needle::{NeedleState, Solid};
 use super::needle_thread_contact::{self, Strand};
 use super::state::{NeedleContact, StrandContact, SutureState, Tip};
-use super::tissue::{Spot, Tissue};
+use super::tissue::{Tissue, TissueFeature};
 use super::tissue_surface::{self, NeedleSide};
-use crate::suture_thread::contact::{Rule, tangents};
-use crate::suture_thread::discrete_elastic_rod::Iterate;
-use crate::suture_thread::elastic::Press;
-use crate::suture_thread::island::coupled_body::{Companion, ComplianceRows, Link, Tie, Tied, Tolerance};
-use crate::suture_thread::{ThreadMaterial, Trouble};
+use crate::suture_thread::contact::{ForceLaw, tangents};
+use crate::suture_thread::discrete_elastic_rod::RodIterate;
+use crate::suture_thread::elastic::SurfaceForce;
+use crate::suture_thread::island::coupled_body::{
+    ComplianceRows, CoupledBody, Link, Tie, TieResult, Tolerance,
+};
+use crate::suture_thread::{FailureCause, ThreadMaterial};
 
 /// Convergence criteria of a substep: momentum exchanged by needle and thread agrees to the last relevant digit.
 const TOLERANCE: Tolerance =
@@ -29,7 +31,7 @@ const WINDOW: f64 = 6e-3;
 
 /// Where the ties of each kind begin.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Layout {
+pub(super) struct TieLayout {
     /// Two per grip: position and rotation.
     pub grips: usize,
     /// One per channel point.
@@ -46,9 +48,9 @@ pub(super) struct Layout {
 pub(super) struct Workspace {
     /// Needle at the iterate.
     pub needle: Option<NeedleState>,
-    pub layout: Layout,
+    pub layout: TieLayout,
     /// Sites of the channel points, in their order.
-    pub sites: Vec<Site>,
+    pub sites: Vec<JointPoint>,
     pub sides: Vec<NeedleSide>,
     pub strands: Vec<Strand>,
     /// Joints of all ties, in their order.
@@ -56,10 +58,10 @@ pub(super) struct Workspace {
     /// Directions of their rows.
     pub directions: Vec<[Vector3<f64>; 3]>,
     /// Contact forces on the surface, at the end of the substep.
-    pub presses: Vec<Press>,
+    pub presses: Vec<SurfaceForce>,
     forces: Vec<[f64; 3]>,
     answers: Vec<[Vector6<f64>; 3]>,
-    spots: Vec<Option<Spot>>,
+    spots: Vec<Option<TissueFeature>>,
     mutual: Vec<Matrix3<f64>>,
     mobility: Option<Mobility>,
     left: Vector6<f64>,
@@ -67,7 +69,7 @@ pub(super) struct Workspace {
 
 impl Workspace {
     /// Force of a tie on needle or thread \[N\].
-    pub fn force(&self, tied: &[Tied], tie: usize) -> Vector3<f64> {
+    pub fn force(&self, tied: &[TieResult], tie: usize) -> Vector3<f64> {
         vector(&self.directions[tie], &tied[tie].force)
     }
 
@@ -78,11 +80,11 @@ impl Workspace {
             let (at, directions) = match link {
                 Link::Surface(place, directions) => (*place, directions),
                 Link::Tie(tie) => match self.joints[*tie].tissue {
-                    Some(Spot::Surface(place)) => (place, &self.directions[*tie]),
+                    Some(TissueFeature::Surface(place)) => (place, &self.directions[*tie]),
                     _ => continue,
                 },
             };
-            self.presses.push(Press { at, force: -vector(directions, force) });
+            self.presses.push(SurfaceForce { at, force: -vector(directions, force) });
         }
     }
 }
@@ -145,7 +147,7 @@ impl Sewing<'_> {
     }
 
     /// A channel point: friction along the channel, constrained laterally.
-    fn pass(&mut self, needle: &NeedleState, at: &Iterate, index: usize) -> Pair {
+    fn pass(&mut self, needle: &NeedleState, at: &RodIterate, index: usize) -> Pair {
         let point = &self.start.channel[index];
         let now = self.tissue.now(&point.place);
         let last = self.room.sites.get(index).map_or(point.along, |site| site.along);
@@ -157,7 +159,7 @@ impl Sewing<'_> {
         }
         let [n1, n2] = joints::across(&site.tangent, &(needle.pose() * Vector3::z()));
         let directions = [site.tangent, n1, n2];
-        let spot = Spot::Inside(point.place);
+        let spot = TissueFeature::Inside(point.place);
         let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, directions);
         let length = share_of_channel(self.start, index, self.solid.shape().length());
         let material = self.resistance;
@@ -174,14 +176,14 @@ impl Sewing<'_> {
             *yields += self.tissue.gives_way_about(radius) / share;
         }
         tie.gap[0] = point.stuck - site.along;
-        tie.rule = Rule::Passes { base: grip * length, friction };
+        tie.rule = ForceLaw::Passes { base: grip * length, friction };
         self.relax(&mut tie, &spot);
         tie.force = directions.map(|direction| point.force.dot(&direction));
         (joint, tie)
     }
 
     /// Converts gaps against the current tissue to gaps against the tissue at rest.
-    fn relax(&self, tie: &mut Tie, spot: &Spot) {
+    fn relax(&self, tie: &mut Tie, spot: &TissueFeature) {
         let displaced = self.tissue.displaced(spot);
         for k in 0..3 {
             tie.gap[k] += tie.rows.directions[k].dot(&displaced);
@@ -189,17 +191,17 @@ impl Sewing<'_> {
     }
 
     /// The point of needle or thread at a point of the world, near an arc length.
-    fn site(&self, needle: &NeedleState, rod: &Iterate, at: &Point3<f64>, near: f64) -> Site {
+    fn site(&self, needle: &NeedleState, rod: &RodIterate, at: &Point3<f64>, near: f64) -> JointPoint {
         let (pose, solid) = (needle.pose(), self.solid);
         let along = solid.nearest(&pose.inverse_transform_point(at));
         let is_near = near > -2e-3 && along >= 0.0 && (along - near).abs() < 5e-3;
         let thread = self.start.thread.as_ref().filter(|_| !is_near);
         let Some(thread) = thread else {
             let tangent = pose * solid.tangent(along);
-            return Site { along, point: pose * solid.point(along), tangent, edge: None };
+            return JointPoint { along, point: pose * solid.point(along), tangent, edge: None };
         };
         // Rest lengths are used: stretch elsewhere along the thread is no sliding here.
-        let mut best: Option<(f64, Site)> = None;
+        let mut best: Option<(f64, JointPoint)> = None;
         let mut last = (0, 0.0);
         for (edge, [begin, end]) in thread.spans() {
             if begin > WINDOW - near {
@@ -215,13 +217,13 @@ impl Sewing<'_> {
             let distance = (at - point).norm_squared();
             if best.as_ref().is_none_or(|(known, _)| distance < *known) {
                 let along = -(begin + share * thread.rest_lengths[edge]);
-                let site = Site { along, point, tangent: -tangent, edge: Some((edge, share)) };
+                let site = JointPoint { along, point, tangent: -tangent, edge: Some((edge, share)) };
                 best = Some((distance, site));
             }
         }
         let (edge, end) = last;
         best.map_or_else(
-            || Site {
+            || JointPoint {
                 along: -end,
                 point: rod.positions[edge + 1],
                 tangent: -rod.tangents[edge],
@@ -237,24 +239,24 @@ impl Sewing<'_> {
         let length = self.solid.shape().length();
         let tangent = pose * self.solid.tangent(length);
         let place = self.start.tip.place()?;
-        let site = Site { along: length, point: pose * self.solid.point(length), tangent, edge: None };
+        let site = JointPoint { along: length, point: pose * self.solid.point(length), tangent, edge: None };
         let material = self.resistance;
         // Bounded force along the path, and constrained laterally.
         let within = |most: f64| {
             let (least, unbound) = ([-most, f64::NEG_INFINITY, f64::NEG_INFINITY], f64::INFINITY);
-            Rule::Within { least, most: [0.0, unbound, unbound] }
+            ForceLaw::Within { least, most: [0.0, unbound, unbound] }
         };
         // The first direction is that of the tip's motion.
         let (first, along, rule) = match self.start.tip {
             Tip::Touching(_, triangle) => {
                 let (friction, most) = (material.needle_friction, material.puncture_force);
-                (self.tissue.normal(triangle), tangent, Rule::Skin { friction, most })
+                (self.tissue.normal(triangle), tangent, ForceLaw::Skin { friction, most })
             }
             Tip::Leaving(..) => (tangent, pose * Vector3::z(), within(material.exit_force)),
             _ => (tangent, pose * Vector3::z(), within(material.cutting_force)),
         };
         let [n1, n2] = joints::across(&first, &along);
-        let (spot, now) = (Spot::Inside(*place), self.tissue.now(place));
+        let (spot, now) = (TissueFeature::Inside(*place), self.tissue.now(place));
         let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, [first, n1, n2]);
         tie.rule = rule;
         tie.force = [first, n1, n2].map(|direction| self.start.tip_force.dot(&direction));
@@ -267,7 +269,7 @@ impl Sewing<'_> {
         let [before, now] = [&self.start.needle, needle].map(|of| of.pose() * self.solid.point(side.along));
         let [t1, t2] = tangents(&side.normal, &(needle.pose() * self.solid.tangent(side.along)));
         let directions = [side.normal, t1, t2];
-        let spot = Spot::Surface(side.place);
+        let spot = TissueFeature::Surface(side.place);
         let from_rest = self.tissue.displaced_before(&spot);
         let known = self.start.needle_contacts.iter().find(|known| known.sample == side.sample);
         let drawn = known.map_or(Vector3::zeros(), |known| known.drawn);
@@ -285,7 +287,7 @@ impl Sewing<'_> {
     }
 
     /// Compliance between points of the tissue; computed only for new ones.
-    fn mutual(&mut self, links: &[Link]) -> Result<(), Trouble> {
+    fn mutual(&mut self, links: &[Link]) -> Result<(), FailureCause> {
         let count = links.len();
         let Workspace { spots, mutual, joints, .. } = &mut *self.room;
         let same = spots.len() == count;
@@ -297,7 +299,7 @@ impl Sewing<'_> {
         for (i, link) in links.iter().enumerate() {
             let own = match link {
                 Link::Tie(tie) => joints[*tie].tissue,
-                Link::Surface(place, _) => Some(Spot::Surface(*place)),
+                Link::Surface(place, _) => Some(TissueFeature::Surface(*place)),
             };
             if same && spots[i] == own {
                 continue;
@@ -305,7 +307,7 @@ impl Sewing<'_> {
             if let Some(spot) = &own
                 && !self.tissue.name_spot(spot)
             {
-                return Err(Trouble::Full);
+                return Err(FailureCause::Full);
             }
             if same {
                 spots[i] = own;
@@ -327,7 +329,7 @@ impl Sewing<'_> {
     }
 }
 
-impl Companion for Sewing<'_> {
+impl CoupledBody for Sewing<'_> {
     fn surface(&self) -> Option<usize> {
         self.thread.map(|_| self.surface)
     }
@@ -349,9 +351,9 @@ impl Companion for Sewing<'_> {
         Some(TOLERANCE)
     }
 
-    fn tie(&mut self, at: &Iterate, ties: &mut Vec<Tie>) -> Result<(), Trouble> {
+    fn tie(&mut self, at: &RodIterate, ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
         let needle = self.room.needle.unwrap_or(self.start.needle);
-        let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(Trouble::NoInertia)?;
+        let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(FailureCause::NoInertia)?;
         self.room.left = self.residual(&needle);
         let free = mobility.answer(&self.room.left);
         self.room.mobility = Some(mobility);
@@ -399,12 +401,12 @@ impl Companion for Sewing<'_> {
         Ok(())
     }
 
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), FailureCause> {
         self.mutual(links)?;
         let count = links.len();
         let rows = 3 * count;
         let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.room;
-        let Some(mobility) = mobility else { return Err(Trouble::NoInertia) };
+        let Some(mobility) = mobility else { return Err(FailureCause::NoInertia) };
         answers.clear();
         answers.extend(joints.iter().map(|joint| joint.needle.map(|load| mobility.answer(&load))));
         let directions = |link: &Link| match link {
@@ -440,7 +442,7 @@ impl Companion for Sewing<'_> {
         Ok(())
     }
 
-    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } =
             &mut *self.room;
         let mut load = *left;
@@ -453,11 +455,11 @@ impl Companion for Sewing<'_> {
                 load += row * *force;
             }
         }
-        let (Some(mobility), Some(needle)) = (mobility, needle) else { return Err(Trouble::NoInertia) };
+        let (Some(mobility), Some(needle)) = (mobility, needle) else { return Err(FailureCause::NoInertia) };
         let by = mobility.answer(&load);
         let (way, turn) = (by.fixed_rows::<3>(0).norm(), by.fixed_rows::<3>(3).norm());
         if !(way <= WAY_MAX && turn <= TURN_MAX) {
-            return Err(Trouble::TooFar);
+            return Err(FailureCause::TooFar);
         }
         *needle = joints::carried(needle, &by);
         let on_tissue = links.iter().zip(forces).zip(&*spots).filter_map(|((link, force), spot)| {
@@ -477,7 +479,7 @@ impl Companion for Sewing<'_> {
 }
 
 /// Results of the needle's surface contacts at the end of a substep.
-pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<NeedleContact>) {
+pub(super) fn touched(room: &Workspace, tied: &[TieResult], contacts: &mut Vec<NeedleContact>) {
     contacts.clear();
     for (index, side) in room.sides.iter().enumerate() {
         let tie = room.layout.sides + index;
@@ -494,7 +496,7 @@ pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<Needle
 }
 
 /// Results of strand contacts with the needle at the end of a substep.
-pub(super) fn crossed(room: &Workspace, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
+pub(super) fn crossed(room: &Workspace, tied: &[TieResult], contacts: &mut Vec<StrandContact>) {
     let first = room.layout.strands;
     let forces =
         (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use super::joints::COMPLIANCE;
 use super::needle_tissue::{crossed, touched};
 use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, SutureState, Tip};
-use super::tissue::{Place, Way};
+use super::tissue::{MaterialPoint, PathEnd};
 use super::{EVENTS_MAX, Suture, SutureError};
 use crate::suture_thread::PARTED;
 
@@ -183,19 +183,19 @@ impl Suture {
         self.trial.tip_force = Vector3::zeros();
     }
 
-    fn named(&mut self, place: Place) -> Result<Place, SutureError> {
+    fn named(&mut self, place: MaterialPoint) -> Result<MaterialPoint, SutureError> {
         if self.tissue.name(&place) { Ok(place) } else { Err(SutureError::Full) }
     }
 
     /// Moves the tip straight on from a material point, to the inside or to the surface from inside.
-    fn go_to(&mut self, from: &Place, tip: &Point3<f64>) -> Result<(), SutureError> {
+    fn go_to(&mut self, from: &MaterialPoint, tip: &Point3<f64>) -> Result<(), SutureError> {
         let tangent = self.trial.needle.pose() * self.solid.tangent(self.solid.shape().length());
         let ahead = (tip - self.tissue.now(from)).dot(&tangent) > 0.0;
         self.trial.tip = match self.tissue.walk(from, tip) {
-            Way::Ends(place) => Tip::Inside(self.named(place)?),
-            Way::Leaves(place, triangle) if ahead => Tip::Leaving(self.named(place)?, triangle),
+            PathEnd::Ends(place) => Tip::Inside(self.named(place)?),
+            PathEnd::Leaves(place, triangle) if ahead => Tip::Leaving(self.named(place)?, triangle),
             // Back out through its entry; its channel is handled elsewhere.
-            Way::Leaves(place, _) => Tip::Inside(self.named(place)?),
+            PathEnd::Leaves(place, _) => Tip::Inside(self.named(place)?),
         };
         Ok(())
     }
@@ -266,7 +266,8 @@ impl Suture {
             if along > length {
                 break;
             }
-            let Way::Ends(place) = self.tissue.walk(&last.place, &(pose * self.solid.point(along))) else {
+            let PathEnd::Ends(place) = self.tissue.walk(&last.place, &(pose * self.solid.point(along)))
+            else {
                 break;
             };
             self.add_to_channel(ChannelPoint {

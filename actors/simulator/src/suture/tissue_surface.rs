@@ -8,8 +8,8 @@ use super::material::Resistance;
 use super::needle::Solid;
 use super::state::{SutureState, Tip};
 use super::tissue::Tissue;
-use crate::suture_thread::Spared;
-use crate::suture_thread::elastic::SurfacePlace;
+use crate::suture_thread::IgnoredObstacle;
+use crate::suture_thread::elastic::SurfacePoint;
 
 /// Spacing of the needle's contact points \[m\].
 const SPACING: f64 = 1e-3;
@@ -33,7 +33,7 @@ pub(super) struct NeedleSide {
     /// Wire radius there \[m\].
     pub radius: f64,
     /// Contact point on the surface.
-    pub place: SurfacePlace,
+    pub place: SurfacePoint,
     /// Its position at the beginning of the substep.
     pub point: Point3<f64>,
     /// Outward unit normal.
@@ -61,7 +61,7 @@ pub(super) fn in_tissue(
     length: f64,
     resistance: &Resistance,
     surface: usize,
-    spared: &mut Vec<Spared>,
+    spared: &mut Vec<IgnoredObstacle>,
 ) {
     let Some(thread) = &state.thread else { return };
     buried(state, length, resistance.spacing, |low, high| {
@@ -71,7 +71,7 @@ pub(super) fn in_tissue(
                 edges = Some(edges.map_or([edge, edge], |[first, _]: [usize; 2]| [first, edge]));
             }
         }
-        spared.extend(edges.map(|edges| Spared { obstacle: surface, edges }));
+        spared.extend(edges.map(|edges| IgnoredObstacle { obstacle: surface, edges }));
     });
 }
 
@@ -127,7 +127,7 @@ pub(super) fn sides(
             sample,
             along,
             radius: shape.wire_radius_at(along),
-            place: SurfacePlace::default(),
+            place: SurfacePoint::default(),
             point: pose * solid.point(along),
             normal: Vector3::repeat(f64::INFINITY),
         });
@@ -166,7 +166,7 @@ pub(super) fn sides(
             let Some(along) = way.try_normalize(1e-9).or_else(|| outwards.try_normalize(0.0)) else {
                 continue;
             };
-            side.place = SurfacePlace { nodes: *triangle, weights: found.weights };
+            side.place = SurfacePoint { nodes: *triangle, weights: found.weights };
             side.normal = if below { -along } else { along };
             *best = Some((distance, if below { -distance } else { distance }, found.point));
         }

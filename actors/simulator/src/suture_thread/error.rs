@@ -63,7 +63,7 @@ pub enum ThreadStepError {
         /// Time within the step \[s\].
         time: f64,
         /// The cause.
-        why: Trouble,
+        why: FailureCause,
         /// The shortest substep that was tried \[s\].
         shortest: f64,
     },
@@ -71,7 +71,7 @@ pub enum ThreadStepError {
 
 /// Why a step failed at a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum Trouble {
+pub enum FailureCause {
     /// A non-finite value.
     #[error("a number is not finite")]
     NotFinite,

@@ -46,16 +46,16 @@ pub mod soft_support;
 mod state;
 
 pub use adaptive_segments::{Fineness, Renumbered};
-pub use boundary_conditions::{HOLD_STIFFNESS, Hold, Load, Spared, TwistHold};
+pub use boundary_conditions::{HOLD_STIFFNESS, Hold, IgnoredObstacle, Load, TwistHold};
 pub use contact::{CONTACTS_MAX, Obstacle, Shape};
-pub use cut::{CutAt, Parted};
-pub use error::{ThreadError, ThreadStepError, Trouble};
+pub use cut::{CutAt, CutNumbering};
+pub use error::{FailureCause, ThreadError, ThreadStepError};
 pub use knot_measures::{Strands, nearest_edges};
 pub use material::ThreadMaterial;
 pub(crate) use state::PARTED;
 pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 
-use elastic::{ElasticBody, Press};
+use elastic::{ElasticBody, SurfaceForce};
 use nalgebra::{Point3, Vector3};
 
 /// Longest step \[s\].
@@ -78,15 +78,15 @@ pub struct Surroundings<'a> {
     /// Obstacles; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
     /// Parts of the thread that ignore some of the obstacles.
-    pub spared: &'a [Spared],
+    pub spared: &'a [IgnoredObstacle],
     /// The obstacle, if any, that is the surface of an elastic body.
-    pub elastic: Option<Elastic<'a>>,
+    pub elastic: Option<ElasticObstacle<'a>>,
 }
 
 /// An obstacle that deforms within the step. Its shape is the mesh of the body at the beginning of the step, at a fixed
 /// pose; deform the body by [`Thread::presses`] afterwards.
 #[derive(Clone, Copy, Debug)]
-pub struct Elastic<'a> {
+pub struct ElasticObstacle<'a> {
     /// The obstacle's index.
     pub obstacle: usize,
     /// The body.
@@ -127,7 +127,7 @@ pub struct Thread {
     material: ThreadMaterial,
     state: ThreadState,
     island: island::Island,
-    presses: Vec<Press>,
+    presses: Vec<SurfaceForce>,
 }
 
 impl Thread {
@@ -192,7 +192,7 @@ impl Thread {
         let Self { material, state, island, presses } = self;
         let Some(elastic) = &around.elastic else {
             presses.clear();
-            return island.step(material, state, dt, around, &mut island::coupled_body::Alone);
+            return island.step(material, state, dt, around, &mut island::coupled_body::NoCoupledBody);
         };
         let mut tied = island::TiedAround {
             body: elastic.body,
@@ -267,7 +267,7 @@ impl Thread {
 
     /// Forces of the thread on the elastic body at the end of the last step.
     #[must_use]
-    pub fn presses(&self) -> &[Press] {
+    pub fn presses(&self) -> &[SurfaceForce] {
         &self.presses
     }
 }

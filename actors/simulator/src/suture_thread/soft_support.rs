@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::coupling::external_nodes::{GhostMoved, GhostNode};
 
-use super::Trouble;
-use super::elastic::SurfacePlace;
-use super::island::coupled_body::{Companion, ComplianceRows, Link};
+use super::FailureCause;
+use super::elastic::SurfacePoint;
+use super::island::coupled_body::{ComplianceRows, CoupledBody, Link};
 
 /// Cosine of the dihedral angle beyond which an edge between faces counts as a sharp ridge: 40°.
 const SHARP: f64 = 0.77;
@@ -113,13 +113,13 @@ impl SoftSurface {
     }
 
     /// Displacement of a surface point from these node positions \[m\], by the free motion of the nodes.
-    fn drift(&self, place: &SurfacePlace, from: &[Point3<f64>]) -> Vector3<f64> {
+    fn drift(&self, place: &SurfacePoint, from: &[Point3<f64>]) -> Vector3<f64> {
         let of = |(node, weight): (&u32, f64)| (self.free[*node as usize] - from[*node as usize]) * weight;
         place.nodes.iter().zip(place.weights).map(of).sum()
     }
 
     /// Compliance of one surface point to a force at another one, isotropic \[m/N\].
-    fn between(&self, place: &SurfacePlace, other: &SurfacePlace) -> f64 {
+    fn between(&self, place: &SurfacePoint, other: &SurfacePoint) -> f64 {
         let mut sum = 0.0;
         for (node, weight) in place.nodes.iter().zip(place.weights) {
             for (by, share) in other.nodes.iter().zip(other.weights) {
@@ -152,7 +152,7 @@ pub(crate) struct LyingOn<'a> {
     pub obstacle: usize,
 }
 
-impl Companion for LyingOn<'_> {
+impl CoupledBody for LyingOn<'_> {
     fn surface(&self) -> Option<usize> {
         Some(self.obstacle)
     }
@@ -183,7 +183,7 @@ impl Companion for LyingOn<'_> {
 
     /// Gaps were measured to the surface as it was at the beginning of the step; slides are counted from the beginning
     /// of the part.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), FailureCause> {
         let soft = &*self.surface;
         let rows = 3 * links.len();
         for (row, link) in links.iter().enumerate() {
@@ -209,7 +209,7 @@ impl Companion for LyingOn<'_> {
         Ok(())
     }
 
-    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         let soft = &mut *self.surface;
         soft.gather(links, forces);
         let mut most = 0.0_f64;
@@ -218,7 +218,7 @@ impl Companion for LyingOn<'_> {
             most = most.max((to - soft.at[node]).norm());
             soft.at[node] = to;
         }
-        if most.is_finite() { Ok(most) } else { Err(Trouble::NotFinite) }
+        if most.is_finite() { Ok(most) } else { Err(FailureCause::NotFinite) }
     }
 
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {

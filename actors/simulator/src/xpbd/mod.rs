@@ -32,8 +32,8 @@ use trocar_dynamics::particles::{State, StepError};
 use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
 use colouring::Coloured;
 use constraint::{Constraint, Nodes};
-use contact::Pressed;
-use tetrahedra::{Pack, Tets};
+use contact::ContactState;
+use tetrahedra::{TetPack, Tets};
 
 /// Constraints of a colour (packs of tetrahedra count as one) above which threads pay off.
 const PARALLEL: usize = 512;
@@ -128,12 +128,12 @@ struct Scratch {
     places: Vec<[f64; 4]>,
     before: Vec<[f64; 4]>,
     forces: Vec<Vector3<f64>>,
-    contacts: Vec<Pressed>,
+    contacts: Vec<ContactState>,
     contact_forces: Vec<Vector3<f64>>,
     company: ExternalNodesState,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
-    tets: Sweep<Pack>,
+    tets: Sweep<TetPack>,
     /// Inverse squared length of the last substep \[1/s²\].
     rate: f64,
 }
@@ -142,7 +142,7 @@ struct Scratch {
 #[derive(Clone, Debug)]
 struct Sweep<C: Constraint> {
     multipliers: Vec<C::Multiplier>,
-    moves: Vec<C::Moved>,
+    moves: Vec<C::Correction>,
 }
 impl<C: Constraint> Default for Sweep<C> {
     fn default() -> Self {
@@ -421,7 +421,7 @@ impl Xpbd {
         }
         scratch.contacts.clear();
         let positions = &self.state.positions;
-        scratch.contacts.extend(input.contacts.iter().map(|contact| Pressed::new(contact, positions)));
+        scratch.contacts.extend(input.contacts.iter().map(|contact| ContactState::new(contact, positions)));
     }
 
     /// Prediction at the beginning of a substep of `h` seconds.

@@ -3,8 +3,10 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostNode, Press, Tie};
-use trocar_dynamics::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostNode, NodeContact, Tie};
+use trocar_dynamics::coupling::{
+    GhostNodes, GhostNodesError, SlowBodyReport, SurfaceContactParams, SurfaceContacts,
+};
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
@@ -20,15 +22,15 @@ const MOMENTUM: f64 = 1e-6;
 /// A faster body and its ghost nodes.
 struct Faster {
     body: Xpbd,
-    ghosts: Ghosts,
+    ghosts: GhostNodes,
     ties: Vec<Tie>,
-    presses: Vec<Press>,
+    presses: Vec<NodeContact>,
     guests: Vec<GhostNode>,
 }
 
 impl Faster {
     fn new(body: Xpbd, ghosts: &[Point3<f64>], ties: Vec<Tie>) -> Self {
-        let ghosts = Ghosts::new(ghosts).expect("numbers");
+        let ghosts = GhostNodes::new(ghosts).expect("numbers");
         Self { body, ghosts, ties, presses: Vec::new(), guests: Vec::new() }
     }
 
@@ -95,8 +97,8 @@ impl Mass {
         Self { mass, place, velocity, taken, last: taken, received: 0.0, given_work: 0.0 }
     }
 
-    fn tell(&self, ghosts: &mut Ghosts) {
-        let news = News {
+    fn tell(&self, ghosts: &mut GhostNodes) {
+        let news = SlowBodyReport {
             positions: &[self.place],
             velocities: &[self.velocity],
             expected: &[self.velocity + self.last / self.mass],
@@ -111,7 +113,7 @@ impl Mass {
         ghosts.hear(&news).expect("numbers");
     }
 
-    fn step(&mut self, ghosts: &mut Ghosts) {
+    fn step(&mut self, ghosts: &mut GhostNodes) {
         let impulse = ghosts.given()[0] - self.taken;
         let before = self.velocity;
         self.velocity += impulse / self.mass;
@@ -264,7 +266,7 @@ impl Organ {
         energies.kinetic + energies.elastic
     }
 
-    fn tell(&mut self, ghosts: &mut Ghosts, gravity: Vector3<f64>) {
+    fn tell(&mut self, ghosts: &mut GhostNodes, gravity: Vector3<f64>) {
         let inputs = Inputs { forces: &self.forces, acceleration: gravity, ..Inputs::default() };
         let mut all = Vec::new();
         self.body.expected(SLOW, &inputs, &mut all);
@@ -279,7 +281,7 @@ impl Organ {
         let nodes: Vec<u32> = active.iter().map(|&ghost| self.ghosts[ghost]).collect();
         let yielding = self.body.yielding(SLOW, &nodes);
         active.iter().zip(yielding).for_each(|(&ghost, yielding)| mobilities[ghost] = yielding);
-        let news = News {
+        let news = SlowBodyReport {
             positions: &self.places(),
             velocities: &velocities,
             expected: &expected,
@@ -294,13 +296,13 @@ impl Organ {
         ghosts.hear(&news).expect("numbers");
     }
 
-    fn tell_when(&mut self, now: bool, ghosts: &mut Ghosts, gravity: Vector3<f64>) {
+    fn tell_when(&mut self, now: bool, ghosts: &mut GhostNodes, gravity: Vector3<f64>) {
         if now {
             self.tell(ghosts, gravity);
         }
     }
 
-    fn step(&mut self, ghosts: &Ghosts, gravity: Vector3<f64>) {
+    fn step(&mut self, ghosts: &GhostNodes, gravity: Vector3<f64>) {
         self.forces.clear();
         let owed = ghosts.given().iter().zip(&self.taken).map(|(given, taken)| (given - taken) / SLOW);
         self.forces.extend(self.ghosts.iter().copied().zip(owed));
@@ -447,8 +449,8 @@ fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it
         let mut organ = Organ::new(|at| at.z < 1e-9, config);
         let (mut fast, gravity) = laid(&organ, tilt);
         let top = organ.top();
-        let rule = LyingRule { thickness: 5e-4, stiffness: 500.0, friction };
-        let mut lying = Lying::new(rule, &Surface::new(&organ.places(), &top).expect("the top"));
+        let rule = SurfaceContactParams { thickness: 5e-4, stiffness: 500.0, friction };
+        let mut lying = SurfaceContacts::new(rule, &Surface::new(&organ.places(), &top).expect("the top"));
         let (mut pressed, mut fastest, mut count) = (Vector3::zeros(), 0.0_f64, 0);
         let mut settled = fast.body.state().positions.clone();
         let periods = if stays { 150 } else { 12 };
@@ -510,7 +512,7 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
     let (_, mut ghosts) = run(false);
     let before = ghosts.clone();
     let (places, none) = ([Point3::origin(); 16], [Vector3::zeros(); 16]);
-    let news = News {
+    let news = SlowBodyReport {
         positions: &places,
         velocities: &none,
         expected: &none,
@@ -522,16 +524,22 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
         steps: 0,
         step: SLOW,
     };
-    let short = News { velocities: &none[..3], ..news };
-    assert_eq!(ghosts.hear(&short), Err(GhostsError::Size { what: "velocities", found: 3, expected: 16 }));
-    let nan = [Vector3::repeat(f64::NAN); 16];
-    assert_eq!(ghosts.hear(&News { last: &nan, ..news }), Err(GhostsError::Number("an impulse")));
-    let negative = News { mobilities: &[-1.0; 16], ..news };
-    assert_eq!(ghosts.hear(&negative), Err(GhostsError::Number("a time or a mobility")));
+    let short = SlowBodyReport { velocities: &none[..3], ..news };
     assert_eq!(
-        ghosts.hear(&News { step: f64::NAN, ..news }),
-        Err(GhostsError::Number("a time or a mobility"))
+        ghosts.hear(&short),
+        Err(GhostNodesError::Size { what: "velocities", found: 3, expected: 16 })
+    );
+    let nan = [Vector3::repeat(f64::NAN); 16];
+    assert_eq!(
+        ghosts.hear(&SlowBodyReport { last: &nan, ..news }),
+        Err(GhostNodesError::Number("an impulse"))
+    );
+    let negative = SlowBodyReport { mobilities: &[-1.0; 16], ..news };
+    assert_eq!(ghosts.hear(&negative), Err(GhostNodesError::Number("a time or a mobility")));
+    assert_eq!(
+        ghosts.hear(&SlowBodyReport { step: f64::NAN, ..news }),
+        Err(GhostNodesError::Number("a time or a mobility"))
     );
     assert_eq!(ghosts, before);
-    assert_eq!(Ghosts::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostsError::Number("a place")));
+    assert_eq!(GhostNodes::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostNodesError::Number("a place")));
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_dynamics::elasticity::Elastic;
-use trocar_dynamics::tet_mesh::{Birth, BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, NodeOrigin, TetMesh, box_cells};
 use trocar_scene::{
     BuildContext, ControllerError, Frozen, JawState, Pose, VertexPositions, VertexVelocities,
 };
@@ -21,7 +21,7 @@ const DT: f64 = 1e-3;
 struct Bar {
     whole: TetMesh,
     slit: TetMesh,
-    born: Vec<Birth>,
+    born: Vec<NodeOrigin>,
     fixed: Vec<u32>,
     elastic: Elastic,
 }
@@ -51,7 +51,7 @@ impl Bar {
             }
         }
         rest.extend(lips.iter().map(|&node| own[node as usize]));
-        let born = lips.iter().map(|&node| Birth { of: [node; 2], share: 0.0 }).collect();
+        let born = lips.iter().map(|&node| NodeOrigin { of: [node; 2], share: 0.0 }).collect();
         let rules = MeshRules { coincident_within: None, ..MeshRules::default() };
         let slit = TetMesh::new(&rest, &tets, &rules).expect("a mesh");
         let elastic = Elastic::new(2e4, 0.4).expect("a material");

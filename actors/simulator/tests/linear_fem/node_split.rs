@@ -5,7 +5,7 @@
 use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
-use trocar_dynamics::tet_mesh::{FaceOf, TetMesh, Volume};
+use trocar_dynamics::tet_mesh::{TetFace, TetMesh, Volume};
 use trocar_simulator::linear_algebra::SupernodalCholesky;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, LinearFemError, Load, patch};
 use trocar_simulator::stiffness::stiffness;
@@ -23,7 +23,7 @@ fn fresh(mesh: &TetMesh, parents: &[u32], fixed: &[u32], alterations: &[Alterati
 }
 
 /// The beam with a slit at an x, from a height on \[m\]: its mesh, and the originals of its new nodes.
-struct Slit {
+struct OpenCut {
     whole: TetMesh,
     mesh: TetMesh,
     parents: Vec<u32>,
@@ -35,7 +35,7 @@ fn middle(mesh: &TetMesh, nodes: &[u32; 4]) -> Point3<f64> {
 }
 
 /// Faces between elements on the two sides of a plane.
-fn faces_at(whole: &TetMesh, volume: &Volume, x: f64, from: f64) -> Vec<FaceOf> {
+fn faces_at(whole: &TetMesh, volume: &Volume, x: f64, from: f64) -> Vec<TetFace> {
     let mut faces = Vec::new();
     for (tet, nodes) in volume.tets() {
         for corner in 0..4_u8 {
@@ -52,7 +52,7 @@ fn faces_at(whole: &TetMesh, volume: &Volume, x: f64, from: f64) -> Vec<FaceOf> 
     faces
 }
 
-impl Slit {
+impl OpenCut {
     fn new(cells: [usize; 3], x: f64, from: f64) -> Self {
         let whole = beam::mesh(cells);
         let mut volume = Volume::new(&whole);
@@ -124,7 +124,7 @@ fn direct(mesh: &TetMesh, wall: &[u32], forces: &[Vector3<f64>]) -> Vec<Vector3<
 
 #[test]
 fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_slit_mesh() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.01);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.01);
     // Two layers of the nodes of the upper half; those at the root of the slit stay one.
     assert_eq!(slit.parents.len(), 2 * 5);
     let force = Vector3::new(0.001, 0.002, -0.02);
@@ -170,7 +170,7 @@ fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_sli
 
 #[test]
 fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.01);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.01);
     let born = slit.whole.rest().len() as u32;
     let grasp = |fem: &LinearFem, x: f64| {
         let mesh = fem.mesh();
@@ -240,7 +240,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
 
 #[test]
 fn what_burns_and_what_is_cut_are_corrected_for_in_any_order() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.01);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.01);
     let near = |tet: &[u32; 4]| {
         let at = middle(&slit.mesh, tet);
         at.x > 0.044 && at.x < 0.056 && at.z > 0.014
@@ -285,7 +285,7 @@ fn what_burns_and_what_is_cut_are_corrected_for_in_any_order() {
 
 #[test]
 fn a_bar_that_is_cut_through_is_two_pieces_of_which_one_is_held_by_nothing() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.0);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.0);
     assert_eq!(slit.parents.len(), 25);
     let (mut serving, mut new) = (slit.serving(), slit.fresh());
     let pulls = Vector3::new(0.0005, 0.001, 0.002);
@@ -346,7 +346,7 @@ fn beam_half(whole: &TetMesh) -> (TetMesh, Vec<u32>) {
 
 #[test]
 fn more_than_can_be_corrected_for_waits_and_meshes_that_it_does_not_become_are_refused() {
-    let slit = Slit::new([40, 12, 12], 0.05, 0.0);
+    let slit = OpenCut::new([40, 12, 12], 0.05, 0.0);
     assert_eq!(slit.parents.len(), 169);
     let mut fem = body(&slit.whole, &slit.wall);
     fem.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");

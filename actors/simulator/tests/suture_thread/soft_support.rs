@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use trocar_dynamics::coupling::external_nodes::{GhostNode, Path};
+use trocar_dynamics::coupling::external_nodes::{GhostNode, PredictedPath};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
@@ -218,7 +218,7 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
         .map(|position| GhostNode {
             position: *position,
             mobility: 1.0 / mass,
-            path: Path { position: *position, ..Path::default() },
+            path: PredictedPath { position: *position, ..PredictedPath::default() },
             ..GhostNode::default()
         })
         .collect();

@@ -7,12 +7,12 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
 use trocar_dynamics::coupling::external_nodes::{
-    ExternalNodes, GhostImpulses, GhostMoved, GhostNode, Press, Tie,
+    ExternalNodes, GhostImpulses, GhostMoved, GhostNode, NodeContact, Tie,
 };
-use trocar_dynamics::coupling::{Lying, LyingRule, News};
+use trocar_dynamics::coupling::{SlowBodyReport, SurfaceContactParams, SurfaceContacts};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::coupling::components::GivenTo;
+use trocar_dynamics::soft_body::coupling::components::GivenImpulses;
 use trocar_dynamics::soft_body::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined};
 use trocar_dynamics::soft_body::method::{Measures, StepContext};
 use trocar_scene::soft_body::one_of;
@@ -21,7 +21,7 @@ use trocar_scene::{
     VertexVelocities,
 };
 
-use super::attachment::{Fused, grafts};
+use super::attachment::{FusedBody, grafts};
 use crate::controller::thermal_damage::RemovedElements;
 
 /// Maximum age of a report; afterwards its ghosts are treated as immovable \[s\].
@@ -31,18 +31,18 @@ const STALE: f64 = 0.5;
 pub(crate) struct Partner {
     pub(crate) entity: Entity,
     rule: CoupledWith,
-    pub(crate) given: GivenTo,
+    pub(crate) given: GivenImpulses,
     /// The ghost of each coupled vertex.
     ghost_of: BTreeMap<u32, u32>,
     tets: Arc<Vec<[u32; 4]>>,
     triangles: Arc<Vec<[u32; 3]>>,
     /// The other body's surface in ghost numbers, if the body lies on it.
     pub(crate) surface: Vec<[u32; 3]>,
-    lying: Option<Lying>,
+    lying: Option<SurfaceContacts>,
     pub(crate) is_wall: bool,
     /// In ghost numbers.
     ties: Vec<Tie>,
-    presses: Vec<Press>,
+    presses: Vec<NodeContact>,
     guests: Vec<GhostNode>,
     /// Ghosts that take part in the current step, and the results of all ghosts.
     used: Vec<u32>,
@@ -51,9 +51,9 @@ pub(crate) struct Partner {
 }
 
 /// All couplings of a body.
-pub struct Coupled {
+pub struct FastSide {
     with: Vec<Partner>,
-    fused: Vec<Fused>,
+    fused: Vec<FusedBody>,
     /// Force of the joints within the island, in the last step \[N\].
     fused_force: f64,
     /// Surface vertices that can touch other bodies; valid while the body has these triangles.
@@ -61,10 +61,10 @@ pub struct Coupled {
     triangles: Arc<Vec<[u32; 3]>>,
     guests: Vec<GhostNode>,
     ties: Vec<Tie>,
-    presses: Vec<Press>,
+    presses: Vec<NodeContact>,
 }
 
-impl Coupled {
+impl FastSide {
     /// For a body of the scene; `None` if it is coupled with nothing.
     ///
     /// # Errors
@@ -77,7 +77,7 @@ impl Coupled {
             let told = |why: String| format!("it is coupled with '{}': {why}", rule.body);
             let other = other(body, rule, scene).map_err(told)?;
             if scene.soft_body(other.entity).is_some_and(|(_, of)| of.couples) {
-                fused.push(Fused::new(body, &other, rule, scene).map_err(told)?);
+                fused.push(FusedBody::new(body, &other, rule, scene).map_err(told)?);
                 continue;
             }
             let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(other.entity)));
@@ -179,7 +179,7 @@ impl Coupled {
 
     /// Bodies of the same island.
     #[must_use]
-    pub fn fused(&self) -> &[Fused] {
+    pub fn fused(&self) -> &[FusedBody] {
         &self.fused
     }
 
@@ -236,7 +236,7 @@ impl Partner {
         thickness: f64,
         rule: &CoupledWith,
         scene: &Snapshot,
-        known: Option<&GivenTo>,
+        known: Option<&GivenImpulses>,
     ) -> Result<Self, String> {
         let entity = other.entity;
         let body_from_other = scene.world_pose(body.entity).inverse() * scene.world_pose(entity);
@@ -247,7 +247,7 @@ impl Partner {
                     Some(joined) => grafts(body, other, &body_from_other, joined)?,
                     None => Vec::new(),
                 };
-                GivenTo { body: Some(entity), grafts: Arc::new(grafts), ..GivenTo::default() }
+                GivenImpulses { body: Some(entity), grafts: Arc::new(grafts), ..GivenImpulses::default() }
             }
         };
         let ghost_of = given.vertices.iter().zip(0..).map(|(&vertex, ghost)| (vertex, ghost)).collect();
@@ -270,10 +270,10 @@ impl Partner {
         };
         partner.take_over(&other.tets, &other.triangles, &[], &other.positions, &body_from_other)?;
         if let Some(lies) = rule.lies {
-            let rule = LyingRule { thickness, stiffness: lies.stiffness, friction: lies.friction };
+            let rule = SurfaceContactParams { thickness, stiffness: lies.stiffness, friction: lies.friction };
             let places = partner.given.ghosts.positions();
             let surface = Surface::new(places, &partner.surface).map_err(|error| error.to_string())?;
-            let mut lying = Lying::new(rule, &surface);
+            let mut lying = SurfaceContacts::new(rule, &surface);
             lying.hold(&partner.given.anchors);
             partner.lying = Some(lying);
         }
@@ -383,7 +383,7 @@ impl Partner {
         let padded_numbers = |list: &[f64]| -> Vec<f64> {
             list.iter().copied().chain(std::iter::repeat(0.0)).take(count).collect()
         };
-        let news = News {
+        let news = SlowBodyReport {
             positions: &positions,
             velocities: &velocities,
             expected: &expected,
@@ -420,7 +420,7 @@ impl Partner {
     }
 
     /// Adds ties and contacts in guest numbers, of which `first` are taken, and records which ghosts these are.
-    fn join(&mut self, first: u32, ties: &mut Vec<Tie>, presses: &mut Vec<Press>) {
+    fn join(&mut self, first: u32, ties: &mut Vec<Tie>, presses: &mut Vec<NodeContact>) {
         self.used.clear();
         self.used.extend(self.ties.iter().flat_map(|tie| tie.guests.map(|(ghost, _)| ghost)));
         let of_presses = self.presses.iter();
@@ -437,7 +437,7 @@ impl Partner {
                 .iter()
                 .map(|tie| Tie { guests: tie.guests.map(|(ghost, weight)| (guest(ghost), weight)), ..*tie }),
         );
-        presses.extend(self.presses.iter().map(|press| Press {
+        presses.extend(self.presses.iter().map(|press| NodeContact {
             guests: of_three(press.guests),
             anchor: of_three(press.anchor),
             ..*press

@@ -12,7 +12,7 @@ use crate::cutting::{part_line, pieces, tear_line};
 
 /// Cutting and tearing criteria of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LineWeakness {
+pub struct LineFailureCriteria {
     /// Whether blades cut them.
     pub cut: bool,
     /// Stretch (length over rest length) at which a segment tears; absent: none tears.
@@ -21,7 +21,7 @@ pub struct LineWeakness {
 
 /// Cuts of a line, and the previous blades.
 pub struct LineCuts {
-    weakness: LineWeakness,
+    weakness: LineFailureCriteria,
     cuts: Cuts,
     changed: bool,
     pieces: usize,
@@ -29,7 +29,7 @@ pub struct LineCuts {
 
 impl LineCuts {
     /// For a body of the scene.
-    pub fn new(body: &Deformable, weakness: LineWeakness, scene: &Snapshot) -> Self {
+    pub fn new(body: &Deformable, weakness: LineFailureCriteria, scene: &Snapshot) -> Self {
         let known = scene.get::<Cuts>(body.entity);
         Self {
             weakness,
@@ -54,7 +54,7 @@ impl LineCuts {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Option<Vec<u32>> {
-        let LineWeakness { cut, tears_at } = self.weakness;
+        let LineFailureCriteria { cut, tears_at } = self.weakness;
         let cut = cut.then(|| self.cuts.sweeps(site.scene, site.world_from_body, &mut self.changed));
         let cut = cut.filter(|sweeps| !sweeps.is_empty());
         let parted = cut.and_then(|sweeps| part_line(positions, &body.segments, &sweeps));

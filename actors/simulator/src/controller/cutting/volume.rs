@@ -13,9 +13,9 @@ use trocar_dynamics::elasticity::{Alteration, cauchy_stress, small_stress};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::CoupledBody;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext};
+use trocar_dynamics::soft_body::method::{Measures, StepContext, SurfaceChange};
 use trocar_dynamics::tet_mesh::{
-    self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
+    self, MeshRules, NodeMotion, NodeOrigin, OpenCut, TetFace, Volume, VolumeChange, VolumeError, shape,
 };
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh,
@@ -24,22 +24,22 @@ use trocar_scene::{
 
 use super::scissors::{Blades, swept};
 use crate::controller::cauterised::CauterisedBody;
-use crate::controller::thermal_damage::{self, Coagulated, Heated, RemovedElements};
+use crate::controller::thermal_damage::{self, CoagulatedElement, RemovedElements, ThermalDamage};
 
 /// State of a volume's topology changes that its mesh does not contain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VolumeCuts {
     /// Opened interior faces.
-    pub opened: Arc<Vec<FaceOf>>,
+    pub opened: Arc<Vec<TetFace>>,
     /// Origins of the nodes added since the first mesh, in order.
-    pub births: Arc<Vec<Birth>>,
+    pub births: Arc<Vec<NodeOrigin>>,
     /// For each added element, the element that it is a part of.
     pub parts_of: Arc<Vec<u32>>,
     /// The elements of the first mesh, if some have been split.
     pub first: Arc<Vec<[u32; 4]>>,
     /// Unfinished cuts.
-    pub slit: Slit,
+    pub slit: OpenCut,
     /// How many of the elements removed by heat have been taken out.
     pub taken: u32,
     /// How many of the opened faces tore.
@@ -127,7 +127,7 @@ pub trait Elements {
     ///
     /// # Errors
     /// Why the solver cannot continue.
-    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String>;
+    fn alter(&mut self, elements: &[CoagulatedElement]) -> Result<(), String>;
     /// Continues with the body's new nodes and elements.
     ///
     /// # Errors
@@ -139,13 +139,13 @@ pub trait Elements {
 #[derive(Clone, Copy)]
 pub struct Split<'a> {
     /// Origins of the new nodes.
-    pub born: &'a [Birth],
+    pub born: &'a [NodeOrigin],
     /// Elements with changed corners and new elements; ascending, without removed ones.
     pub changed: &'a [u32],
     /// Thermal damage of a present element.
     pub altered: &'a dyn Fn(u32) -> Alteration,
     /// All thermal damage, by current elements.
-    pub heated: &'a dyn Fn() -> Heated,
+    pub heated: &'a dyn Fn() -> ThermalDamage,
 }
 
 impl Split<'_> {
@@ -174,13 +174,13 @@ pub struct FailureCriteria {
 }
 
 /// A divisible volume and its topology changes.
-pub struct Parting {
+pub struct DivisibleVolume {
     volume: Volume,
     weakness: FailureCriteria,
     /// The face of each surface triangle.
-    faces: Vec<FaceOf>,
+    faces: Vec<TetFace>,
     /// Thermal damage, by elements of the first mesh.
-    heated: Heated,
+    heated: ThermalDamage,
     cuts: VolumeCuts,
     /// Parts of split elements of the first mesh, without the parts that kept the number.
     parts: BTreeMap<u32, Vec<u32>>,
@@ -190,7 +190,7 @@ pub struct Parting {
     cuts_changed: bool,
 }
 
-impl Parting {
+impl DivisibleVolume {
     /// For a body of the scene, if it is divisible; marks the body's unused vertices.
     ///
     /// # Errors
@@ -220,7 +220,7 @@ impl Parting {
         cuts.parts_of.iter().zip(first..).for_each(|(of, part)| parts.entry(*of).or_default().push(part));
         // Their nodes are duplicated already, where necessary.
         volume.open(&cuts.opened).map_err(|error| error.to_string())?;
-        let heated = Heated::known(scene, body.entity, cuts.taken as usize);
+        let heated = ThermalDamage::known(scene, body.entity, cuts.taken as usize);
         let there = all_parts(&parts, &heated.removed).filter(|&tet| volume.tet(tet).is_some());
         let there: Vec<u32> = there.collect();
         volume.take_out(&there).map_err(|error| error.to_string())?;
@@ -257,21 +257,21 @@ impl Parting {
 
     /// All thermal damage, by current elements.
     #[must_use]
-    pub fn heated(&self) -> Heated {
+    pub fn heated(&self) -> ThermalDamage {
         if self.parts.is_empty() {
             return self.heated.clone();
         }
         let removed = all_parts(&self.parts, &self.heated.removed).collect();
-        let mut coagulated: Vec<Coagulated> = self.all_coagulated(&self.heated.coagulated);
+        let mut coagulated: Vec<CoagulatedElement> = self.all_coagulated(&self.heated.coagulated);
         coagulated.sort_unstable_by_key(|of| of.element);
-        Heated { removed: Arc::new(removed), coagulated: Arc::new(coagulated) }
+        ThermalDamage { removed: Arc::new(removed), coagulated: Arc::new(coagulated) }
     }
 
-    fn all_coagulated(&self, first: &[Coagulated]) -> Vec<Coagulated> {
-        let parts = |of: &Coagulated| {
+    fn all_coagulated(&self, first: &[CoagulatedElement]) -> Vec<CoagulatedElement> {
+        let parts = |of: &CoagulatedElement| {
             let of = *of;
             all_parts(&self.parts, &[of.element])
-                .map(|element| Coagulated { element, ..of })
+                .map(|element| CoagulatedElement { element, ..of })
                 .collect::<Vec<_>>()
         };
         first.iter().flat_map(parts).collect()
@@ -285,7 +285,7 @@ impl Parting {
 
     /// Origins of the nodes added since the first mesh.
     #[must_use]
-    pub fn births(&self) -> &[Birth] {
+    pub fn births(&self) -> &[NodeOrigin] {
         &self.cuts.births
     }
 
@@ -305,7 +305,7 @@ impl Parting {
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
+    ) -> Result<Option<SurfaceChange>, String> {
         let (gone, changed) = self.heated.news(site.scene, body.entity);
         let gone: Vec<u32> =
             all_parts(&self.parts, &gone).filter(|&tet| self.volume.tet(tet).is_some()).collect();
@@ -349,7 +349,7 @@ impl Parting {
         elements: &dyn Elements,
         site: &StepContext<'_>,
         change: &mut VolumeChange,
-    ) -> Result<Vec<FaceOf>, VolumeError> {
+    ) -> Result<Vec<TetFace>, VolumeError> {
         let mut sweeps = Vec::new();
         if self.weakness.cut {
             let before = self.cuts.blades.clone();
@@ -357,7 +357,7 @@ impl Parting {
             self.cuts_changed = !sweeps.is_empty() || self.cuts.blades != before;
         }
         let faces = if sweeps.is_empty() || !self.weakness.halves {
-            let mut faces: Vec<FaceOf> = Vec::new();
+            let mut faces: Vec<TetFace> = Vec::new();
             if change.born.is_empty() {
                 let positions = elements.positions();
                 for sweep in sweeps {
@@ -374,7 +374,7 @@ impl Parting {
             // After burning the solver does not have the new nodes yet.
             let period = site.period_secs();
             let moved = elements.velocities().iter().map(|velocity| velocity * period).collect();
-            let mut nodes = Moving { positions: elements.positions().to_vec(), moved };
+            let mut nodes = NodeMotion { positions: elements.positions().to_vec(), moved };
             nodes.follow(&change.born);
             return self.volume.cut(&mut nodes, &sweeps, &mut self.cuts.slit, change);
         };
@@ -389,7 +389,7 @@ impl Parting {
 
     /// The face to tear: the one with the largest normal stress, if that exceeds the strength. One at a time, so that
     /// the stress around it is relieved before the next.
-    fn tear(&mut self, positions: &[Point3<f64>]) -> Option<FaceOf> {
+    fn tear(&mut self, positions: &[Point3<f64>]) -> Option<TetFace> {
         let (strength, lame) = self.weakness.tears?;
         let of = if self.weakness.is_linear { small_stress } else { cauchy_stress };
         let mut stresses = vec![Matrix3::zeros(); self.inverse_shapes.len()];
@@ -415,7 +415,7 @@ impl Parting {
         if self.cuts.first.is_empty() {
             self.cuts.first = Arc::new(self.cuts.first_tets(body.rest.len(), &body.tets));
         }
-        let mut opened: BTreeSet<FaceOf> = self.cuts.opened.iter().copied().collect();
+        let mut opened: BTreeSet<TetFace> = self.cuts.opened.iter().copied().collect();
         for halved in &change.halved {
             let origin = self.origin(halved.tet);
             self.parts.entry(origin).or_default().push(halved.child);
@@ -497,11 +497,11 @@ impl Parting {
 
     /// The surface after a change: its remaining triangles, then the uncovered ones, the first `burned` of them from
     /// before any split, then the other halves of split triangles.
-    fn uncover(&mut self, change: &VolumeChange, burned: usize) -> Reshaped {
+    fn uncover(&mut self, change: &VolumeChange, burned: usize) -> SurfaceChange {
         let mut old = std::mem::take(&mut self.faces);
         let mut bare = change.uncovered[..burned].to_vec();
-        let mut halves: Vec<(FaceOf, Triangle)> = Vec::new();
-        let mut known: BTreeMap<FaceOf, Triangle> = BTreeMap::new();
+        let mut halves: Vec<(TetFace, Triangle)> = Vec::new();
+        let mut known: BTreeMap<TetFace, Triangle> = BTreeMap::new();
         if !change.halved.is_empty() {
             known.extend(old.iter().enumerate().map(|(at, face)| (*face, Triangle::Old(at))));
             known.extend(bare.iter().enumerate().map(|(at, face)| (*face, Triangle::Bare(at))));
@@ -531,9 +531,9 @@ impl Parting {
                 known.insert(moved, triangle);
             }
         }
-        let is_there = |face: &FaceOf| self.volume.tet(face.0).is_some();
+        let is_there = |face: &TetFace| self.volume.tet(face.0).is_some();
         let mut kept = Vec::with_capacity(old.len());
-        let mut left: Vec<FaceOf> = Vec::with_capacity(old.len() + change.uncovered.len() + halves.len());
+        let mut left: Vec<TetFace> = Vec::with_capacity(old.len() + change.uncovered.len() + halves.len());
         for face in &old {
             kept.push(is_there(face).then_some(left.len() as u32));
             left.extend(is_there(face).then_some(*face));
@@ -547,10 +547,10 @@ impl Parting {
         let parents = parents.collect();
         left.extend(halves.iter().map(|(face, _)| *face));
         self.faces = left;
-        Reshaped { kept: Some(kept), parents }
+        SurfaceChange { kept: Some(kept), parents }
     }
 
-    fn corners(&self, &(tet, corner): &FaceOf) -> [u32; 3] {
+    fn corners(&self, &(tet, corner): &TetFace) -> [u32; 3] {
         self.volume.face((tet, corner)).unwrap_or_default()
     }
 
@@ -577,21 +577,21 @@ fn all_parts<'a>(parts: &'a BTreeMap<u32, Vec<u32>>, first: &'a [u32]) -> impl I
 }
 
 /// The faces of the triangles, in their order; `None` if the surface is not the boundary.
-fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Option<Vec<FaceOf>> {
+fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Option<Vec<TetFace>> {
     let sorted = |mut nodes: [u32; 3]| {
         nodes.sort_unstable();
         nodes
     };
     let of_boundary = || volume.boundary().filter_map(|face| Some((sorted(volume.face(face)?), face)));
     // Two faces of a slit with shared nodes have the same corners: each is used once.
-    let mut known: BTreeMap<[u32; 3], Vec<FaceOf>> = BTreeMap::new();
+    let mut known: BTreeMap<[u32; 3], Vec<TetFace>> = BTreeMap::new();
     of_boundary().for_each(|(nodes, face)| known.entry(nodes).or_default().push(face));
-    let same_sense = |face: &FaceOf, nodes: &[u32; 3]| {
+    let same_sense = |face: &TetFace, nodes: &[u32; 3]| {
         volume
             .face(*face)
             .is_some_and(|own| (0..3).any(|k| [own[k], own[(k + 1) % 3], own[(k + 2) % 3]] == *nodes))
     };
-    let faces: Option<Vec<FaceOf>> = triangles
+    let faces: Option<Vec<TetFace>> = triangles
         .iter()
         .map(|nodes| {
             let faces = known.get_mut(&sorted(*nodes))?;

@@ -8,16 +8,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::instrument_rods::Rod;
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, Outlook, Reshaped, StepContext};
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::method::{
+    ContactParams, Measures, StepContext, StepPrediction, SurfaceChange,
+};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, OutOfValidity, Snapshot, SoftAbilities,
 };
 
-use super::cutting::volume::{Elements, FailureCriteria, Parting, Split};
-use super::thermal_damage::{Coagulated, Heated};
+use super::cutting::volume::{DivisibleVolume, Elements, FailureCriteria, Split};
+use super::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use factor_job::{Built, Former};
 use saved_state::DynamicFemMemory;
@@ -117,7 +119,7 @@ impl DynamicFemBody {
         &self,
         mesh: TetMesh,
         pinned: &[u32],
-        heated: &Heated,
+        heated: &ThermalDamage,
     ) -> Result<DynamicFem, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let constitution =
@@ -139,7 +141,7 @@ impl DynamicFemBody {
         &self,
         body: &Deformable,
         memory: &DynamicFemMemory,
-        heated: &Heated,
+        heated: &ThermalDamage,
     ) -> Result<DynamicFem, String> {
         let state = memory.state(&body.positions, &body.velocities);
         if let Some(lent) = memory.lent.as_ref().filter(|_| memory.lends_to(body.rest.len())) {
@@ -162,7 +164,7 @@ impl DynamicFemBody {
     }
 }
 
-pub(super) fn heat(solver: &mut DynamicFem, heated: &Heated) {
+pub(super) fn heat(solver: &mut DynamicFem, heated: &ThermalDamage) {
     heated.coagulated.iter().for_each(|of| solver.alter(of.element, of.stiffness, of.length));
     solver.remove(&heated.removed);
 }
@@ -190,7 +192,7 @@ impl Elements for Solver {
         Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+    fn alter(&mut self, elements: &[CoagulatedElement]) -> Result<(), String> {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
         Ok(())
     }
@@ -211,7 +213,7 @@ impl Elements for Solver {
 /// Dynamic finite elements for one body.
 pub struct DynamicFemMethod {
     of: Solver,
-    parting: Option<Parting>,
+    parting: Option<DivisibleVolume>,
     /// Inverse mass of each node, 0 where it is anchored \[1/kg\].
     mobility: Vec<f64>,
     contacts: Vec<Contact>,
@@ -228,8 +230,8 @@ impl SoftMethod for DynamicFemMethod {
 
     fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();
-        let parting = Parting::new(body, kind.weakness()?, scene)?;
-        let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
+        let parting = DivisibleVolume::new(body, kind.weakness()?, scene)?;
+        let heated = parting.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let mobility = mobility(&solver, body);
         let mut of = Solver { kind: *kind, solver, memory, ready: None };
@@ -239,13 +241,13 @@ impl SoftMethod for DynamicFemMethod {
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        Parting::access(access, bodies)
+        DivisibleVolume::access(access, bodies)
             .writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
             .writes::<OutOfValidity>(EntitySet::Of(bodies.to_vec()))
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.parting.as_ref().is_some_and(Parting::is_cut)
+        self.parting.as_ref().is_some_and(DivisibleVolume::is_cut)
     }
 
     fn reshape(
@@ -253,7 +255,7 @@ impl SoftMethod for DynamicFemMethod {
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
+    ) -> Result<Option<SurfaceChange>, String> {
         let Some(parting) = &mut self.parting else { return Ok(None) };
         self.of.take_over(site)?;
         let reshaped = parting.reshape(&mut self.of, body, site, out)?;
@@ -286,8 +288,8 @@ impl SoftMethod for DynamicFemMethod {
         self.of.solver.velocities()
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
-        Skin {
+    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+        ContactSurface {
             positions: self.positions(),
             triangles: &body.triangles,
             segments: &[],
@@ -321,7 +323,7 @@ impl SoftMethod for DynamicFemMethod {
         _body: &Deformable,
         site: &StepContext<'_>,
         active: &[u32],
-        outlook: &mut Outlook,
+        outlook: &mut StepPrediction,
     ) {
         let (solver, dt) = (&mut self.of.solver, site.period_secs());
         solver.expected(dt, &inputs(&self.contacts, &self.prescribed, site), &mut outlook.expected);
@@ -394,7 +396,7 @@ fn inputs<'a>(
 }
 
 /// Contact plane: tangent to the rod at the point nearest to the body.
-fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
+fn contact(touch: &RodContact, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
     let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
     let weights =
         if b == a { [(a, 1.0), (a, 0.0), (a, 0.0), (a, 0.0)] } else { [(a, u), (b, v), (c, w), (a, 0.0)] };

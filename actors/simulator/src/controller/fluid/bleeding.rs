@@ -7,7 +7,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody, freeze};
 use trocar_dynamics::soft_body::jaws::holds;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
@@ -138,7 +138,7 @@ struct Body {
 /// Simulates the bleeding of every vessel.
 pub struct BleedingController {
     vessels: Vec<Body>,
-    refused: Vec<Refused>,
+    refused: Vec<RejectedBody>,
 }
 
 fn length(line: &[Point3<f64>]) -> f64 {
@@ -383,7 +383,7 @@ impl BleedingController {
         for (entity, vessel) in context.scene.iter::<Vessel>() {
             match Body::read(context.scene, entity, *vessel) {
                 Ok(body) => vessels.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+                Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if vessels.is_empty() && refused.is_empty() {

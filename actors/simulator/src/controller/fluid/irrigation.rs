@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Activation, Component, ComponentError, ControllerError, Entity, Snapshot};
 
-use crate::fluid::{Fluid, Hole, Spout};
+use crate::fluid::{Emitter, Fluid, Hole};
 
 /// An irrigator: a tube at an instrument, along its axis, that emits the scene's liquid while it is switched on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -97,7 +97,7 @@ impl Irrigator {
         (scene, entity): (&Snapshot, Entity),
         liquid_from_world: &Isometry3<f64>,
         dt: f64,
-        spout: &mut Spout,
+        spout: &mut Emitter,
         fluid: &mut Fluid,
     ) {
         let liquid_from_tip = liquid_from_world * scene.world_pose(entity);

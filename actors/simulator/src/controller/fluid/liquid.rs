@@ -16,7 +16,7 @@ use trocar_scene::{
 use super::bleeding::{VesselState, rest_of};
 use super::irrigation::{self, Irrigator, Sucker, Suction};
 use crate::fluid::boundary_samples::{WallSample, sample};
-use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
+use crate::fluid::{Emitter, Fluid, FluidConfig, FluidState};
 
 /// Maximum number of samples per wall.
 const SAMPLES_MAX: usize = 200_000;
@@ -100,7 +100,7 @@ pub struct LiquidState {
     /// The particles.
     pub fluid: Arc<FluidState>,
     /// Emission of each vessel and irrigator so far.
-    pub spouts: Vec<(Entity, Spout)>,
+    pub spouts: Vec<(Entity, Emitter)>,
     /// Suction of each sucker so far.
     #[serde(default)]
     pub suctions: Vec<(Entity, Suction)>,
@@ -127,7 +127,7 @@ pub struct FluidController {
     look: Particles,
     fluid: Fluid,
     gravity_in_world: Vector3<f64>,
-    spouts: BTreeMap<Entity, Spout>,
+    spouts: BTreeMap<Entity, Emitter>,
     suctions: BTreeMap<Entity, Suction>,
     walls: Vec<Wall>,
     places: Vec<Point3<f64>>,

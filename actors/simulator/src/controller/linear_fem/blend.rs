@@ -9,8 +9,8 @@
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::contacts::Answer;
-use super::warm_start::Holding;
+use super::contacts::ConstraintReaction;
+use super::warm_start::HeldConstraints;
 use crate::linear_fem::{Attachment, LinearFem, LinearFemError};
 
 /// Maximum change of the contact force per tick, relative to it.
@@ -35,12 +35,12 @@ pub(crate) fn catch_up(
 }
 
 /// An old inverse that is blended out.
-pub(crate) struct Fading {
+pub(crate) struct InverseBlend {
     old: Box<LinearFem>,
     /// Weight of the new inverse.
     share: f64,
     /// The old inverse's held places and their factor.
-    holding: Holding,
+    holding: HeldConstraints,
     forces: Vec<Vector3<f64>>,
     /// Magnitude of the contact force, and its difference between the two inverses \[N\].
     felt: f64,
@@ -48,10 +48,10 @@ pub(crate) struct Fading {
     moved: Vec<Vector3<f64>>,
 }
 
-impl Fading {
+impl InverseBlend {
     /// From an inverse that was just replaced.
     pub fn new(old: Box<LinearFem>) -> Self {
-        let (holding, forces, moved) = (Holding::default(), Vec::new(), Vec::new());
+        let (holding, forces, moved) = (HeldConstraints::default(), Vec::new(), Vec::new());
         Self { old, share: 0.0, holding, forces, felt: 0.0, change: 0.0, moved }
     }
 
@@ -95,7 +95,7 @@ impl Fading {
         self.is_unfelt() && self.old.is_out(tet)
     }
 
-    /// Releases everything that is not kept from the last tick, as [`Holding::keep`] does.
+    /// Releases everything that is not kept from the last tick, as [`HeldConstraints::keep`] does.
     pub fn keep<'a>(&mut self, wanted: impl Iterator<Item = &'a Attachment>) -> Result<(), LinearFemError> {
         self.holding.keep(&mut self.old, wanted)
     }
@@ -116,7 +116,7 @@ impl Fading {
     }
 
     /// Blends the old inverse's forces into the new inverse's answers.
-    pub fn blend_forces(&mut self, answers: &mut [Answer]) -> Result<(), LinearFemError> {
+    pub fn blend_forces(&mut self, answers: &mut [ConstraintReaction]) -> Result<(), LinearFemError> {
         (self.felt, self.change) = (0.0, 0.0);
         self.holding.forces(&mut self.old, &mut self.forces)?;
         for (place, (answer, old)) in answers.iter_mut().zip(&self.forces).enumerate() {

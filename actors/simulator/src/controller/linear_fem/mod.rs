@@ -22,12 +22,12 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::is_blade;
 use trocar_dynamics::soft_body::method::{Measures, StepContext, finite_vertices};
-use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, Touch, collision};
+use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, RodContact, collision};
 use trocar_dynamics::soft_body::{Deformable, PinnedBody};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
@@ -36,14 +36,14 @@ use trocar_scene::{
     Pose, Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
-use super::cutting::volume::{FailureCriteria, Parting};
+use super::cutting::volume::{DivisibleVolume, FailureCriteria};
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
-use blend::Fading;
-use contacts::{Answer, By, Contacts};
+use blend::InverseBlend;
+use contacts::{ConstraintReaction, ConstraintSource, Contacts};
 use embedded_points::{PinPlaces, Pins};
 use inverse_job::{altered_as_job, built, built_as_job};
-use topology_change::{Altered, AlteredAt};
-use warm_start::Holding;
+use topology_change::{MeshChanges, OrganElements};
+use warm_start::HeldConstraints;
 
 /// Maximum number of contact detection rounds per tick.
 const ROUNDS_MAX: usize = 8;
@@ -105,13 +105,13 @@ pub(super) struct Body {
     pub(super) mesh: TetMesh,
     pub(super) solver: Option<Box<LinearFem>>,
     /// Its constraints, and their forces [N].
-    pub(super) holding: Holding,
+    pub(super) holding: HeldConstraints,
     forces: Vec<Vector3<f64>>,
     /// The previous inverse, while it is blended out.
-    pub(super) fading: Option<Fading>,
+    pub(super) fading: Option<InverseBlend>,
     submitted: bool,
     /// For a body that can burn, be cut or tear.
-    pub(super) parting: Option<(Parting, Altered)>,
+    pub(super) parting: Option<(DivisibleVolume, MeshChanges)>,
     /// Progress of the inverse's computation, as the bits of an f64.
     progress: Arc<AtomicU64>,
     pub(super) positions: Vec<Point3<f64>>,
@@ -130,7 +130,7 @@ pub(super) struct Body {
 pub struct LinearFemController {
     cache: Option<Cache>,
     bodies: Vec<Body>,
-    refused: Vec<Refused>,
+    refused: Vec<RejectedBody>,
     rods: Vec<Rod>,
 }
 
@@ -145,7 +145,7 @@ impl LinearFemController {
             let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
             match Body::read(kind, entity, context.scene) {
                 Ok(body) => bodies.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+                Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if bodies.is_empty() && refused.is_empty() {
@@ -160,7 +160,7 @@ impl Controller for LinearFemController {
     fn access(&self) -> Access {
         let refused = self.refused.iter().map(|body| body.entity);
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
-        Parting::access(Deformable::access(&bodies), &bodies)
+        DivisibleVolume::access(Deformable::access(&bodies), &bodies)
             .reads::<LinearFemBody>()
             .reads::<Pose>()
             .reads::<Velocity>()
@@ -200,7 +200,7 @@ impl Controller for LinearFemController {
                 match done {
                     Ok(answers) => {
                         for answer in &answers {
-                            let driven_in = matches!(answer.by, By::Pin(_));
+                            let driven_in = matches!(answer.by, ConstraintSource::Pin(_));
                             forces[usize::from(driven_in)] += answer.force.norm();
                             collisions.extend(body.told(answer, &self.rods, &world_from_body, tick.time));
                         }
@@ -243,10 +243,11 @@ impl Body {
             TetMesh::new(&body.rest, &body.tets, &rules).map_err(|why| wrong(&body.name, why.to_string()))
         };
         let weakness = kind.weakness().map_err(|why| wrong(&body.name, why))?;
-        let parting = Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?;
+        let parting =
+            DivisibleVolume::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?;
         let mesh = mesh(&body)?;
         let parting = parting.map(|parting| {
-            let altered = Altered::new(mesh.tets().len(), &parting.heated(), parting.births());
+            let altered = MeshChanges::new(mesh.tets().len(), &parting.heated(), parting.births());
             (parting, altered)
         });
         let is_pinned = body.stays();
@@ -256,7 +257,7 @@ impl Body {
             mesh,
             pins,
             solver: None,
-            holding: Holding::default(),
+            holding: HeldConstraints::default(),
             forces: Vec::new(),
             fading: None,
             submitted: false,
@@ -280,7 +281,7 @@ impl Body {
         cache: Option<&Cache>,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Vec<Answer>, String> {
+    ) -> Result<Vec<ConstraintReaction>, String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
         self.wait(keys[0], cache, site.tick)?;
         self.alter(keys[1], site, out)?;
@@ -303,7 +304,7 @@ impl Body {
         // Results of the last evaluation are for the next tick.
         self.look_inside(site.tick);
         if !self.parting.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
-            self.fading.take_if(Fading::is_over);
+            self.fading.take_if(InverseBlend::is_over);
         }
         finite_vertices(&self.positions, &[])?;
         let bad = answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
@@ -317,7 +318,7 @@ impl Body {
         let waits = |solver: &LinearFem| altered.waiting(fading) + altered.nodes_waiting(solver, fading);
         let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
         let (positions, mesh) = (&mut self.positions, &mut self.mesh);
-        let mut elements = AlteredAt { altered, positions, mesh, has_followed };
+        let mut elements = OrganElements { altered, positions, mesh, has_followed };
         if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
             self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
@@ -327,7 +328,7 @@ impl Body {
         if !altered.is_still(&self.mesh, solver) {
             // Held constraints would be re-entered with every change.
             let nothing = std::iter::empty::<&Attachment>;
-            let let_go = |fading: &mut Fading| fading.keep(nothing());
+            let let_go = |fading: &mut InverseBlend| fading.keep(nothing());
             self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
             self.fading.as_mut().map_or(Ok(()), let_go).map_err(|error| error.to_string())?;
         }
@@ -370,7 +371,11 @@ impl Body {
     }
 
     /// Holds the new constraints, and solves for all.
-    fn answer(&mut self, answers: &mut [Answer], asked: &mut usize) -> Result<(), LinearFemError> {
+    fn answer(
+        &mut self,
+        answers: &mut [ConstraintReaction],
+        asked: &mut usize,
+    ) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         for (index, answer) in answers.iter().enumerate().skip(*asked) {
             // If two jaws hold the same vertex, the first one has it.
@@ -425,7 +430,7 @@ impl Body {
     /// displacement from rest, so that force over depth is the organ's stiffness.
     fn told(
         &self,
-        answer: &Answer,
+        answer: &ConstraintReaction,
         rods: &[Rod],
         world_from_body: &Isometry3<f64>,
         at: SimTime,
@@ -451,9 +456,9 @@ impl Body {
                 detected_at: at,
             };
         Some(match &answer.by {
-            By::Touch(touch) => {
+            ConstraintSource::RodContact(touch) => {
                 let found = collision(
-                    &Touch { depth: 0.0, ..*touch },
+                    &RodContact { depth: 0.0, ..*touch },
                     &rods[touch.rod],
                     self.body.entity,
                     &answer.force,
@@ -462,11 +467,11 @@ impl Body {
                 );
                 Collision { depth, ..found }
             }
-            By::Jaws(instrument, vertex) => {
+            ConstraintSource::Jaws(instrument, vertex) => {
                 let place = self.positions[*vertex as usize];
                 held((*instrument, Primitive::Jaw(0)), Primitive::Vertex(*vertex), place)
             }
-            By::Pin(number) => {
+            ConstraintSource::Pin(number) => {
                 let pin = &self.pins.pins[*number];
                 let place = pin.rest + answer.target;
                 held((pin.entity, Primitive::Shape(0)), Primitive::Tetrahedron(pin.tet), place)

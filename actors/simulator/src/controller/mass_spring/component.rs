@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::rod_contact::Skin;
+use trocar_dynamics::soft_body::rod_contact::ContactSurface;
 use trocar_scene::{Component, ComponentError, SoftAbilities};
 
 use crate::controller::cutting::volume::FailureCriteria;
@@ -207,9 +207,9 @@ impl MassSpringBody {
         }
     }
 
-    pub(crate) fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> Skin<'a> {
+    pub(crate) fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> ContactSurface<'a> {
         let is_line = matches!(self.springs, Springs::Line { .. });
-        Skin {
+        ContactSurface {
             positions,
             triangles: if is_line { &[] } else { &body.triangles },
             segments: if is_line { &body.segments } else { &[] },

@@ -13,14 +13,14 @@ use trocar_scene::{
 };
 
 use super::components::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
-use crate::controller::suture_thread::contact_report::{Told, collision};
+use crate::controller::suture_thread::contact_report::{ContactReport, collision};
 use crate::controller::suture_thread::cut::{follow as follow_cut, parted_at};
-use crate::controller::suture_thread::grasp::{Leading, Pull, SPARED, pulls, update};
+use crate::controller::suture_thread::grasp::{GraspConstraints, GraspForce, SPARED, pulls, update};
 use crate::controller::suture_thread::knot::KnotState;
 use crate::controller::suture_thread::knot_job::KnotWatch;
-use crate::controller::suture_thread::obstacles::Parts;
+use crate::controller::suture_thread::obstacles::ObstacleParts;
 use crate::controller::suture_thread::remesh::{EDGES_EVERY, fineness, follow, held};
-use crate::controller::suture_thread::saved_state::Met;
+use crate::controller::suture_thread::saved_state::ObstaclePose;
 use crate::linear_fem::Deformation;
 use crate::suture::needle::NeedleState;
 use crate::suture::{Grip, StepInputs, Suture, SutureReport, SutureState, Tissue};
@@ -52,11 +52,11 @@ pub(crate) struct Sewing {
     /// Of the tissue.
     deformation: Deformation,
     grips: Vec<Grip>,
-    parts: Parts,
-    leading: Leading,
+    parts: ObstacleParts,
+    leading: GraspConstraints,
     /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
-    pulls: Vec<(Entity, Pull)>,
+    pulls: Vec<(Entity, GraspForce)>,
     forces: Vec<(Entity, Point3<f64>, Vector3<f64>)>,
     has_line: bool,
     frozen: bool,
@@ -111,8 +111,8 @@ impl Sewing {
             report: SutureReport::default(),
             deformation: Deformation::default(),
             grips: Vec::new(),
-            parts: Parts::default(),
-            leading: Leading::default(),
+            parts: ObstacleParts::default(),
+            leading: GraspConstraints::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
             forces: Vec::new(),
@@ -297,7 +297,7 @@ impl Sewing {
             }
         }
         self.memory.met.clear();
-        self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
+        self.memory.met.extend(self.parts.list.iter().map(|part| ObstaclePose { at: part.to, ..part.met }));
         if tick.number.is_multiple_of(DOUBT_EVERY) {
             let tissue = self.suture.tissue();
             let moved = tissue.positions().iter().zip(tissue.mesh().rest()).map(|(now, rest)| now - rest);
@@ -317,7 +317,7 @@ impl Sewing {
             let jaw = Primitive::Jaw(0);
             collisions.push(collision(*instrument, jaw, needle, *place, *force, depth, tick.time));
         }
-        let told = Told {
+        let told = ContactReport {
             thread: needle,
             world_from_thread: Isometry3::identity(),
             parts: &self.parts,

@@ -10,10 +10,10 @@ use trocar_scene::{Commands, Entity, LineMesh, Snapshot, Tick};
 
 use super::component::ThreadBody;
 use super::saved_state::ThreadMemory;
-use crate::suture_thread::{Parted, Thread, ThreadError, ThreadState};
+use crate::suture_thread::{CutNumbering, Thread, ThreadError, ThreadState};
 
 /// The threads; first the one that names the others.
-pub struct Lines {
+pub struct ThreadGroup {
     list: Vec<Deformable>,
     /// Anchored nodes, in concatenated numbers.
     anchored: Vec<(usize, Point3<f64>)>,
@@ -21,7 +21,7 @@ pub struct Lines {
     has_lines: bool,
 }
 
-impl Lines {
+impl ThreadGroup {
     /// Reads them; `first` is the body of the first thread, with the component `kind`.
     ///
     /// # Errors
@@ -126,7 +126,7 @@ impl Lines {
     }
 
     /// Cuts them.
-    pub fn part(&mut self, parted: &Parted, state: &ThreadState) {
+    pub fn part(&mut self, parted: &CutNumbering, state: &ThreadState) {
         self.lie(&parted.places(&self.rest()), &parted.nodes, state);
     }
 

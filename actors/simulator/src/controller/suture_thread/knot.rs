@@ -2,7 +2,7 @@
 //! invariants that identify it.
 //!
 //! One evaluation gives the knot and the throws that it is composed of; the order of unequal throws takes several
-//! ([`Reading`]). `KnotWatch` (`knot_job.rs`) schedules them.
+//! ([`ThrowReader`]). `KnotWatch` (`knot_job.rs`) schedules them.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError};
 
-use crate::suture_thread::knot::{KnotKind, Reading, Throw, identify_joined, notation};
+use crate::suture_thread::knot::{KnotKind, Throw, ThrowReader, identify_joined, notation};
 
 /// Maximum number of throws of a knot.
 const THROWS_MAX: usize = 8;
@@ -54,7 +54,7 @@ pub struct KnotState {
     /// Whether it is amphichiral, as far as its Jones polynomial tells.
     pub amphichiral: bool,
     /// Progress of reading the order of the throws.
-    pub reading: Option<Reading>,
+    pub reading: Option<ThrowReader>,
 }
 
 impl Component for KnotState {
@@ -86,7 +86,7 @@ impl KnotState {
         let Ok(knot) = identify_joined(threads) else {
             return Self { code: knot_code(None), ..Self::default() };
         };
-        let reading = Reading::new(&knot.kind);
+        let reading = ThrowReader::new(&knot.kind);
         let throws = reading.throws();
         let mut state = Self {
             code: knot_code(Some(&knot.kind)),

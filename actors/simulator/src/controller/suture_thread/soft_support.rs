@@ -9,7 +9,7 @@ use trocar_scene::soft_body::one_of;
 use trocar_scene::{Commands, Entity, Snapshot, Tick};
 
 use super::component::LiesOn;
-use super::obstacles::Yielding;
+use super::obstacles::DeformableMesh;
 use crate::controller::coupling::fast_side::{Partner, other};
 use crate::suture_thread::ThreadState;
 use crate::suture_thread::soft_support::SoftSurface;
@@ -106,7 +106,7 @@ impl LyingOn {
     }
 
     /// Its nodes and triangles as an obstacle, and its compliance.
-    pub fn parts(&mut self) -> (Yielding<'_>, &mut SoftSurface) {
+    pub fn parts(&mut self) -> (DeformableMesh<'_>, &mut SoftSurface) {
         let nodes: &[Point3<f64>] = self.partner.given.ghosts.positions();
         ((nodes, &self.partner.surface), &mut self.surface)
     }

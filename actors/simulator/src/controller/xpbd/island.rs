@@ -2,18 +2,18 @@
 
 use nalgebra::Vector3;
 use trocar_dynamics::coupling::external_nodes::{
-    ExternalNodes, ExternalNodesState, GhostImpulses, GhostNode, Press, Tie,
+    ExternalNodes, ExternalNodesState, GhostImpulses, GhostNode, NodeContact, Tie,
 };
 use trocar_dynamics::particles::StepError;
 use trocar_dynamics::soft_body::method::Step;
 
 use super::XpbdMethod;
-use crate::controller::coupling::fast_side::Coupled;
+use crate::controller::coupling::fast_side::FastSide;
 use crate::xpbd::{Member, XpbdInput, step_together};
 
 /// Offsets of one body's entries in the island's lists: nodes, guests, ties, contacts.
 #[derive(Clone, Copy, Default)]
-struct Begins {
+struct ListOffsets {
     node: u32,
     guest: usize,
     tie: usize,
@@ -25,15 +25,15 @@ struct Begins {
 struct Island {
     guests: Vec<GhostNode>,
     ties: Vec<Tie>,
-    presses: Vec<Press>,
-    begins: Vec<Begins>,
+    presses: Vec<NodeContact>,
+    begins: Vec<ListOffsets>,
 }
 
 impl Island {
     /// Adds the external nodes of a body.
     fn add(&mut self, company: &ExternalNodes<'_>, node: u32) {
         let Self { guests, ties, presses, begins } = self;
-        begins.push(Begins { node, guest: guests.len(), tie: ties.len(), press: presses.len() });
+        begins.push(ListOffsets { node, guest: guests.len(), tie: ties.len(), press: presses.len() });
         let first = guests.len() as u32;
         guests.extend_from_slice(company.guests);
         ties.extend(company.ties.iter().map(|tie| Tie {
@@ -41,7 +41,7 @@ impl Island {
             guests: tie.guests.map(|(guest, weight)| (first + guest, weight)),
             ..*tie
         }));
-        presses.extend(company.presses.iter().map(|press| Press {
+        presses.extend(company.presses.iter().map(|press| NodeContact {
             node: node + press.node,
             guests: press.guests.map(|(guest, weight)| (first + guest, weight)),
             anchor: press.anchor.map(|(guest, weight)| (first + guest, weight)),
@@ -64,7 +64,7 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
             step.done = Err(reason);
             return;
         }
-        let company = step.method.coupled.as_ref().map(Coupled::company).unwrap_or_default();
+        let company = step.method.coupled.as_ref().map(FastSide::company).unwrap_or_default();
         let nodes = step.method.of.solver.masses().len() + 1;
         if let Err(error) = company.check(nodes) {
             step.done = Err(error.to_string());
@@ -75,7 +75,7 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
     }
     let own_ties = island.ties.len();
     for (step, begins) in steps.iter().zip(&island.begins) {
-        for fused in step.method.coupled.iter().flat_map(Coupled::fused) {
+        for fused in step.method.coupled.iter().flat_map(FastSide::fused) {
             let other = steps.iter().zip(&island.begins).find(|(other, _)| other.body.entity == fused.entity);
             // A body that was frozen by its solver holds nothing any longer.
             if let Some((other, others)) = other {
@@ -90,7 +90,7 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
     for (index, step) in steps.iter_mut().enumerate() {
         let begins = island.begins[index];
         let ends = island.begins.get(index + 1).copied();
-        let ends = ends.unwrap_or(Begins {
+        let ends = ends.unwrap_or(ListOffsets {
             node,
             guest: island.guests.len(),
             tie: own_ties,

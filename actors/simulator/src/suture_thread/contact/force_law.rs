@@ -1,11 +1,11 @@
 //! Force laws of contacts and joints with three rows, for every kind that the dense problem of an island knows: force
 //! as a function of separation. Each has a small compliance, so that the law is a function and Newton's method applies.
 
-use super::Law;
+use super::CoulombState;
 
 /// A force law.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Rule {
+pub(crate) enum ForceLaw {
     /// Unilateral contact along the first row, with Coulomb friction in the other two.
     Contact { friction: f64 },
     /// The same, yielding plastically at a normal force of `most` \[N\].
@@ -20,9 +20,9 @@ pub(crate) enum Rule {
 /// The state of a contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum ContactState {
-    Contact(Law),
+    Contact(CoulombState),
     /// Yields at its largest normal force; tangentially, the state of a contact.
-    Gives(Law),
+    Gives(CoulombState),
     Within([Bound; 3]),
     /// It sticks.
     Stays,
@@ -52,11 +52,11 @@ impl ContactState {
     /// Which rows are at their force bounds.
     pub fn gives_way(&self) -> [bool; 3] {
         match self {
-            Self::Contact(Law::Open) => [true; 3],
-            Self::Contact(Law::Sticks) | Self::Stays => [false; 3],
-            Self::Contact(Law::Slides { .. }) => [false, true, true],
+            Self::Contact(CoulombState::Open) => [true; 3],
+            Self::Contact(CoulombState::Sticks) | Self::Stays => [false; 3],
+            Self::Contact(CoulombState::Slides { .. }) => [false, true, true],
             Self::Gives(law) => {
-                let slides = matches!(law, Law::Slides { .. });
+                let slides = matches!(law, CoulombState::Slides { .. });
                 [true, slides, slides]
             }
             Self::Within(bounds) => bounds.map(|bound| bound != Bound::Free),
@@ -86,7 +86,7 @@ pub(crate) struct Equation {
 
 const UNIT: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-impl Rule {
+impl ForceLaw {
     /// Bilateral constraint with unbounded force.
     pub const HELD: Self = Self::Within { least: [f64::NEG_INFINITY; 3], most: [f64::INFINITY; 3] };
 
@@ -99,12 +99,12 @@ impl Rule {
     pub fn of(&self, apart: [f64; 3], yields: [f64; 3]) -> ([f64; 3], ContactState) {
         match *self {
             Self::Contact { friction } => {
-                let (force, law) = Law::of(apart, friction, yields[0]);
+                let (force, law) = CoulombState::of(apart, friction, yields[0]);
                 (force, ContactState::Contact(law))
             }
             Self::Skin { friction, most } => {
                 let deepest = [apart[0].max(-most * yields[0]), apart[1], apart[2]];
-                let (force, law) = Law::of(deepest, friction, yields[0]);
+                let (force, law) = CoulombState::of(deepest, friction, yields[0]);
                 let gives = apart[0] < deepest[0];
                 (force, if gives { ContactState::Gives(law) } else { ContactState::Contact(law) })
             }
@@ -142,7 +142,7 @@ impl Rule {
     pub fn begin(&self, force: [f64; 3], apart: [f64; 3], yields: [f64; 3]) -> ContactState {
         match *self {
             Self::Contact { friction } | Self::Skin { friction, .. } => {
-                ContactState::Contact(Law::begin(force, apart, friction, yields[0]))
+                ContactState::Contact(CoulombState::begin(force, apart, friction, yields[0]))
             }
             Self::Within { .. } => self.of(std::array::from_fn(|k| -force[k] * yields[k]), yields).1,
             Self::Passes { base, friction } => {
@@ -158,7 +158,7 @@ impl Rule {
         }
     }
 
-    /// The next state to assume, after assuming `before` and finding `found`: see [`Law::next`].
+    /// The next state to assume, after assuming `before` and finding `found`: see [`CoulombState::next`].
     pub fn next(&self, before: ContactState, found: ContactState) -> ContactState {
         match (*self, before, found) {
             (Self::Contact { friction }, ContactState::Contact(before), ContactState::Contact(found)) => {
@@ -197,13 +197,13 @@ impl Rule {
         match (*self, doing) {
             (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(law)) => {
                 match law {
-                    Law::Open => {}
-                    Law::Sticks => {
+                    CoulombState::Open => {}
+                    CoulombState::Sticks => {
                         for unit in UNIT {
                             equation(Equation { force: unit, along: unit, yields: more[0] });
                         }
                     }
-                    Law::Slides { along: [x, y], share } => {
+                    CoulombState::Slides { along: [x, y], share } => {
                         let force = [1.0, -friction * x, -friction * y];
                         equation(Equation { force, along: UNIT[0], yields: more[0] });
                         // Perpendicular to the sliding direction friction is stiffer, the less it slides.
@@ -216,7 +216,7 @@ impl Rule {
                 }
             }
             (Self::Skin { friction, most }, ContactState::Gives(law)) => {
-                let Law::Slides { along: [x, y], share } = law else {
+                let CoulombState::Slides { along: [x, y], share } = law else {
                     for unit in [UNIT[1], UNIT[2]] {
                         equation(Equation { force: unit, along: unit, yields: more[0] });
                     }
@@ -291,12 +291,12 @@ mod tests {
 
     use super::*;
 
-    const RULES: [Rule; 5] = [
-        Rule::Contact { friction: 0.4 },
-        Rule::Skin { friction: 0.4, most: 1.0 },
-        Rule::Within { least: [-1.0, f64::NEG_INFINITY, -0.5], most: [0.0, f64::INFINITY, 0.5] },
-        Rule::HELD,
-        Rule::Passes { base: 0.3, friction: 0.4 },
+    const RULES: [ForceLaw; 5] = [
+        ForceLaw::Contact { friction: 0.4 },
+        ForceLaw::Skin { friction: 0.4, most: 1.0 },
+        ForceLaw::Within { least: [-1.0, f64::NEG_INFINITY, -0.5], most: [0.0, f64::INFINITY, 0.5] },
+        ForceLaw::HELD,
+        ForceLaw::Passes { base: 0.3, friction: 0.4 },
     ];
 
     #[test]
@@ -330,8 +330,11 @@ mod tests {
                 let again = rule.confined(force);
                 assert!((0..3).all(|k| (again[k] - force[k]).abs() < 1e-12), "{rule:?}: {force:?}");
                 let began = rule.begin(force, apart, yields);
-                let touches = !matches!(doing, ContactState::Contact(Law::Open));
-                assert!(!touches || !matches!(began, ContactState::Contact(Law::Open)), "{rule:?} {doing:?}");
+                let touches = !matches!(doing, ContactState::Contact(CoulombState::Open));
+                assert!(
+                    !touches || !matches!(began, ContactState::Contact(CoulombState::Open)),
+                    "{rule:?} {doing:?}"
+                );
             }
         }
     }

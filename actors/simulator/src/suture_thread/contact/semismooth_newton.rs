@@ -1,7 +1,7 @@
 //! Forces of many coupled contacts by a semismooth Newton method on their regularised force laws (Alart, Curnier 1991,
 //! for Coulomb's), on the assembled dense compliance.
 
-use super::force_law::{ContactState, Equation, Rule};
+use super::force_law::{ContactState, Equation, ForceLaw};
 use crate::simd::dispatch::wide;
 
 /// Maximum Newton steps from the warm-started forces.
@@ -33,7 +33,7 @@ pub(crate) struct Complementarity {
     /// Initial guess, then the solution \[N\].
     pub force: Vec<f64>,
     /// Force law of each contact.
-    pub rules: Vec<Rule>,
+    pub rules: Vec<ForceLaw>,
     /// `C` of each contact \[m/N\].
     pub yields: Vec<[f64; 3]>,
     offset: Vec<f64>,
@@ -83,7 +83,7 @@ impl Complementarity {
         self.nearest.clone_from(&self.force);
         let mut least = f64::INFINITY;
         let (mut done, mut exchanges) = (0, 0);
-        let has_ties = self.rules.iter().any(Rule::is_bounded);
+        let has_ties = self.rules.iter().any(ForceLaw::is_bounded);
         let plain = std::iter::once((1.0, STEPS_MAX, false));
         let one_by_one = has_ties.then_some((1.0, EXCHANGES_MAX, true));
         let soft = SOFTENING.map(|softness| (softness, SOFTENED_STEPS_MAX, false));
@@ -122,7 +122,7 @@ impl Complementarity {
     pub fn error_of(&self, place: usize) -> f64 {
         let (rows, at) = (self.force.len(), 3 * place);
         let mut own: [f64; 3] = std::array::from_fn(|k| self.compliance[(at + k) * (rows + 1)]);
-        if matches!(self.rules[place], Rule::Contact { .. } | Rule::Skin { .. }) {
+        if matches!(self.rules[place], ForceLaw::Contact { .. } | ForceLaw::Skin { .. }) {
             own[1] = own[1].max(own[2]);
             own[2] = own[1];
         }
@@ -333,7 +333,7 @@ mod tests {
     fn single(offset: [f64; 3], friction: f64) -> Complementarity {
         let mut problem = Complementarity::default();
         problem.clear(1);
-        problem.rules.push(Rule::Contact { friction });
+        problem.rules.push(ForceLaw::Contact { friction });
         problem.yields.push([1e-6; 3]);
         for k in 0..3 {
             problem.compliance[4 * k] = 1e-3;
@@ -371,7 +371,7 @@ mod tests {
             }
             problem.gap[r] = ((r * 7 % 11) as f64 - 5.5) * 0.1;
         }
-        problem.rules = vec![Rule::Contact { friction: 0.3 }; places];
+        problem.rules = vec![ForceLaw::Contact { friction: 0.3 }; places];
         problem.yields = vec![[1e-3; 3]; places];
         problem.solve(300, 1e-12);
         for place in 0..places {
@@ -402,16 +402,16 @@ mod tests {
             problem.yields = vec![[1e-6; 3]; places];
             problem.rules = (0..places)
                 .map(|place| match place % 3 {
-                    0 => Rule::Within { least: [-0.1, -1.0, 0.0], most: [0.0, 1.0, 0.2] },
-                    1 => Rule::Passes { base: 0.05, friction: 0.1 },
-                    _ => Rule::HELD,
+                    0 => ForceLaw::Within { least: [-0.1, -1.0, 0.0], most: [0.0, 1.0, 0.2] },
+                    1 => ForceLaw::Passes { base: 0.05, friction: 0.1 },
+                    _ => ForceLaw::HELD,
                 })
                 .collect();
             problem.solve(200, 1e-10);
             assert!(problem.error() < 1e-9, "case {case}: {}", problem.error());
             for place in 0..places {
                 let (force, gap) = (problem.force(place), problem.gap(place));
-                if let Rule::Within { least, most } = problem.rules[place] {
+                if let ForceLaw::Within { least, most } = problem.rules[place] {
                     for k in 0..3 {
                         // At a bound it is pushed on, in between it holds.
                         let holds = gap[k].abs() < 1e-9;

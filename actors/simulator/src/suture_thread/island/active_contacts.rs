@@ -2,11 +2,11 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::coupled_body::Companion;
-use super::{Active, Failure, Island, TieOf};
+use super::coupled_body::CoupledBody;
+use super::{Active, BodyTie, Failure, Island};
 use crate::linear_algebra::block_banded::Cell;
 use crate::suture_thread::contact::{
-    Law, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
+    CoulombState, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
 };
 use crate::suture_thread::state::{ContactKey, ContactMemory};
 use crate::suture_thread::{Surroundings, ThreadMaterial};
@@ -23,7 +23,7 @@ impl Island {
         material: &ThreadMaterial,
         around: &Surroundings,
         ahead: f64,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
     ) -> Result<(), Failure> {
         self.moved.clear();
         self.moved.extend((0..self.at.positions.len()).map(|node| {
@@ -62,12 +62,12 @@ impl Island {
             offset: tie.gap,
             force: tie.force,
             compliance: 0.0,
-            law: Law::Open,
-            next: Law::Open,
+            law: CoulombState::Open,
+            next: CoulombState::Open,
             surface: Point3::origin(),
             drawn: [0.0; 2],
             gives: None,
-            tie: Some(TieOf { number, rule: tie.rule, yields: tie.yields }),
+            tie: Some(BodyTie { number, rule: tie.rule, yields: tie.yields }),
         }));
         Ok(())
     }
@@ -150,7 +150,7 @@ impl Island {
         let expected = rows.apart(&self.expected);
         let expected: [f64; 3] = std::array::from_fn(|k| offset[k] + expected[k]);
         let force = [normal, held[0] * scale, held[1] * scale];
-        let law = Law::begin(force, expected, friction, compliance);
+        let law = CoulombState::begin(force, expected, friction, compliance);
         Active {
             key,
             rows,
@@ -184,7 +184,7 @@ impl Island {
         &self,
         material: &ThreadMaterial,
         around: &Surroundings,
-        companion: &impl Companion,
+        companion: &impl CoupledBody,
     ) -> Option<usize> {
         let deep = -DEPTH_MAX * material.diameter();
         let surface = companion.surface();

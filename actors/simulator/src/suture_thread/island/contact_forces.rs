@@ -11,12 +11,12 @@
 //! Where the alternation does not converge, the touched obstacles join the dense problem. Strand contacts as springs
 //! beside a dense problem were tried: they cycle where a tied strand pulls on its knot.
 
-use super::coupled_body::{Companion, Tied};
-use super::{Active, Failure, Island, Nearest, TOLERANCE};
+use super::coupled_body::{CoupledBody, TieResult};
+use super::{Active, BestIterate, Failure, Island, TOLERANCE};
 use crate::linear_algebra::block_banded::{Cell, LANES};
 use crate::simd::dispatch::wide;
-use crate::suture_thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
-use crate::suture_thread::{ThreadReport, Trouble};
+use crate::suture_thread::contact::{CONTACTS_MAX, CoulombState, ForceLaw, SOFTENING};
+use crate::suture_thread::{FailureCause, ThreadReport};
 
 /// Maximum factorisations in search of the states of contact springs.
 const ROUNDS_MAX: usize = 10;
@@ -38,7 +38,7 @@ impl Island {
     /// Solves the linearised island: leaves the change of the iterate in `moved` and the forces in the contacts.
     pub(super) fn answer(
         &mut self,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
         report: &mut ThreadReport,
     ) -> Result<(), Failure> {
         // With the warm-started forces the rod moves nearly as in the solution; pairs that stay apart are dropped.
@@ -53,7 +53,7 @@ impl Island {
         });
         let mut contacts = self.dense.iter().filter(|contact| contact.tie.is_none());
         if let Some(beyond) = contacts.nth(CONTACTS_MAX) {
-            return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
+            return Err(Failure { node: beyond.key.edge as usize, why: FailureCause::TooManyContacts });
         }
         // Beside ties and compliant bodies, strand contacts belong to the dense problem.
         if self.dense.iter().all(Active::is_of_strands) {
@@ -108,7 +108,7 @@ impl Island {
         let Self { sprung, dense, moved, .. } = self;
         sprung.retain(|contact| {
             let apart = contact.offset[0] + contact.rows.apart(moved)[0];
-            let is_near = contact.force[0] > 0.0 || contact.next != Law::Open || apart < NEAR;
+            let is_near = contact.force[0] > 0.0 || contact.next != CoulombState::Open || apart < NEAR;
             if is_near {
                 dense.push(contact.clone());
             }
@@ -143,7 +143,7 @@ impl Island {
             self.sparse.analyse(self.right.len(), couples);
             self.sparse.begin(&self.matrix, added);
             for (number, contact) in strands.iter().enumerate() {
-                if contact.law != Law::Open {
+                if contact.law != CoulombState::Open {
                     let yields = softness * contact.compliance;
                     let (blocks, slanted) = contact.law.blocks(&contact.rows, contact.friction, yields);
                     self.sparse.add_couple(number, &blocks, slanted);
@@ -154,9 +154,9 @@ impl Island {
         found.map_err(|node| Failure {
             node,
             why: if self.at.positions[node].iter().all(|x| x.is_finite()) {
-                Trouble::NotPositive
+                FailureCause::NotPositive
             } else {
-                Trouble::NotFinite
+                FailureCause::NotFinite
             },
         })
     }
@@ -234,7 +234,7 @@ impl Island {
             let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
             let yields = softness * contact.compliance;
             let linear = contact.law.linear(apart, contact.friction, yields);
-            let (force, law) = Law::of(apart, contact.friction, yields);
+            let (force, law) = CoulombState::of(apart, contact.friction, yields);
             let lacking: [f64; 3] = std::array::from_fn(|k| force[k] - linear[k]);
             contact.force = force;
             if lacking != [0.0; 3] {
@@ -261,7 +261,7 @@ impl Island {
         }
         let mut largest = 0.0_f64;
         for contact in &self.sprung {
-            if contact.next != Law::Open {
+            if contact.next != CoulombState::Open {
                 let by = contact.rows.apart(&self.rest);
                 largest = by.iter().fold(largest, |most, by| most.max(by.abs()));
             }
@@ -355,22 +355,22 @@ impl Island {
             self.tied.clear();
             return Ok(());
         }
-        self.tied.resize(self.ties.len(), Tied::default());
+        self.tied.resize(self.ties.len(), TieResult::default());
         for (place, contact) in self.dense.iter().enumerate() {
             let Some(tie) = &contact.tie else { continue };
             if self.problem.error_of(place) > TIE_ERROR_MAX {
-                return Err(Failure { node: 0, why: Trouble::Unsettled });
+                return Err(Failure { node: 0, why: FailureCause::Unsettled });
             }
             let gap = self.problem.gap(place);
             let apart = std::array::from_fn(|k| gap[k] - tie.yields[k] * contact.force[k]);
             let gives_way = tie.rule.of(apart, tie.yields).1.gives_way();
-            self.tied[tie.number] = Tied { force: contact.force, gap, gives_way };
+            self.tied[tie.number] = TieResult { force: contact.force, gap, gives_way };
         }
         Ok(())
     }
 }
 
-impl Nearest {
+impl BestIterate {
     fn take(&mut self, error: f64, moved: &[Cell], contacts: &[Active]) {
         self.error = error;
         self.moved.clear();
@@ -385,8 +385,8 @@ impl Active {
         self.tie.is_none() && self.key.with == 0
     }
 
-    fn rule(&self) -> Rule {
-        self.tie.map_or(Rule::Contact { friction: self.friction }, |tie| tie.rule)
+    fn rule(&self) -> ForceLaw {
+        self.tie.map_or(ForceLaw::Contact { friction: self.friction }, |tie| tie.rule)
     }
 
     fn yields(&self) -> [f64; 3] {

@@ -11,16 +11,16 @@ mod elastic;
 
 use nalgebra::{Point3, Vector3};
 
-use coupled_body::{Companion, Link, Tie, Tied, Tolerance};
+use coupled_body::{CoupledBody, Link, Tie, TieResult, Tolerance};
 pub(crate) use elastic::TiedAround;
 
 use super::contact::{
-    Candidates, Complementarity, Law, Motion, Rows, Rule, passed_through, passed_through_face,
+    Candidates, Complementarity, CoulombState, ForceLaw, Motion, Rows, passed_through, passed_through_face,
 };
-use super::discrete_elastic_rod::{Iterate, assemble};
-use super::elastic::SurfacePlace;
+use super::discrete_elastic_rod::{RodIterate, assemble};
+use super::elastic::SurfacePoint;
 use super::state::{ContactKey, ContactMemory, ThreadState};
-use super::{Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError, Trouble};
+use super::{FailureCause, Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError};
 use crate::linear_algebra::block_banded::{Added, BlockBand, Cell, Factors, LaneCell};
 use crate::linear_algebra::block_sparse_lu::BlockSparse;
 
@@ -48,29 +48,29 @@ struct Active {
     force: [f64; 3],
     compliance: f64,
     /// For a contact with an obstacle: its state in the current and in the next factors.
-    law: Law,
-    next: Law,
+    law: CoulombState,
+    next: CoulombState,
     /// Contact point on the obstacle \[m\].
     surface: Point3<f64>,
     drawn: [f64; 2],
     /// Contact point on a compliant surface.
-    gives: Option<SurfacePlace>,
+    gives: Option<SurfacePoint>,
     /// The tie that it belongs to, if it is not a contact.
-    tie: Option<TieOf>,
+    tie: Option<BodyTie>,
 }
 
 /// A tie of a coupled body, which is not a contact of the rod.
 #[derive(Clone, Copy, Debug)]
-struct TieOf {
+struct BodyTie {
     /// Index in the coupled body's list.
     number: usize,
-    rule: Rule,
+    rule: ForceLaw,
     yields: [f64; 3],
 }
 
 /// The best approximation of the contact laws so far.
 #[derive(Clone, Debug, Default)]
-struct Nearest {
+struct BestIterate {
     /// Its error \[m\].
     error: f64,
     moved: Vec<Cell>,
@@ -83,7 +83,7 @@ pub(crate) struct Island {
     /// Newton steps on the contacts of one linearised solution, at most.
     pub sweeps_max: usize,
     trial: ThreadState,
-    at: Iterate,
+    at: RodIterate,
     matrix: BlockBand,
     added: Added,
     factors: Factors,
@@ -92,7 +92,7 @@ pub(crate) struct Island {
     /// Number of obstacle contacts in `sprung`; strand contacts follow them. Without strand contacts the banded factors
     /// are used.
     with_obstacles: usize,
-    nearest: Nearest,
+    nearest: BestIterate,
     right: Vec<Cell>,
     moved: Vec<Cell>,
     expected: Vec<Cell>,
@@ -112,16 +112,16 @@ pub(crate) struct Island {
     hold_torques: Vec<f64>,
     reactions: Vec<Reaction>,
     /// Triangles of compliant bodies near edges.
-    near: Vec<elastic::Near>,
-    joined: elastic::Joined,
+    near: Vec<elastic::NearTriangle>,
+    joined: elastic::CoupledLinks,
     ties: Vec<Tie>,
-    tied: Vec<Tied>,
+    tied: Vec<TieResult>,
 }
 
 /// Why and where a substep failed.
 pub(crate) struct Failure {
     pub node: usize,
-    pub why: Trouble,
+    pub why: FailureCause,
 }
 
 impl Island {
@@ -142,7 +142,7 @@ impl Island {
     }
 
     /// Results of the ties of the last iteration, in the coupled body's order.
-    pub fn tied(&self) -> &[Tied] {
+    pub fn tied(&self) -> &[TieResult] {
         &self.tied
     }
 
@@ -174,7 +174,7 @@ impl Island {
         state: &mut ThreadState,
         dt: f64,
         around: &Surroundings,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
     ) -> Result<ThreadReport, ThreadStepError> {
         self.begin(state, around);
         let mut report = ThreadReport::default();
@@ -232,7 +232,7 @@ impl Island {
         around: &Surroundings,
         divisible: bool,
         report: &mut ThreadReport,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
     ) -> Result<(), Failure> {
         companion.begin(dt);
         let diameter = material.diameter();
@@ -277,22 +277,22 @@ impl Island {
                 continue;
             }
             if error.1 > LENGTH_ERROR_MAX {
-                return Err(Failure { node: error.0, why: Trouble::Strain });
+                return Err(Failure { node: error.0, why: FailureCause::Strain });
             }
             // A rod whose contacts alternate is accepted as it is.
             if (if touches { of_companion } else { largest }) > tolerance.moved_at_most {
-                return Err(Failure { node: error.0, why: Trouble::Wanders });
+                return Err(Failure { node: error.0, why: FailureCause::Wanders });
             }
             // A pair that came near only in the last iterate has not been solved for.
             if let Some(node) = self.sunk(material, around, companion).filter(|_| divisible) {
-                return Err(Failure { node, why: Trouble::PassedThrough });
+                return Err(Failure { node, why: FailureCause::PassedThrough });
             }
         }
         Ok(())
     }
 
     /// Moves the coupled body by the solved forces.
-    fn advance_companion(&mut self, companion: &mut impl Companion) -> Result<f64, Failure> {
+    fn advance_companion(&mut self, companion: &mut impl CoupledBody) -> Result<f64, Failure> {
         self.link_forces();
         companion.advance(&self.joined.links, &self.joined.forces).map_err(|why| Failure { node: 0, why })
     }
@@ -396,7 +396,7 @@ impl Island {
             let by = change(&self.moved, node);
             let size = by.norm();
             if !size.is_finite() || !self.moved[node][3].is_finite() {
-                return Err(Failure { node, why: Trouble::NotFinite });
+                return Err(Failure { node, why: FailureCause::NotFinite });
             }
             largest = largest.max(size);
             at.positions[node] += by;
@@ -420,7 +420,7 @@ impl Island {
         &mut self,
         material: &ThreadMaterial,
         around: &Surroundings,
-        companion: &impl Companion,
+        companion: &impl CoupledBody,
     ) -> Result<(), Failure> {
         let mut further = false;
         for node in 0..self.at.positions.len() {
@@ -456,11 +456,11 @@ impl Island {
                 None => passed_through(key, from, to, material.radius, around.obstacles, &self.motions),
             };
             if passed {
-                return Err(Failure { node: candidate.key.edge as usize, why: Trouble::PassedThrough });
+                return Err(Failure { node: candidate.key.edge as usize, why: FailureCause::PassedThrough });
             }
         }
         match companion.stops([from, to]) {
-            Some(node) => Err(Failure { node, why: Trouble::PassedThrough }),
+            Some(node) => Err(Failure { node, why: FailureCause::PassedThrough }),
             None => Ok(()),
         }
     }
