@@ -174,17 +174,17 @@ impl Picks {
     /// Prescribed positions of all held vertices, in ascending order of vertices; `jaws` as in
     /// [`update`](Self::update).
     #[must_use]
-    pub fn led(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
-        let mut led = Vec::new();
+    pub fn driven(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
+        let mut driven = Vec::new();
         for pick in &self.picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
-            led.extend(pick.vertices.iter().map(|held| DrivenVertex {
+            driven.extend(pick.vertices.iter().map(|held| DrivenVertex {
                 vertex: held.vertex,
                 position_in_world: jaw.pose_in_world * held.in_instrument,
             }));
         }
-        led.sort_by_key(|led| led.vertex);
-        led
+        driven.sort_by_key(|driven| driven.vertex);
+        driven
     }
 
     /// Renumbers or removes triangles; a pick without triangles is dropped.

@@ -105,7 +105,7 @@ pub struct EngineSoftMethod {
     /// Fixed vertices, ascending.
     pinned: Vec<u32>,
     /// Vertices held by jaws, ascending.
-    led: Vec<u32>,
+    driven: Vec<u32>,
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
 }
@@ -126,25 +126,25 @@ impl EngineSoftMethod {
 
     /// Updates the vertices that jaws hold.
     fn lead(&mut self, site: &StepContext<'_>) -> Result<(), String> {
-        let wanted: Vec<u32> = site.led.iter().map(|led| led.vertex).collect();
-        if wanted == self.led {
+        let wanted: Vec<u32> = site.driven.iter().map(|driven| driven.vertex).collect();
+        if wanted == self.driven {
             return Ok(());
         }
         let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
-        for &vertex in self.led.iter().filter(|vertex| wanted.binary_search(vertex).is_err()) {
+        for &vertex in self.driven.iter().filter(|vertex| wanted.binary_search(vertex).is_err()) {
             body.set_particle_pinned(vertex as usize, false);
         }
-        for &vertex in wanted.iter().filter(|vertex| self.led.binary_search(vertex).is_err()) {
+        for &vertex in wanted.iter().filter(|vertex| self.driven.binary_search(vertex).is_err()) {
             body.set_particle_pinned(vertex as usize, true);
         }
-        self.led = wanted;
+        self.driven = wanted;
         Ok(())
     }
 
     /// The mobility of each contact; contacts that share a vertex share its mobility.
     fn pressed(&self, touches: &[RodContact]) -> Vec<ActiveContact> {
         let is_free =
-            |node: &u32| self.pinned.binary_search(node).is_err() && self.led.binary_search(node).is_err();
+            |node: &u32| self.pinned.binary_search(node).is_err() && self.driven.binary_search(node).is_err();
         let mut shared = std::collections::BTreeMap::<u32, f64>::new();
         for (node, _) in touches.iter().flat_map(joint) {
             *shared.entry(node).or_default() += 1.0;
@@ -265,7 +265,17 @@ impl SoftMethod for EngineSoftMethod {
             }
         }
         let (positions, velocities) = (body.positions.to_vec(), body.velocities.to_vec());
-        Ok(Self { kind: *kind, world, handle, mesh, masses, pinned, led: Vec::new(), positions, velocities })
+        Ok(Self {
+            kind: *kind,
+            world,
+            handle,
+            mesh,
+            masses,
+            pinned,
+            driven: Vec::new(),
+            positions,
+            velocities,
+        })
     }
 
     fn positions(&self) -> &[Point3<f64>] {
@@ -276,7 +286,7 @@ impl SoftMethod for EngineSoftMethod {
         &self.velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         let triangles = &body.triangles[..];
         ContactSurface { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
     }
@@ -293,7 +303,8 @@ impl SoftMethod for EngineSoftMethod {
         self.world.integration_parameters.dt = h;
         self.world.gravity = vector_to_rapier(&site.gravity);
         let mut pressed = self.pressed(site.touches);
-        let from: Vec<Point3<f64>> = self.led.iter().map(|&vertex| self.positions[vertex as usize]).collect();
+        let from: Vec<Point3<f64>> =
+            self.driven.iter().map(|&vertex| self.positions[vertex as usize]).collect();
         for part in 0..parts {
             let since = f64::from(part) * h;
             let pushes: Vec<Vector3<f64>> = site
@@ -314,9 +325,9 @@ impl SoftMethod for EngineSoftMethod {
                 }
             }
             let share = f64::from(part + 1) / f64::from(parts);
-            for (led, from) in site.led.iter().zip(&from) {
-                let target = from + (led.position_in_world - from) * share;
-                body.set_particle_kinematic_target(led.vertex as usize, vector_to_rapier(&target.coords));
+            for (driven, from) in site.driven.iter().zip(&from) {
+                let target = from + (driven.position_in_world - from) * share;
+                body.set_particle_kinematic_target(driven.vertex as usize, vector_to_rapier(&target.coords));
             }
             self.part()?;
         }

@@ -201,79 +201,84 @@ impl GhostNodes {
     ///
     /// # Errors
     /// A list of the wrong length, or a non-finite value.
-    pub fn hear(&mut self, news: &SlowBodyReport<'_>) -> Result<(), GhostNodesError> {
+    pub fn receive(&mut self, report: &SlowBodyReport<'_>) -> Result<(), GhostNodesError> {
         let expected = self.count();
         for (what, found) in [
-            ("places", news.positions.len()),
-            ("velocities", news.velocities.len()),
-            ("mobilities", news.mobilities.len()),
-            ("masses", news.masses_inverse.len()),
-            ("expected velocities", news.expected.len()),
-            ("impulses", news.last.len()),
+            ("places", report.positions.len()),
+            ("velocities", report.velocities.len()),
+            ("mobilities", report.mobilities.len()),
+            ("masses", report.masses_inverse.len()),
+            ("expected velocities", report.expected.len()),
+            ("impulses", report.last.len()),
         ] {
             if found != expected {
                 return Err(GhostNodesError::Size { what, found, expected });
             }
         }
-        finite("a place", news.positions.iter().flat_map(|at| at.iter()))?;
-        finite("a velocity", news.velocities.iter().chain(news.expected).flatten())?;
-        finite("an impulse", news.last.iter().flatten())?;
-        finite("a work", [news.given_work, news.received].iter())?;
-        let mut positive = news.mobilities.iter().chain(news.masses_inverse).chain([&news.step]);
+        finite("a place", report.positions.iter().flat_map(|at| at.iter()))?;
+        finite("a velocity", report.velocities.iter().chain(report.expected).flatten())?;
+        finite("an impulse", report.last.iter().flatten())?;
+        finite("a work", [report.given_work, report.received].iter())?;
+        let mut positive = report.mobilities.iter().chain(report.masses_inverse).chain([&report.step]);
         if !positive.all(|value| *value >= 0.0 && value.is_finite()) {
             return Err(GhostNodesError::Number("a time or a mobility"));
         }
         // Replay the impulses that it has not taken yet, from its reported state.
-        let since = self.steps.saturating_sub(news.steps) as usize;
+        let since = self.steps.saturating_sub(report.steps) as usize;
         self.past.drain(..self.past.len().saturating_sub(since));
-        let mut guests: Vec<GhostNode> = (0..expected).map(|node| expect(news, node)).collect();
+        let mut ghost_nodes: Vec<GhostNode> = (0..expected).map(|node| expect(report, node)).collect();
         for UnreportedStep { dt, given } in &self.past {
             let mut given = given.iter().peekable();
-            for (ghost, guest) in guests.iter_mut().enumerate() {
+            for (ghost, ghost_node) in ghost_nodes.iter_mut().enumerate() {
                 let impulse = given.next_if(|(of, _)| *of as usize == ghost).map(|(_, impulse)| *impulse);
-                guest.go(*dt, &impulse.unwrap_or_default());
+                ghost_node.go(*dt, &impulse.unwrap_or_default());
             }
         }
-        for (ghost, guest) in guests.into_iter().enumerate() {
-            self.behind[ghost] = guest.position - self.positions[ghost];
-            self.velocities[ghost] = guest.velocity;
-            self.masses_inverse[ghost] = guest.mobility;
-            self.pulls[ghost] = guest.pull;
-            self.springs[ghost] = guest.stiffness;
-            self.paths[ghost] = guest.path;
+        for (ghost, ghost_node) in ghost_nodes.into_iter().enumerate() {
+            self.behind[ghost] = ghost_node.position - self.positions[ghost];
+            self.velocities[ghost] = ghost_node.velocity;
+            self.masses_inverse[ghost] = ghost_node.mobility;
+            self.pulls[ghost] = ghost_node.pull;
+            self.springs[ghost] = ghost_node.stiffness;
+            self.paths[ghost] = ghost_node.path;
         }
-        (self.given_work, self.received) = (news.given_work, news.received);
+        (self.given_work, self.received) = (report.given_work, report.received);
         Ok(())
     }
 
-    /// Begins a step of the faster body: corrects the ghosts as far as the tank pays, and adds them to the guests. Ties
+    /// Begins a step of the faster body: corrects the ghosts as far as the tank pays, and adds them to the list. Ties
     /// and contacts refer to ghosts by their numbers here; `nodes` are the positions of the faster body's nodes \[m\].
-    pub fn meet(&mut self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], guests: &mut Vec<GhostNode>) {
+    pub fn begin_step(
+        &mut self,
+        external_nodes: &ExternalNodes<'_>,
+        nodes: &[Point3<f64>],
+        ghost_nodes: &mut Vec<GhostNode>,
+    ) {
         // Tank energy beyond the springs' current energy is of no use, and part of it never was kinetic: opposing
         // forces on a light node cancel in every step.
-        self.paid += (self.tank() - self.stored(company, nodes)).max(0.0);
+        self.paid += (self.tank() - self.stored(external_nodes, nodes)).max(0.0);
         let tank = self.tank().max(0.0);
         let mut share = 1.0;
-        if self.cost(company, nodes, share) > tank {
+        if self.cost(external_nodes, nodes, share) > tank {
             let mut more = 1.0;
             share = 0.0;
             for _ in 0..HALVINGS {
                 more *= 0.5;
-                if self.cost(company, nodes, share + more) <= tank {
+                if self.cost(external_nodes, nodes, share + more) <= tank {
                     share += more;
                 }
             }
         }
-        self.paid += self.cost(company, nodes, share);
+        self.paid += self.cost(external_nodes, nodes, share);
         for (position, behind) in self.positions.iter_mut().zip(&mut self.behind) {
             *position += *behind * share;
             *behind *= 1.0 - share;
         }
-        guests.extend(self.guests());
+        ghost_nodes.extend(self.ghost_nodes());
     }
 
-    /// The current ghosts, as guests.
-    pub fn guests(&self) -> impl Iterator<Item = GhostNode> {
+    /// The current ghosts, as ghost nodes.
+    pub fn ghost_nodes(&self) -> impl Iterator<Item = GhostNode> {
         (0..self.count()).map(|ghost| GhostNode {
             position: self.positions[ghost],
             velocity: self.velocities[ghost],
@@ -285,36 +290,36 @@ impl GhostNodes {
     }
 
     /// Energy stored in the springs \[J\].
-    fn stored(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>]) -> f64 {
+    fn stored(&self, external_nodes: &ExternalNodes<'_>, nodes: &[Point3<f64>]) -> f64 {
         let over = |node: u32, of: &[(u32, f64)]| {
             of.iter().fold(nodes[node as usize].coords, |sum, &(ghost, weight)| {
                 sum - self.positions[ghost as usize].coords * weight
             })
         };
-        let ties = company.ties.iter();
-        let ties = ties.map(|tie| 0.5 * tie.stiffness * over(tie.node, &tie.guests).norm_squared());
-        let presses = company.presses.iter().map(|press| {
-            let depth = press.thickness - press.normal.dot(&over(press.node, &press.guests));
+        let ties = external_nodes.ties.iter();
+        let ties = ties.map(|tie| 0.5 * tie.stiffness * over(tie.node, &tie.ghost_nodes).norm_squared());
+        let presses = external_nodes.presses.iter().map(|press| {
+            let depth = press.thickness - press.normal.dot(&over(press.node, &press.ghost_nodes));
             0.5 * press.stiffness * depth.max(0.0).powi(2)
         });
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
     /// Increase of the springs' energy when a fraction of the position error is corrected \[J\].
-    fn cost(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
+    fn cost(&self, external_nodes: &ExternalNodes<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
         let place = |of: &[(u32, f64)]| -> [Vector3<f64>; 2] {
             of.iter().fold([Vector3::zeros(); 2], |[at, behind], &(ghost, weight)| {
                 let ghost = ghost as usize;
                 [at + self.positions[ghost].coords * weight, behind + self.behind[ghost] * weight]
             })
         };
-        let ties = company.ties.iter().map(|tie| {
-            let [at, behind] = place(&tie.guests);
+        let ties = external_nodes.ties.iter().map(|tie| {
+            let [at, behind] = place(&tie.ghost_nodes);
             let apart = nodes[tie.node as usize].coords - at;
             tie.stiffness * share * (0.5 * share * behind.norm_squared() - apart.dot(&behind))
         });
-        let presses = company.presses.iter().map(|press| {
-            let [at, behind] = place(&press.guests);
+        let presses = external_nodes.presses.iter().map(|press| {
+            let [at, behind] = place(&press.ghost_nodes);
             let depth = press.thickness - press.normal.dot(&(nodes[press.node as usize].coords - at));
             let then = depth + share * press.normal.dot(&behind);
             0.5 * press.stiffness * (then.max(0.0).powi(2) - depth.max(0.0).powi(2))
@@ -322,19 +327,19 @@ impl GhostNodes {
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
-    /// Ends a step of the faster body of `dt` seconds, with the guests' results and the energy that ties and contacts
-    /// dissipated \[J\].
-    pub fn met(&mut self, dt: f64, guests: &[GhostMoved], lost: f64) {
+    /// Ends a step of the faster body of `dt` seconds, with the ghost nodes' results and the energy that ties and
+    /// contacts dissipated \[J\].
+    pub fn end_step(&mut self, dt: f64, ghost_nodes: &[GhostMoved], lost: f64) {
         if self.past.len() == PAST_MAX {
             self.past.pop_front();
         }
-        let given = guests.iter().zip(0..).filter(|(after, _)| after.impulse != Vector3::zeros());
+        let given = ghost_nodes.iter().zip(0..).filter(|(after, _)| after.impulse != Vector3::zeros());
         self.past.push_back(UnreportedStep {
             dt,
             given: given.map(|(after, ghost)| (ghost, after.impulse)).collect(),
         });
         self.steps += 1;
-        for (ghost, after) in guests.iter().enumerate().take(self.count()) {
+        for (ghost, after) in ghost_nodes.iter().enumerate().take(self.count()) {
             self.positions[ghost] = after.position;
             self.velocities[ghost] = after.velocity;
             self.paths[ghost] = after.path;
@@ -366,27 +371,27 @@ impl GhostNodes {
 }
 
 /// A node with the motion that the slower body predicts from the time of its report.
-fn expect(news: &SlowBodyReport<'_>, node: usize) -> GhostNode {
-    let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
-    let mobility = news.mobilities[node].min(mass_inverse);
+fn expect(report: &SlowBodyReport<'_>, node: usize) -> GhostNode {
+    let (mass_inverse, velocity) = (report.masses_inverse[node], report.velocities[node]);
+    let mobility = report.mobilities[node].min(mass_inverse);
     // A node whose mass nothing restrains continues its motion. A restrained node is at the equilibrium of its forces:
     // it takes its predicted velocity at once.
     let loose = if mass_inverse > 0.0 { mobility / mass_inverse } else { 1.0 };
-    let change = news.expected[node] - velocity;
-    let per_step = if news.step > 0.0 { news.step.recip() } else { 0.0 };
+    let change = report.expected[node] - velocity;
+    let per_step = if report.step > 0.0 { report.step.recip() } else { 0.0 };
     let begin = velocity + change * (1.0 - loose);
     let held = if mobility > 0.0 { mobility.recip() - mass_inverse.recip() } else { 0.0 };
     GhostNode {
-        position: news.positions[node],
+        position: report.positions[node],
         velocity: begin,
         mobility: if mobility > 0.0 { mass_inverse } else { 0.0 },
         // Balance of the last step's impulse: in equilibrium nothing moves.
-        pull: news.last[node] * -per_step,
+        pull: report.last[node] * -per_step,
         path: PredictedPath {
-            position: news.positions[node],
+            position: report.positions[node],
             velocity: begin,
             acceleration: change * (loose * per_step),
-            lasts: news.step,
+            lasts: report.step,
         },
         stiffness: held.max(0.0) * per_step * per_step,
     }

@@ -109,20 +109,20 @@ impl SurfaceContacts {
                 continue;
             };
             let corners = surface.triangles()[nearest.triangle as usize];
-            let guests = [0, 1, 2].map(|k| (corners[k], weights[k]));
+            let ghost_nodes = [0, 1, 2].map(|k| (corners[k], weights[k]));
             let held = self.anchors.binary_search_by_key(&node, |anchor| anchor.node);
-            let anchor = held.map_or(guests, |at| self.anchors[at].at);
-            presses.push(NodeContact { node, guests, anchor, normal, thickness, stiffness, friction });
+            let anchor = held.map_or(ghost_nodes, |at| self.anchors[at].at);
+            presses.push(NodeContact { node, ghost_nodes, anchor, normal, thickness, stiffness, friction });
         }
     }
 
     /// After the step: a contact sticks at its current point, or, while sliding, at the friction limit ahead of it.
-    /// Contacts as found, guests in the order of the surface's vertices, the faster body's nodes \[m\].
-    pub fn met(
+    /// Contacts as found, ghost nodes in the order of the surface's vertices, the faster body's nodes \[m\].
+    pub fn end_step(
         &mut self,
         presses: &[NodeContact],
         moved: &[NodeContactResult],
-        guests: &[GhostMoved],
+        ghost_nodes: &[GhostMoved],
         positions: &[Point3<f64>],
     ) {
         let mut held = Vec::with_capacity(presses.len());
@@ -134,14 +134,16 @@ impl SurfaceContacts {
                 held.push(StickPoint { node: press.node, at: press.anchor });
                 continue;
             }
-            let place = |(guest, weight): (u32, f64)| guests[guest as usize].position.coords * weight;
-            let foot = press.guests.into_iter().map(place).sum::<Vector3<f64>>();
+            let place =
+                |(ghost_node, weight): (u32, f64)| ghost_nodes[ghost_node as usize].position.coords * weight;
+            let foot = press.ghost_nodes.into_iter().map(place).sum::<Vector3<f64>>();
             let over = positions[press.node as usize].coords - foot;
             let ahead = foot + (over - press.normal * press.normal.dot(&over)) + pressed.drawn;
             // In the plane of its triangle: a little beyond the edge is still the same point.
-            let [a, b, c] = press.guests.map(|(guest, _)| guests[guest as usize].position.coords);
+            let [a, b, c] =
+                press.ghost_nodes.map(|(ghost_node, _)| ghost_nodes[ghost_node as usize].position.coords);
             if let Some(at) = weights_in_plane(&[a, b, c], &ahead) {
-                let at = [0, 1, 2].map(|k| (press.guests[k].0, at[k]));
+                let at = [0, 1, 2].map(|k| (press.ghost_nodes[k].0, at[k]));
                 held.push(StickPoint { node: press.node, at });
             }
         }

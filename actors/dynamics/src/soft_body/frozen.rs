@@ -48,7 +48,7 @@ impl RejectedBody {
     }
 
     /// Reports the reason to the scene once, and counts the body as frozen in every tick's measures.
-    pub fn tell(&mut self, tick: &Tick<'_>, measured: &mut Measured, out: &mut Commands) {
+    pub fn report(&mut self, tick: &Tick<'_>, measured: &mut Measured, out: &mut Commands) {
         if let Some(reason) = self.untold.take() {
             freeze(self.entity, self.still, reason, tick, out);
         }

@@ -28,7 +28,7 @@ pub struct StepContext<'a> {
     /// External forces on vertices \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices held by jaws, with their prescribed positions at the end of the tick; ascending, without anchored ones.
-    pub led: &'a [DrivenVertex],
+    pub driven: &'a [DrivenVertex],
 }
 
 impl StepContext<'_> {
@@ -71,7 +71,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     /// Vertex velocities \[m/s\].
     fn velocities(&self) -> &[Vector3<f64>];
     /// Its collision geometry.
-    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a>;
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a>;
 
     /// Parameters for contacts that detectors find; `None`: it does not answer them.
     fn terms(&self) -> Option<ContactParams<'_>> {
@@ -84,7 +84,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     }
 
     /// Topology changes at the beginning of the tick: cuts, elements that other controllers have removed. `touches` and
-    /// `led` of `site` are empty. Updates `body` and writes its new meshes to the scene.
+    /// `driven` of `site` are empty. Updates `body` and writes its new meshes to the scene.
     ///
     /// # Errors
     /// Why the body cannot continue.

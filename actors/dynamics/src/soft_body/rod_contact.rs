@@ -110,10 +110,10 @@ fn deepest_within(index: usize, rod: &Rod, skin: &ContactSurface<'_>) -> Option<
 /// Where the axis of a rod outside a volume meets its surface: it ends on it, lies in it, or cuts off a corner. The
 /// distance from the axis is then zero, so only the surface gives the direction of the push.
 fn on_surface(index: usize, rod: &Rod, skin: &ContactSurface<'_>) -> Option<RodContact> {
-    let room = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
+    let search_box = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
     skin.triangles.iter().enumerate().find_map(|(element, &nodes)| {
         let corners = nodes.map(|node| skin.positions[node as usize]);
-        if is_apart(&corners, &room) {
+        if is_apart(&corners, &search_box) {
             return None;
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);
@@ -157,7 +157,7 @@ fn reach(rod: &Rod, skin: &ContactSurface<'_>) -> f64 {
 }
 
 /// Bounding box of possible contacts of a rod, including its motion in the tick.
-fn room(rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> [Point3<f64>; 2] {
+fn search_box(rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> [Point3<f64>; 2] {
     let period = if looks_ahead(rod, skin) { period } else { 0.0 };
     let [a, b] = rod.ends;
     let [c, d] = [a + rod.velocities[0] * period, b + rod.velocities[1] * period];
@@ -233,7 +233,7 @@ fn touch_vertices(
     period: f64,
     touches: &mut Vec<RodContact>,
 ) {
-    let [low, high] = room(rod, skin, period);
+    let [low, high] = search_box(rod, skin, period);
     for (vertex, position) in skin.positions.iter().enumerate() {
         if !(0..3).all(|k| position[k] >= low[k] && position[k] <= high[k]) {
             continue;
@@ -249,7 +249,7 @@ fn touch_vertices(
 }
 
 fn deepest_element(index: usize, rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> Option<RodContact> {
-    let room = room(rod, skin, period);
+    let search_box = search_box(rod, skin, period);
     let mut deepest: Option<RodContact> = None;
     let mut keep = |touch: RodContact| {
         if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
@@ -258,7 +258,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &ContactSurface<'_>, period: f
     };
     for (element, nodes) in skin.triangles.iter().enumerate() {
         let corners = nodes.map(|node| skin.positions[node as usize]);
-        if is_apart(&corners, &room) {
+        if is_apart(&corners, &search_box) {
             continue;
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);

@@ -81,7 +81,7 @@ impl ThermalDamage {
     }
 
     /// Reads the scene: newly removed elements, and those whose coagulation has changed, since the last call.
-    pub fn news(&mut self, scene: &Snapshot, entity: Entity) -> (Vec<u32>, Vec<CoagulatedElement>) {
+    pub fn take_changes(&mut self, scene: &Snapshot, entity: Entity) -> (Vec<u32>, Vec<CoagulatedElement>) {
         let (mut gone, mut changed) = (Vec::new(), Vec::new());
         if let Some(now) = scene.get::<RemovedElements>(entity)
             && now.elements.len() > self.removed.len()

@@ -29,7 +29,7 @@ pub(super) struct NearCut {
 
 /// A body around its cut.
 pub(super) struct CutNeighbourhood<'a> {
-    pub matter: ElementForces<'a>,
+    pub element_forces: ElementForces<'a>,
     /// Masses of the nodes \[kg\].
     pub masses: &'a [f64],
     /// Fixed nodes.
@@ -44,11 +44,11 @@ impl NearCut {
     pub fn new(about: &CutNeighbourhood<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
         let near = about.near();
         let elements: Vec<NearElement> = about
-            .matter
+            .element_forces
             .elements
             .iter()
             .filter(|element| !element.is_gone() && element.nodes.iter().any(|node| near[*node as usize]))
-            .map(|element| NearElement::new(element, &about.matter, positions))
+            .map(|element| NearElement::new(element, &about.element_forces, positions))
             .collect();
         let own: Vec<u32> = (0..near.len() as u32).filter(|&node| near[node as usize]).collect();
         let mut alone = vec![NodeWeights::new(); near.len()];
@@ -76,10 +76,10 @@ impl NearCut {
     pub fn load(&mut self, forces: &[Vector3<f64>]) {
         let [apart, together] = &mut self.flat;
         together.fill(0.0);
-        for (row, (&node, home)) in self.nodes.iter().zip(&self.homes).enumerate() {
+        for (row, (&node, node_weights)) in self.nodes.iter().zip(&self.homes).enumerate() {
             let force = forces[node as usize];
             apart[3 * row..][..3].copy_from_slice(force.as_slice());
-            for &(at, share) in home {
+            for &(at, share) in node_weights {
                 (0..3).for_each(|axis| together[3 * at as usize + axis] += force[axis] * share);
             }
         }
@@ -91,8 +91,8 @@ impl NearCut {
     pub fn add(&self, moved: &mut [Vector3<f64>]) {
         let [apart, together] = &self.flat;
         let of = |flat: &[f64], row: usize| Vector3::from_column_slice(&flat[3 * row..][..3]);
-        for (row, (&node, home)) in self.nodes.iter().zip(&self.homes).enumerate() {
-            let stays = home.iter().map(|&(at, share)| of(together, at as usize) * share);
+        for (row, (&node, node_weights)) in self.nodes.iter().zip(&self.homes).enumerate() {
+            let stays = node_weights.iter().map(|&(at, share)| of(together, at as usize) * share);
             moved[node as usize] += of(apart, row) - stays.sum::<Vector3<f64>>();
         }
     }
@@ -107,7 +107,7 @@ impl CutNeighbourhood<'_> {
         let mut before = count(&near);
         while before < NEAR_MAX {
             let mut more = near.clone();
-            for element in self.matter.elements.iter().filter(|element| !element.is_gone()) {
+            for element in self.element_forces.elements.iter().filter(|element| !element.is_gone()) {
                 if element.nodes.iter().any(|node| near[*node as usize]) {
                     element.nodes.iter().for_each(|node| more[*node as usize] = true);
                 }
@@ -131,12 +131,12 @@ struct NearElement {
 }
 
 impl NearElement {
-    fn new(element: &Element, matter: &ElementForces<'_>, positions: &[Point3<f64>]) -> Self {
+    fn new(element: &Element, element_forces: &ElementForces<'_>, positions: &[Point3<f64>]) -> Self {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
-        let stiffness = matter.material.stiffness(&f);
+        let stiffness = element_forces.material.stiffness(&f);
         let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));
         // As in the global Hessian.
-        let volume = element.volume * (1.0 + matter.damping.stiffness / matter.dt);
+        let volume = element.volume * (1.0 + element_forces.damping.stiffness / element_forces.dt);
         let blocks = [0, 1, 2, 3].map(|i| turned.map(|with| stiffness.block(volume, &turned[i], &with)));
         Self { nodes: element.nodes, blocks }
     }
@@ -171,10 +171,12 @@ fn factored(
             }
         }
     };
-    let dt = about.matter.dt;
-    let inertia = 1.0 / (dt * dt) + about.matter.damping.mass / dt;
-    for (home, mass) in homes.iter().zip(about.masses).filter(|(home, _)| !home.is_empty()) {
-        add(home, home, &Matrix3::from_diagonal_element(mass * inertia));
+    let dt = about.element_forces.dt;
+    let inertia = 1.0 / (dt * dt) + about.element_forces.damping.mass / dt;
+    for (node_weights, mass) in
+        homes.iter().zip(about.masses).filter(|(node_weights, _)| !node_weights.is_empty())
+    {
+        add(node_weights, node_weights, &Matrix3::from_diagonal_element(mass * inertia));
     }
     for NearElement { nodes, blocks } in elements {
         for (node, row) in nodes.iter().zip(blocks) {

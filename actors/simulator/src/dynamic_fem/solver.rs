@@ -194,11 +194,11 @@ impl DynamicFem {
         let mut product = vec![Vector3::zeros(); self.velocities.len()];
         self.mass.multiply(&self.velocities, &mut product);
         let mut forces = vec![Vector3::zeros(); self.velocities.len()];
-        let elastic = self.matter(1.0, &[]).add(&self.positions, &mut forces);
+        let elastic = self.element_forces(1.0, &[]).add(&self.positions, &mut forces);
         Energies { kinetic: 0.5 * dot(&self.velocities, &product), elastic }
     }
 
-    pub(super) fn matter<'a>(
+    pub(super) fn element_forces<'a>(
         &'a self,
         dt: f64,
         before: &'a [(Matrix3<f64>, Matrix3<f64>)],
@@ -364,14 +364,20 @@ impl DynamicFem {
         }
         let mut hessian = std::mem::replace(&mut self.hessian, BlockMatrix::zeros(Default::default()));
         hessian.values_mut().fill(0.0);
-        add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
+        add_hessian(&self.element_forces(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
         add_couplings(&at.couplings, &self.numbers, &mut hessian);
         let mut done = self.factor.factor(hessian.pattern(), hessian.values());
         if done.is_err() {
             // Too distorted to factorise: the rest shape always works, though with slower convergence.
             at = FactoredAt { positions: self.mesh.rest().to_vec(), dt: at.dt, couplings: Vec::new() };
             hessian.values_mut().fill(0.0);
-            add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
+            add_hessian(
+                &self.element_forces(at.dt, &[]),
+                &self.mass,
+                &at.positions,
+                &self.numbers,
+                &mut hessian,
+            );
             done = self.factor.factor(hessian.pattern(), hessian.values());
         }
         self.hessian = hessian;
@@ -391,7 +397,7 @@ impl DynamicFem {
         let mut gradient = std::mem::take(&mut work.next);
         gradient.fill(Vector3::zeros());
         let place = at(work);
-        let inner = self.matter(dt, &work.before).add(place, &mut gradient)
+        let inner = self.element_forces(dt, &work.before).add(place, &mut gradient)
             + add_springs(inputs, place, &mut gradient);
         let inner_norm = dot(&gradient, &gradient).sqrt();
         let mut apart = std::mem::take(&mut work.apart);

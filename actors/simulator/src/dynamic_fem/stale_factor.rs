@@ -154,7 +154,7 @@ impl DynamicFem {
             places.push(birth.mix(&places, |a, b, share| a + (b - a) * share));
         }
         let about = CutNeighbourhood {
-            matter: self.matter(self.factored_at.dt, &[]),
+            element_forces: self.element_forces(self.factored_at.dt, &[]),
             masses: &self.mass.lumped,
             is_fixed: &self.fixed,
             known,

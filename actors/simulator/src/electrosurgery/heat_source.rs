@@ -42,14 +42,14 @@ impl HeatedCells {
         grid: &mut ThermalGrid,
         electrode: &Electrode,
         dt: f64,
-        books: &mut LatticeOutputs<'_>,
+        outputs: &mut LatticeOutputs<'_>,
     ) -> Result<f64, HeatStepError> {
         self.near.clear();
         if electrode.power == 0.0 {
             return Ok(f64::INFINITY);
         }
-        self.gather(grid, electrode, books.report);
-        let gap = self.aim(grid, electrode, books.material.dry_current);
+        self.gather(grid, electrode, outputs.report);
+        let gap = self.aim(grid, electrode, outputs.material.dry_current);
         let energy = electrode.power * electrode.efficiency(gap) * dt;
         let density = self.density(grid);
         let parts = energy * density / (PART * grid.enthalpy.vaporisation());
@@ -163,13 +163,13 @@ impl HeatedCells {
         grid: &mut ThermalGrid,
         electrode: &Electrode,
         dt: f64,
-        books: &mut LatticeOutputs<'_>,
+        outputs: &mut LatticeOutputs<'_>,
     ) -> f64 {
         let volume = grid.cell_volume();
         let limit = PART * grid.enthalpy.vaporisation();
         let (mut left, mut arrived) = (dt, 0.0);
         for _ in 0..4 * PARTS_MAX {
-            let gap = self.aim(grid, electrode, books.material.dry_current);
+            let gap = self.aim(grid, electrode, outputs.material.dry_current);
             let power = electrode.power * electrode.efficiency(gap);
             if left <= 0.0 || self.near.is_empty() || power == 0.0 {
                 break;
@@ -183,12 +183,12 @@ impl HeatedCells {
                 let at = &mut grid.blocks[block];
                 let capacity = grid.enthalpy.capacity(at.water[cell]) * at.share(cell) * volume;
                 at.excess[cell] += power * part * share / capacity;
-                grid.settle_cell(block, cell, books);
+                grid.settle_cell(block, cell, outputs);
             }
             arrived += power * part;
             left -= part;
         }
-        books.ledger.supplied += arrived;
+        outputs.ledger.supplied += arrived;
         arrived
     }
 }

@@ -88,28 +88,28 @@ mod tests {
     fn what_is_given_is_what_is_emitted_however_often_one_listens() {
         let mut fluid = Fluid::new(FluidConfig::default()).expect("a liquid");
         let hole = Hole { place: Point3::origin(), outwards: Vector3::x(), area: 2e-6 };
-        let mut spout = Emitter::default();
+        let mut emitter = Emitter::default();
         for step in 1..=200_u32 {
             // 5 ml/s; now and then an update is lost or repeated.
             let given = f64::from(step) * 5e-6 * 0.005;
             for _ in 0..step % 3 {
-                spout.pour(given, 0.005, &hole, &mut fluid);
+                emitter.pour(given, 0.005, &hole, &mut fluid);
             }
             fluid.step(0.005).expect("a step");
         }
         let volume = fluid.particle_volume();
-        let all = spout.emitted as f64 * volume + spout.waiting;
-        assert!((all - 5e-6).abs() < 1e-15 && spout.waiting < volume, "{spout:?}");
-        assert!((spout.emitted as f64 * volume / 5e-6 - 1.0).abs() < 0.02);
-        assert_eq!(fluid.state().numbers.len() as u64 + fluid.state().absorbed, spout.emitted);
+        let all = emitter.emitted as f64 * volume + emitter.waiting;
+        assert!((all - 5e-6).abs() < 1e-15 && emitter.waiting < volume, "{emitter:?}");
+        assert!((emitter.emitted as f64 * volume / 5e-6 - 1.0).abs() < 0.02);
+        assert_eq!(fluid.state().numbers.len() as u64 + fluid.state().absorbed, emitter.emitted);
         // Outside of the box nothing is emitted, but counted.
         let far = Hole { place: Point3::new(9.0, 0.0, 0.0), ..hole };
-        spout.pour(6e-6, 0.1, &far, &mut fluid);
-        assert!((spout.unseen + spout.waiting - 1e-6).abs() < volume);
-        spout.pour(f64::NAN, 0.1, &hole, &mut fluid);
-        spout.pour(1e-6, 0.1, &hole, &mut fluid);
-        assert_eq!(spout.given, 6e-6, "less than before is nothing new");
-        spout.check().expect("a state");
-        assert!(Emitter { waiting: -1.0, ..spout }.check().is_err());
+        emitter.pour(6e-6, 0.1, &far, &mut fluid);
+        assert!((emitter.unseen + emitter.waiting - 1e-6).abs() < volume);
+        emitter.pour(f64::NAN, 0.1, &hole, &mut fluid);
+        emitter.pour(1e-6, 0.1, &hole, &mut fluid);
+        assert_eq!(emitter.given, 6e-6, "less than before is nothing new");
+        emitter.check().expect("a state");
+        assert!(Emitter { waiting: -1.0, ..emitter }.check().is_err());
     }
 }

@@ -17,7 +17,7 @@ use trocar_scene::{
 
 use super::RigidSettings;
 use super::bodies::{KinematicMove, Solid, state_of};
-use super::contact_report::told;
+use super::contact_report::report_contacts;
 use super::convex_parts::{mass_of, mass_of_solid, parts_of};
 use super::detected_contact::{DetectedContact, FOUND_MAX};
 use super::instrument::Tool;
@@ -280,7 +280,7 @@ impl World for ImpulseWorld {
     }
 
     fn contacts(&mut self) -> &[Contact] {
-        told(&self.meetings.all, self.settings.substep_secs, &mut self.contacts);
+        report_contacts(&self.narrow_phase.all, self.settings.substep_secs, &mut self.contacts);
         &self.contacts
     }
 

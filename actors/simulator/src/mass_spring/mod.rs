@@ -181,7 +181,7 @@ struct Scratch {
     /// As [`MassSpring::mobility`], also 0 where a node is prescribed.
     mobility: Vec<f64>,
     /// Velocities of the prescribed nodes, in the order of the input.
-    led: Vec<Vector3<f64>>,
+    driven: Vec<Vector3<f64>>,
     /// Each contact's point at the beginning.
     touched: Vec<Vector3<f64>>,
     contact_forces: Vec<Vector3<f64>>,
@@ -354,10 +354,10 @@ impl MassSpring {
                 return wrong("force", index, "is not finite");
             }
         }
-        for (index, led) in input.prescribed.iter().enumerate() {
-            if led.node as usize >= nodes {
+        for (index, driven) in input.prescribed.iter().enumerate() {
+            if driven.node as usize >= nodes {
                 return wrong("prescribed node", index, "does not exist");
-            } else if !finite(&led.position.coords) {
+            } else if !finite(&driven.position.coords) {
                 return wrong("prescribed node", index, "has a position that is not finite");
             }
         }
@@ -370,12 +370,12 @@ impl MassSpring {
         scratch.next.positions.clone_from(&self.state.positions);
         scratch.next.velocities.clone_from(&self.state.velocities);
         scratch.mobility.clone_from(&self.mobility);
-        scratch.led.clear();
-        for led in input.prescribed {
-            scratch.mobility[led.node as usize] = 0.0;
-            let velocity = (led.position - self.state.positions[led.node as usize]) / dt;
-            scratch.next.velocities[led.node as usize] = velocity;
-            scratch.led.push(velocity);
+        scratch.driven.clear();
+        for driven in input.prescribed {
+            scratch.mobility[driven.node as usize] = 0.0;
+            let velocity = (driven.position - self.state.positions[driven.node as usize]) / dt;
+            scratch.next.velocities[driven.node as usize] = velocity;
+            scratch.driven.push(velocity);
         }
         scratch.touched.clear();
         scratch.touched.extend(input.contacts.iter().map(|contact| contact.point(&self.state.positions)));

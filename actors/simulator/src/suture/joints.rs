@@ -26,9 +26,9 @@ pub(super) struct Joint {
 /// A joint and its tie.
 pub(super) type Pair = (Joint, Tie);
 
-fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], rule: ForceLaw) -> Pair {
+fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], law: ForceLaw) -> Pair {
     let rows = Rows { nodes: [0; 4], cells: [[Cell::zeros(); 4]; 3], used: 0, directions };
-    let tie = Tie { rows, rule, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
+    let tie = Tie { rows, law, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
     (Joint { needle: [Vector6::zeros(); 3], tissue: None }, tie)
 }
 
@@ -66,13 +66,13 @@ pub(super) fn across(tangent: &Vector3<f64>, near: &Vector3<f64>) -> [Vector3<f6
 pub(super) fn passage(
     site: &JointPoint,
     center: &Point3<f64>,
-    spot: TissueFeature,
+    feature: TissueFeature,
     now: &Point3<f64>,
     directions: [Vector3<f64>; 3],
 ) -> Pair {
     let gap = directions.map(|direction| direction.dot(&(site.point - now)));
     let (mut joint, mut tie) = pair(directions, gap, ForceLaw::HELD);
-    joint.tissue = Some(spot);
+    joint.tissue = Some(feature);
     match site.edge {
         Some((edge, share)) => {
             (tie.rows.nodes[0], tie.rows.nodes[1], tie.rows.used) = (edge as u32, edge as u32 + 1, 2);
@@ -144,14 +144,14 @@ pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip
 pub(super) fn side(
     needle: &NeedleState,
     touching: &Point3<f64>,
-    spot: TissueFeature,
+    feature: TissueFeature,
     directions: [Vector3<f64>; 3],
     gap: [f64; 3],
     friction: f64,
 ) -> Pair {
     let (mut joint, tie) = pair(directions, gap, ForceLaw::Contact { friction });
     joint.needle = directions.map(|direction| on_needle(&direction, &(touching - needle.center)));
-    joint.tissue = Some(spot);
+    joint.tissue = Some(feature);
     (joint, tie)
 }
 
@@ -170,7 +170,7 @@ pub(super) fn strand(
     let (mut joint, mut tie) = pair(directions, gap, ForceLaw::Contact { friction });
     joint.needle = directions.map(|direction| -on_needle(&direction, &(touching - needle.center)));
     tie.rows = rows;
-    tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+    tie.force = tie.law.confined(directions.map(|direction| force.dot(&direction)));
     (joint, tie)
 }
 

@@ -155,7 +155,7 @@ pub struct Suture {
     state: SutureState,
     trial: SutureState,
     island: Island,
-    room: Workspace,
+    workspace: Workspace,
     /// Tissue nodes at the beginning of the step.
     began: Vec<Point3<f64>>,
     spared: Vec<IgnoredObstacle>,
@@ -185,8 +185,8 @@ impl Suture {
             material.check()?;
         }
         state.check(&tissue, material.as_ref().map(|material| material.radius))?;
-        for (spot, _) in state.forces_on_tissue() {
-            if !tissue.name_spot(&spot) {
+        for (feature, _) in state.forces_on_tissue() {
+            if !tissue.name_spot(&feature) {
                 return Err(SutureError::Full);
             }
         }
@@ -199,7 +199,7 @@ impl Suture {
             trial: state.clone(),
             state,
             island: Island::new(SWEEPS),
-            room: Workspace::default(),
+            workspace: Workspace::default(),
             began: Vec::new(),
             spared: Vec::new(),
             obstacles: Vec::new(),
@@ -315,14 +315,14 @@ impl Suture {
     ///
     /// # Errors
     /// The name of an invalid input, or that no step converged. The state is then unchanged.
-    pub fn step(&mut self, dt: f64, around: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
-        self.check(dt, around)?;
+    pub fn step(&mut self, dt: f64, surroundings: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
+        self.check(dt, surroundings)?;
         self.trial.clone_from(&self.state);
         self.events.clear();
         self.on_tissue = Vector3::zeros();
         self.gripped.clear();
         let nothing = GripResult { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
-        self.gripped.resize(around.grips.len(), nothing);
+        self.gripped.resize(surroundings.grips.len(), nothing);
         self.began.clear();
         self.began.extend_from_slice(self.tissue.positions());
         let mut report = SutureReport::default();
@@ -333,19 +333,19 @@ impl Suture {
         let shape = Shape::Mesh { from: &began, to: &began, triangles: &triangles, radius: 0.0 };
         let friction = self.resistance.thread_friction;
         let mut obstacles = emptied(std::mem::take(&mut self.obstacles));
-        obstacles.extend_from_slice(around.obstacles);
+        obstacles.extend_from_slice(surroundings.obstacles);
         obstacles.push(Obstacle::fixed(shape, Isometry3::identity(), friction));
-        let here = StepObstacles { around, obstacles: &obstacles, began: &began };
+        let here = StepObstacles { surroundings, obstacles: &obstacles, began: &began };
         self.island.begin(self.trial.thread.as_ref().unwrap_or(&self.nothing), &here.surroundings(&[]));
         let done = self.parts(dt, &here, &mut report, &mut of_thread);
         if let (Ok(()), Some(material)) = (&done, &self.material) {
-            self.island.tell(material, &here.surroundings(&[]), &mut of_thread);
+            self.island.fill_report(material, &here.surroundings(&[]), &mut of_thread);
         }
         self.obstacles = emptied(obstacles);
         self.began = began;
         done?;
         std::mem::swap(&mut self.state, &mut self.trial);
-        self.tell(&mut report, &of_thread);
+        self.fill_report(&mut report, &of_thread);
         Ok(report)
     }
 
@@ -404,7 +404,7 @@ impl Suture {
         let before = self.trial.tip;
         let surface = here.obstacles.len() - 1;
         self.spared.clear();
-        self.spared.extend_from_slice(here.around.spared);
+        self.spared.extend_from_slice(here.surroundings.spared);
         let length = self.solid.shape().length();
         tissue_surface::in_tissue(&self.trial, length, &self.resistance, surface, &mut self.spared);
         let spared = std::mem::take(&mut self.spared);
@@ -418,8 +418,8 @@ impl Suture {
                 resistance: &self.resistance,
                 start: &self.trial,
                 tissue: &mut self.tissue,
-                room: &mut self.room,
-                around: here.around,
+                workspace: &mut self.workspace,
+                surroundings: here.surroundings,
                 dt,
                 fractions,
                 surface,
@@ -439,7 +439,7 @@ impl Suture {
                 Ok(true) => self.tissue.deform(self.trial.forces_on_tissue()),
                 Ok(false) => {
                     let (links, forces) = self.island.links();
-                    self.room.press(links, forces);
+                    self.workspace.press(links, forces);
                     self.island.finish(&material, dt, fractions, &surroundings);
                     break Ok(());
                 }
@@ -448,20 +448,20 @@ impl Suture {
         };
         self.spared = spared;
         found?;
-        self.feel(fractions, here.around);
-        self.commit(dt, &here.around.gravity)
+        self.feel(fractions, here.surroundings);
+        self.commit(dt, &here.surroundings.gravity)
     }
 
     /// Accumulates the reactions on grips and tissue in this substep, weighted by its share of the step.
-    fn feel(&mut self, fractions: [f64; 2], around: &StepInputs<'_>) {
+    fn feel(&mut self, fractions: [f64; 2], surroundings: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
-        let (layout, tied) = (self.room.layout, self.island.tied());
+        let (layout, tied) = (self.workspace.layout, self.island.tied());
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
             let first = layout.grips + 2 * index;
             let [place, turn] = [tied[first], tied[first + 1]];
             gripped.force += Vector3::from(place.force) * weight;
             gripped.torque += Vector3::from(turn.force) * weight;
-            let grip = &around.grips[index];
+            let grip = &surroundings.grips[index];
             // A slipping grip stays where its spring carries the force limit.
             let given =
                 |of: &TieResult| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
@@ -473,12 +473,13 @@ impl Suture {
             });
         }
         for tie in layout.channel..layout.sides {
-            self.on_tissue -= self.room.force(tied, tie) * weight;
+            self.on_tissue -= self.workspace.force(tied, tie) * weight;
         }
-        self.on_tissue += self.room.presses.iter().map(|press| press.force).sum::<Vector3<f64>>() * weight;
+        self.on_tissue +=
+            self.workspace.presses.iter().map(|press| press.force).sum::<Vector3<f64>>() * weight;
     }
 
-    fn tell(&self, report: &mut SutureReport, of_thread: &ThreadReport) {
+    fn fill_report(&self, report: &mut SutureReport, of_thread: &ThreadReport) {
         report.iterations = of_thread.iterations;
         report.sweeps = of_thread.sweeps;
         report.ties = self.island.tied().len();
@@ -490,7 +491,7 @@ impl Suture {
         for (index, point) in state.channel.iter().enumerate() {
             let share = needle_tissue::share_of_channel(state, index, length);
             report.length_inside += share;
-            let Some(site) = self.room.sites.get(index) else { continue };
+            let Some(site) = self.workspace.sites.get(index) else { continue };
             let along = point.force.dot(&site.tangent);
             report.drag += along.abs();
             if share > 0.25 * self.resistance.spacing {
@@ -500,9 +501,9 @@ impl Suture {
         }
     }
 
-    fn check(&self, dt: f64, around: &StepInputs<'_>) -> Result<(), SutureError> {
+    fn check(&self, dt: f64, surroundings: &StepInputs<'_>) -> Result<(), SutureError> {
         let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
-        let whole = StepObstacles { around, obstacles: around.obstacles, began: &[] };
+        let whole = StepObstacles { surroundings, obstacles: surroundings.obstacles, began: &[] };
         let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
         sound.map_err(|error| match error {
             ThreadStepError::Given { what, index, why } => SutureError::Given { what, index, why },
@@ -511,7 +512,7 @@ impl Suture {
         let is_pose = |pose: &Isometry3<f64>| {
             pose.translation.vector.iter().all(|x| x.is_finite()) && (pose.rotation.norm() - 1.0).abs() < 1e-6
         };
-        for (index, grip) in around.grips.iter().enumerate() {
+        for (index, grip) in surroundings.grips.iter().enumerate() {
             let given = |why: &str| Err(SutureError::Given { what: "grip", index, why: why.to_owned() });
             if !is_pose(&grip.from) || !is_pose(&grip.to) || !grip.point.iter().all(|x| x.is_finite()) {
                 return given("its pose or point is not finite");
@@ -539,7 +540,7 @@ fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
 
 /// Obstacles of needle and thread in a step: those given, and the tissue as the last one.
 struct StepObstacles<'a> {
-    around: &'a StepInputs<'a>,
+    surroundings: &'a StepInputs<'a>,
     obstacles: &'a [Obstacle<'a>],
     /// Tissue nodes at the beginning of the step.
     began: &'a [Point3<f64>],
@@ -548,10 +549,10 @@ struct StepObstacles<'a> {
 impl StepObstacles<'_> {
     fn surroundings<'b>(&'b self, spared: &'b [IgnoredObstacle]) -> Surroundings<'b> {
         Surroundings {
-            gravity: self.around.gravity,
-            holds: self.around.holds,
-            twist_holds: self.around.twist_holds,
-            loads: self.around.loads,
+            gravity: self.surroundings.gravity,
+            holds: self.surroundings.holds,
+            twist_holds: self.surroundings.twist_holds,
+            loads: self.surroundings.loads,
             obstacles: self.obstacles,
             spared,
             ..Surroundings::default()

@@ -97,8 +97,8 @@ pub(super) struct Sewing<'a> {
     /// State at the beginning of the substep.
     pub start: &'a SutureState,
     pub tissue: &'a mut Tissue,
-    pub room: &'a mut Workspace,
-    pub around: &'a StepInputs<'a>,
+    pub workspace: &'a mut Workspace,
+    pub surroundings: &'a StepInputs<'a>,
     pub dt: f64,
     pub fractions: [f64; 2],
     /// Obstacle index of the tissue's surface.
@@ -110,20 +110,20 @@ pub(super) struct Sewing<'a> {
 impl Sewing<'_> {
     /// Begins a substep.
     pub fn begin(&mut self) {
-        self.room.needle = Some(self.start.needle);
-        self.room.forces.clear();
-        self.room.sites.clear();
-        self.room.presses.clear();
+        self.workspace.needle = Some(self.start.needle);
+        self.workspace.forces.clear();
+        self.workspace.sites.clear();
+        self.workspace.presses.clear();
         tissue_surface::sides(
             self.solid,
             self.start,
             self.tissue,
             self.resistance,
             self.dt,
-            &mut self.room.sides,
+            &mut self.workspace.sides,
         );
         let radius = self.thread.map_or(0.0, |thread| thread.radius);
-        needle_thread_contact::near(self.solid, self.start, radius, self.dt, &mut self.room.strands);
+        needle_thread_contact::near(self.solid, self.start, radius, self.dt, &mut self.workspace.strands);
     }
 
     /// Residual force and torque of the needle's inertia and weight at the iterate.
@@ -131,7 +131,7 @@ impl Sewing<'_> {
         let (start, solid, dt) = (self.start, self.solid, self.dt);
         let moved = needle.center - start.needle.center;
         let turned = (needle.rotation * start.needle.rotation.inverse()).scaled_axis();
-        let weight = self.around.gravity * solid.mass();
+        let weight = self.surroundings.gravity * solid.mass();
         let force = (start.needle.momentum - moved * (solid.mass() / dt)) / dt + weight;
         let torque = (start.needle.angular_momentum - needle.inertia(solid) * turned / dt) / dt;
         Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
@@ -141,8 +141,8 @@ impl Sewing<'_> {
         for k in 0..3 {
             tie.gap[k] += joint.needle[k].dot(free);
         }
-        self.room.directions.push(tie.rows.directions);
-        self.room.joints.push(joint);
+        self.workspace.directions.push(tie.rows.directions);
+        self.workspace.joints.push(joint);
         ties.push(tie);
     }
 
@@ -150,17 +150,17 @@ impl Sewing<'_> {
     fn pass(&mut self, needle: &NeedleState, at: &RodIterate, index: usize) -> Pair {
         let point = &self.start.channel[index];
         let now = self.tissue.now(&point.place);
-        let last = self.room.sites.get(index).map_or(point.along, |site| site.along);
+        let last = self.workspace.sites.get(index).map_or(point.along, |site| site.along);
         let site = self.site(needle, at, &now, last);
-        if index < self.room.sites.len() {
-            self.room.sites[index] = site;
+        if index < self.workspace.sites.len() {
+            self.workspace.sites[index] = site;
         } else {
-            self.room.sites.push(site);
+            self.workspace.sites.push(site);
         }
         let [n1, n2] = joints::across(&site.tangent, &(needle.pose() * Vector3::z()));
         let directions = [site.tangent, n1, n2];
-        let spot = TissueFeature::Inside(point.place);
-        let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, directions);
+        let feature = TissueFeature::Inside(point.place);
+        let (joint, mut tie) = joints::passage(&site, &needle.center, feature, &now, directions);
         let length = share_of_channel(self.start, index, self.solid.shape().length());
         let material = self.resistance;
         let (grip, friction) = match site.edge {
@@ -176,15 +176,15 @@ impl Sewing<'_> {
             *yields += self.tissue.gives_way_about(radius) / share;
         }
         tie.gap[0] = point.stuck - site.along;
-        tie.rule = ForceLaw::Passes { base: grip * length, friction };
-        self.relax(&mut tie, &spot);
+        tie.law = ForceLaw::Passes { base: grip * length, friction };
+        self.relax(&mut tie, &feature);
         tie.force = directions.map(|direction| point.force.dot(&direction));
         (joint, tie)
     }
 
     /// Converts gaps against the current tissue to gaps against the tissue at rest.
-    fn relax(&self, tie: &mut Tie, spot: &TissueFeature) {
-        let displaced = self.tissue.displaced(spot);
+    fn relax(&self, tie: &mut Tie, feature: &TissueFeature) {
+        let displaced = self.tissue.displaced(feature);
         for k in 0..3 {
             tie.gap[k] += tie.rows.directions[k].dot(&displaced);
         }
@@ -247,7 +247,7 @@ impl Sewing<'_> {
             ForceLaw::Within { least, most: [0.0, unbound, unbound] }
         };
         // The first direction is that of the tip's motion.
-        let (first, along, rule) = match self.start.tip {
+        let (first, along, law) = match self.start.tip {
             Tip::Touching(_, triangle) => {
                 let (friction, most) = (material.needle_friction, material.puncture_force);
                 (self.tissue.normal(triangle), tangent, ForceLaw::Skin { friction, most })
@@ -256,11 +256,11 @@ impl Sewing<'_> {
             _ => (tangent, pose * Vector3::z(), within(material.cutting_force)),
         };
         let [n1, n2] = joints::across(&first, &along);
-        let (spot, now) = (TissueFeature::Inside(*place), self.tissue.now(place));
-        let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, [first, n1, n2]);
-        tie.rule = rule;
+        let (feature, now) = (TissueFeature::Inside(*place), self.tissue.now(place));
+        let (joint, mut tie) = joints::passage(&site, &needle.center, feature, &now, [first, n1, n2]);
+        tie.law = law;
         tie.force = [first, n1, n2].map(|direction| self.start.tip_force.dot(&direction));
-        self.relax(&mut tie, &spot);
+        self.relax(&mut tie, &feature);
         Some((joint, tie))
     }
 
@@ -269,8 +269,8 @@ impl Sewing<'_> {
         let [before, now] = [&self.start.needle, needle].map(|of| of.pose() * self.solid.point(side.along));
         let [t1, t2] = tangents(&side.normal, &(needle.pose() * self.solid.tangent(side.along)));
         let directions = [side.normal, t1, t2];
-        let spot = TissueFeature::Surface(side.place);
-        let from_rest = self.tissue.displaced_before(&spot);
+        let feature = TissueFeature::Surface(side.place);
+        let from_rest = self.tissue.displaced_before(&feature);
         let known = self.start.needle_contacts.iter().find(|known| known.sample == side.sample);
         let drawn = known.map_or(Vector3::zeros(), |known| known.drawn);
         let gap = [
@@ -280,16 +280,16 @@ impl Sewing<'_> {
         ];
         let touching = now - side.normal * side.radius;
         let friction = self.resistance.needle_friction;
-        let (joint, mut tie) = joints::side(needle, &touching, spot, directions, gap, friction);
+        let (joint, mut tie) = joints::side(needle, &touching, feature, directions, gap, friction);
         let force = known.map_or(Vector3::zeros(), |known| known.force);
-        tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+        tie.force = tie.law.confined(directions.map(|direction| force.dot(&direction)));
         (joint, tie)
     }
 
     /// Compliance between points of the tissue; computed only for new ones.
     fn mutual(&mut self, links: &[Link]) -> Result<(), FailureCause> {
         let count = links.len();
-        let Workspace { spots, mutual, joints, .. } = &mut *self.room;
+        let Workspace { spots, mutual, joints, .. } = &mut *self.workspace;
         let same = spots.len() == count;
         if !same {
             spots.clear();
@@ -304,8 +304,8 @@ impl Sewing<'_> {
             if same && spots[i] == own {
                 continue;
             }
-            if let Some(spot) = &own
-                && !self.tissue.name_spot(spot)
+            if let Some(feature) = &own
+                && !self.tissue.name_spot(feature)
             {
                 return Err(FailureCause::Full);
             }
@@ -339,7 +339,7 @@ impl CoupledBody for Sewing<'_> {
     }
 
     fn stops(&self, way: [&[Point3<f64>]; 2]) -> Option<usize> {
-        let (material, needle) = (self.thread?, self.room.needle?);
+        let (material, needle) = (self.thread?, self.workspace.needle?);
         needle_thread_contact::passes(self.solid, material.radius, self.start, &needle, way)
     }
 
@@ -352,60 +352,60 @@ impl CoupledBody for Sewing<'_> {
     }
 
     fn tie(&mut self, at: &RodIterate, ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
-        let needle = self.room.needle.unwrap_or(self.start.needle);
+        let needle = self.workspace.needle.unwrap_or(self.start.needle);
         let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(FailureCause::NoInertia)?;
-        self.room.left = self.residual(&needle);
-        let free = mobility.answer(&self.room.left);
-        self.room.mobility = Some(mobility);
-        self.room.joints.clear();
-        self.room.directions.clear();
+        self.workspace.left = self.residual(&needle);
+        let free = mobility.answer(&self.workspace.left);
+        self.workspace.mobility = Some(mobility);
+        self.workspace.joints.clear();
+        self.workspace.directions.clear();
         if self.thread.is_some() {
             for pair in joints::swage(self.solid, &needle, at, self.start.swage_turn) {
                 self.push(pair, &free, ties);
             }
         }
-        self.room.layout.grips = ties.len();
-        for grip in self.around.grips {
+        self.workspace.layout.grips = ties.len();
+        for grip in self.surroundings.grips {
             let wanted = between(&grip.from, &grip.to, self.fractions[1]);
             for pair in joints::grip(&needle, &wanted, grip) {
                 self.push(pair, &free, ties);
             }
         }
-        self.room.layout.channel = ties.len();
+        self.workspace.layout.channel = ties.len();
         for index in 0..self.start.channel.len() {
             let pair = self.pass(&needle, at, index);
             self.push(pair, &free, ties);
         }
-        self.room.layout.tip = None;
+        self.workspace.layout.tip = None;
         if let Some(pair) = self.tip(&needle) {
-            self.room.layout.tip = Some(ties.len());
+            self.workspace.layout.tip = Some(ties.len());
             self.push(pair, &free, ties);
         }
-        self.room.layout.sides = ties.len();
-        for index in 0..self.room.sides.len() {
-            let pair = self.side(&needle, &self.room.sides[index]);
+        self.workspace.layout.sides = ties.len();
+        for index in 0..self.workspace.sides.len() {
+            let pair = self.side(&needle, &self.workspace.sides[index]);
             self.push(pair, &free, ties);
         }
-        self.room.layout.strands = ties.len();
+        self.workspace.layout.strands = ties.len();
         if let Some(material) = self.thread {
-            for index in 0..self.room.strands.len() {
-                let strand = self.room.strands[index];
+            for index in 0..self.workspace.strands.len() {
+                let strand = self.workspace.strands[index];
                 let pair =
                     needle_thread_contact::contact(self.solid, material, (self.start, &needle), at, &strand);
                 self.push(pair, &free, ties);
             }
         }
-        if self.room.forces.len() == ties.len() {
-            ties.iter_mut().zip(&self.room.forces).for_each(|(tie, force)| tie.force = *force);
+        if self.workspace.forces.len() == ties.len() {
+            ties.iter_mut().zip(&self.workspace.forces).for_each(|(tie, force)| tie.force = *force);
         }
         Ok(())
     }
 
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), FailureCause> {
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause> {
         self.mutual(links)?;
         let count = links.len();
         let rows = 3 * count;
-        let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.room;
+        let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.workspace;
         let Some(mobility) = mobility else { return Err(FailureCause::NoInertia) };
         answers.clear();
         answers.extend(joints.iter().map(|joint| joint.needle.map(|load| mobility.answer(&load))));
@@ -415,11 +415,11 @@ impl CoupledBody for Sewing<'_> {
         };
         for (i, link) in links.iter().enumerate() {
             let own = directions(link);
-            if let (Link::Surface(..), Some(spot)) = (link, &spots[i]) {
-                let since_step = self.tissue.displaced_when(spot, self.step_began);
-                let since_part = self.tissue.displaced_before(spot);
+            if let (Link::Surface(..), Some(feature)) = (link, &spots[i]) {
+                let since_step = self.tissue.displaced_when(feature, self.step_began);
+                let since_part = self.tissue.displaced_before(feature);
                 for (k, by) in [since_step, since_part, since_part].iter().enumerate() {
-                    giving.base[3 * i + k] = own[k].dot(by);
+                    compliance_rows.base[3 * i + k] = own[k].dot(by);
                 }
             }
             for (j, other) in links[..=i].iter().enumerate() {
@@ -434,8 +434,8 @@ impl CoupledBody for Sewing<'_> {
                         value += own[k].dot(&(mutual[i * count + j] * toward[m]));
                     }
                     let (row, column) = (3 * i + k, 3 * j + m);
-                    giving.compliance[column * rows + row] = value;
-                    giving.compliance[row * rows + column] = value;
+                    compliance_rows.compliance[column * rows + row] = value;
+                    compliance_rows.compliance[row * rows + column] = value;
                 }
             }
         }
@@ -444,7 +444,7 @@ impl CoupledBody for Sewing<'_> {
 
     fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } =
-            &mut *self.room;
+            &mut *self.workspace;
         let mut load = *left;
         kept.clear();
         kept.resize(joints.len(), [0.0; 3]);
@@ -462,33 +462,33 @@ impl CoupledBody for Sewing<'_> {
             return Err(FailureCause::TooFar);
         }
         *needle = joints::carried(needle, &by);
-        let on_tissue = links.iter().zip(forces).zip(&*spots).filter_map(|((link, force), spot)| {
+        let on_tissue = links.iter().zip(forces).zip(&*spots).filter_map(|((link, force), feature)| {
             let directions = match link {
                 Link::Tie(tie) => &directions[*tie],
                 Link::Surface(_, directions) => directions,
             };
-            Some((spot.as_ref().copied()?, -vector(directions, force)))
+            Some((feature.as_ref().copied()?, -vector(directions, force)))
         });
         self.tissue.deform(on_tissue);
         Ok(way.max(turn * self.solid.shape().radius))
     }
 
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
-        self.room.press(links, forces);
+        self.workspace.press(links, forces);
     }
 }
 
 /// Results of the needle's surface contacts at the end of a substep.
-pub(super) fn touched(room: &Workspace, tied: &[TieResult], contacts: &mut Vec<NeedleContact>) {
+pub(super) fn touched(workspace: &Workspace, tied: &[TieResult], contacts: &mut Vec<NeedleContact>) {
     contacts.clear();
-    for (index, side) in room.sides.iter().enumerate() {
-        let tie = room.layout.sides + index;
+    for (index, side) in workspace.sides.iter().enumerate() {
+        let tie = workspace.layout.sides + index;
         let force = tied[tie].force;
         if force[0] > 0.0 {
-            let [_, t1, t2] = room.directions[tie];
+            let [_, t1, t2] = workspace.directions[tie];
             contacts.push(NeedleContact {
                 sample: side.sample,
-                force: room.force(tied, tie),
+                force: workspace.force(tied, tie),
                 drawn: (t1 * force[1] + t2 * force[2]) * -joints::COMPLIANCE,
             });
         }
@@ -496,11 +496,11 @@ pub(super) fn touched(room: &Workspace, tied: &[TieResult], contacts: &mut Vec<N
 }
 
 /// Results of strand contacts with the needle at the end of a substep.
-pub(super) fn crossed(room: &Workspace, tied: &[TieResult], contacts: &mut Vec<StrandContact>) {
-    let first = room.layout.strands;
-    let forces =
-        (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));
-    needle_thread_contact::remember(&room.strands, forces, contacts);
+pub(super) fn crossed(workspace: &Workspace, tied: &[TieResult], contacts: &mut Vec<StrandContact>) {
+    let first = workspace.layout.strands;
+    let forces = (0..workspace.strands.len())
+        .map(|index| (tied[first + index].force, workspace.directions[first + index]));
+    needle_thread_contact::remember(&workspace.strands, forces, contacts);
 }
 
 fn vector(directions: &[Vector3<f64>; 3], force: &[f64; 3]) -> Vector3<f64> {

@@ -201,8 +201,8 @@ impl Tissue {
     }
 
     /// The nodes of a point and their weights.
-    fn nodes_of(&self, spot: &TissueFeature) -> ([u32; 4], [f64; 4]) {
-        match spot {
+    fn nodes_of(&self, feature: &TissueFeature) -> ([u32; 4], [f64; 4]) {
+        match feature {
             TissueFeature::Inside(place) => (self.mesh.tets()[place.tet as usize], place.weights),
             TissueFeature::Surface(SurfacePoint { nodes: [a, b, c], weights: [u, v, w] }) => {
                 ([*a, *b, *c, *a], [*u, *v, *w, 0.0])
@@ -216,8 +216,8 @@ impl Tissue {
     }
 
     /// The same for a point of either kind.
-    pub(super) fn name_spot(&mut self, spot: &TissueFeature) -> bool {
-        let (nodes, weights) = self.nodes_of(spot);
+    pub(super) fn name_spot(&mut self, feature: &TissueFeature) -> bool {
+        let (nodes, weights) = self.nodes_of(feature);
         nodes.iter().zip(weights).all(|(node, weight)| weight == 0.0 || self.columns.name(*node))
     }
 
@@ -236,19 +236,19 @@ impl Tissue {
     }
 
     /// Displacement of a point for these node positions \[m\].
-    pub(super) fn displaced_when(&self, spot: &TissueFeature, positions: &[Point3<f64>]) -> Vector3<f64> {
-        let (nodes, weights) = self.nodes_of(spot);
+    pub(super) fn displaced_when(&self, feature: &TissueFeature, positions: &[Point3<f64>]) -> Vector3<f64> {
+        let (nodes, weights) = self.nodes_of(feature);
         mean(positions, &nodes, &weights) - mean(self.mesh.rest(), &nodes, &weights)
     }
 
     /// Current displacement of a point \[m\].
-    pub(super) fn displaced(&self, spot: &TissueFeature) -> Vector3<f64> {
-        self.displaced_when(spot, &self.positions)
+    pub(super) fn displaced(&self, feature: &TissueFeature) -> Vector3<f64> {
+        self.displaced_when(feature, &self.positions)
     }
 
     /// Its displacement at the beginning of the substep \[m\].
-    pub(super) fn displaced_before(&self, spot: &TissueFeature) -> Vector3<f64> {
-        self.displaced_when(spot, &self.before)
+    pub(super) fn displaced_before(&self, feature: &TissueFeature) -> Vector3<f64> {
+        self.displaced_when(feature, &self.before)
     }
 
     /// Node positions at the beginning of the substep \[m\].
@@ -413,8 +413,8 @@ impl Tissue {
     pub(super) fn deform(&mut self, forces: impl Iterator<Item = (TissueFeature, Vector3<f64>)>) {
         let mut on_nodes = std::mem::take(&mut self.forces);
         on_nodes.clear();
-        for (spot, force) in forces {
-            let (nodes, weights) = self.nodes_of(&spot);
+        for (feature, force) in forces {
+            let (nodes, weights) = self.nodes_of(&feature);
             for (node, weight) in nodes.into_iter().zip(weights) {
                 if weight != 0.0 {
                     on_nodes.push((node, force * weight));

@@ -49,22 +49,22 @@ impl SoftSurface {
     /// position: a surface that jumped could jump past the thread.
     pub fn begin(
         &mut self,
-        guests: impl Iterator<Item = GhostNode>,
+        ghost_nodes: impl Iterator<Item = GhostNode>,
         drift: impl Iterator<Item = Vector3<f64>>,
         triangles: &[[u32; 3]],
     ) {
         self.drift.clear();
         self.drift.extend(drift);
         self.now.clear();
-        self.now.extend(guests);
+        self.now.extend(ghost_nodes);
         self.drift.resize(self.now.len(), Vector3::zeros());
         self.start.clear();
-        self.start.extend(self.now.iter().map(|guest| guest.position));
+        self.start.extend(self.now.iter().map(|ghost_node| ghost_node.position));
         self.began.clone_from(&self.start);
         self.at.clone_from(&self.start);
         self.moved.clear();
         self.moved.resize(self.now.len(), GhostMoved::default());
-        self.tell();
+        self.update_moved();
         if self.triangles != triangles {
             self.triangles.clear();
             self.triangles.extend_from_slice(triangles);
@@ -106,9 +106,10 @@ impl SoftSurface {
         &self.moved
     }
 
-    fn tell(&mut self) {
-        for (moved, guest) in self.moved.iter_mut().zip(&self.now) {
-            (moved.position, moved.velocity, moved.path) = (guest.position, guest.velocity, guest.path);
+    fn update_moved(&mut self) {
+        for (moved, ghost_node) in self.moved.iter_mut().zip(&self.now) {
+            (moved.position, moved.velocity, moved.path) =
+                (ghost_node.position, ghost_node.velocity, ghost_node.path);
         }
     }
 
@@ -163,12 +164,14 @@ impl CoupledBody for LyingOn<'_> {
         soft.free.clear();
         soft.yields.clear();
         soft.began.clear();
-        for (guest, drift) in soft.now.iter().zip(&soft.drift) {
-            let mut alone = *guest;
+        for (ghost_node, drift) in soft.now.iter().zip(&soft.drift) {
+            let mut alone = *ghost_node;
             alone.go(dt, &Vector3::zeros());
-            soft.began.push(guest.position);
+            soft.began.push(ghost_node.position);
             soft.free.push(alone.position + drift * dt);
-            soft.yields.push(guest.mobility / (1.0 + dt * dt * guest.stiffness * guest.mobility) * dt * dt);
+            soft.yields.push(
+                ghost_node.mobility / (1.0 + dt * dt * ghost_node.stiffness * ghost_node.mobility) * dt * dt,
+            );
         }
         soft.at.clone_from(&soft.free);
     }
@@ -183,14 +186,14 @@ impl CoupledBody for LyingOn<'_> {
 
     /// Gaps were measured to the surface as it was at the beginning of the step; slides are counted from the beginning
     /// of the part.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), FailureCause> {
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause> {
         let soft = &*self.surface;
         let rows = 3 * links.len();
         for (row, link) in links.iter().enumerate() {
             let Link::Surface(place, directions) = link else { continue };
             let drifts = [soft.drift(place, &soft.start), soft.drift(place, &soft.began)];
             for (k, direction) in directions.iter().enumerate() {
-                giving.base[3 * row + k] = -direction.dot(&drifts[k.min(1)]);
+                compliance_rows.base[3 * row + k] = -direction.dot(&drifts[k.min(1)]);
             }
             for (column, other) in links.iter().enumerate() {
                 let Link::Surface(by, toward) = other else { continue };
@@ -200,7 +203,7 @@ impl CoupledBody for LyingOn<'_> {
                 }
                 for (k, direction) in directions.iter().enumerate() {
                     for (m, toward) in toward.iter().enumerate() {
-                        giving.compliance[(3 * column + m) * rows + 3 * row + k] =
+                        compliance_rows.compliance[(3 * column + m) * rows + 3 * row + k] =
                             goes * direction.dot(toward);
                     }
                 }
@@ -225,13 +228,13 @@ impl CoupledBody for LyingOn<'_> {
         let soft = &mut *self.surface;
         soft.gather(links, forces);
         let of_nodes = soft.now.iter_mut().zip(&soft.forces).zip(&soft.drift).zip(&mut soft.moved);
-        for (((guest, force), drift), moved) in of_nodes {
+        for (((ghost_node, force), drift), moved) in of_nodes {
             let impulse = force * soft.part;
-            guest.go(soft.part, &impulse);
-            guest.position += drift * soft.part;
+            ghost_node.go(soft.part, &impulse);
+            ghost_node.position += drift * soft.part;
             moved.impulse += impulse;
-            moved.work += impulse.dot(&guest.velocity);
+            moved.work += impulse.dot(&ghost_node.velocity);
         }
-        soft.tell();
+        soft.update_moved();
     }
 }

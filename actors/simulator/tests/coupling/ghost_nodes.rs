@@ -25,26 +25,26 @@ struct Faster {
     ghosts: GhostNodes,
     ties: Vec<Tie>,
     presses: Vec<NodeContact>,
-    guests: Vec<GhostNode>,
+    ghost_nodes: Vec<GhostNode>,
 }
 
 impl Faster {
     fn new(body: Xpbd, ghosts: &[Point3<f64>], ties: Vec<Tie>) -> Self {
         let ghosts = GhostNodes::new(ghosts).expect("numbers");
-        Self { body, ghosts, ties, presses: Vec::new(), guests: Vec::new() }
+        Self { body, ghosts, ties, presses: Vec::new(), ghost_nodes: Vec::new() }
     }
 
     fn step(&mut self, gravity: Vector3<f64>) {
-        let Self { body, ghosts, ties, presses, guests } = self;
-        let company = ExternalNodes { guests: &[], ties, presses };
-        guests.clear();
-        ghosts.meet(&company, &body.state().positions, guests);
-        let company = ExternalNodes { guests, ..company };
-        body.step(FAST, &XpbdInput { gravity, company, ..XpbdInput::default() }).expect("a step");
-        let moved = body.company();
+        let Self { body, ghosts, ties, presses, ghost_nodes } = self;
+        let external_nodes = ExternalNodes { ghost_nodes: &[], ties, presses };
+        ghost_nodes.clear();
+        ghosts.begin_step(&external_nodes, &body.state().positions, ghost_nodes);
+        let external_nodes = ExternalNodes { ghost_nodes, ..external_nodes };
+        body.step(FAST, &XpbdInput { gravity, external_nodes, ..XpbdInput::default() }).expect("a step");
+        let moved = body.external_nodes();
         let lost: f64 =
             moved.ties.iter().map(|tied| tied.lost).chain(moved.presses.iter().map(|p| p.lost)).sum();
-        ghosts.met(FAST, &moved.guests, lost);
+        ghosts.end_step(FAST, &moved.ghost_nodes, lost);
     }
 
     fn momentum(&self) -> Vector3<f64> {
@@ -54,7 +54,7 @@ impl Faster {
     /// Its own, and that of the springs.
     fn energy(&self) -> f64 {
         let apart = |tie: &Tie| {
-            let at = tie.guests.iter().fold(Vector3::zeros(), |sum, &(ghost, weight)| {
+            let at = tie.ghost_nodes.iter().fold(Vector3::zeros(), |sum, &(ghost, weight)| {
                 sum + self.ghosts.positions()[ghost as usize].coords * weight
             });
             self.body.state().positions[tie.node as usize].coords - at
@@ -65,7 +65,7 @@ impl Faster {
 }
 
 fn tie(node: u32, ghost: u32, stiffness: f64, damping: f64) -> Tie {
-    Tie { node, guests: [(ghost, 1.0), (ghost, 0.0), (ghost, 0.0), (ghost, 0.0)], stiffness, damping }
+    Tie { node, ghost_nodes: [(ghost, 1.0), (ghost, 0.0), (ghost, 0.0), (ghost, 0.0)], stiffness, damping }
 }
 
 /// Free-flying point masses.
@@ -110,7 +110,7 @@ impl Mass {
             steps: ghosts.steps(),
             step: SLOW,
         };
-        ghosts.hear(&news).expect("numbers");
+        ghosts.receive(&news).expect("numbers");
     }
 
     fn step(&mut self, ghosts: &mut GhostNodes) {
@@ -293,7 +293,7 @@ impl Organ {
             steps: self.steps,
             step: SLOW,
         };
-        ghosts.hear(&news).expect("numbers");
+        ghosts.receive(&news).expect("numbers");
     }
 
     fn tell_when(&mut self, now: bool, ghosts: &mut GhostNodes, gravity: Vector3<f64>) {
@@ -399,7 +399,8 @@ fn what_hangs_from_finite_elements_hangs_still() {
                 organ.tell_when(step == late, &mut fast.ghosts, Vector3::zeros());
                 fast.step(pull);
                 if period >= 350 {
-                    heights.push([fast.body.state().positions[0].z, fast.body.company().ties[0].force.z]);
+                    heights
+                        .push([fast.body.state().positions[0].z, fast.body.external_nodes().ties[0].force.z]);
                 }
             }
             organ.step(&fast.ghosts, Vector3::zeros());
@@ -462,11 +463,16 @@ fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it
                 let surface = Surface::new(&places, &top).expect("the top");
                 lying.find(&surface, &[0, 1, 2], positions, velocities, FAST, &mut fast.presses);
                 fast.step(gravity);
-                let moved = fast.body.company();
-                lying.met(&fast.presses, &moved.presses, &moved.guests, &fast.body.state().positions);
+                let moved = fast.body.external_nodes();
+                lying.end_step(&fast.presses, &moved.presses, &moved.ghost_nodes, &fast.body.state().positions);
                 if period >= 100 {
-                    pressed +=
-                        fast.body.company().presses.iter().map(|pressed| pressed.force).sum::<Vector3<f64>>();
+                    pressed += fast
+                        .body
+                        .external_nodes()
+                        .presses
+                        .iter()
+                        .map(|pressed| pressed.force)
+                        .sum::<Vector3<f64>>();
                     count += 1;
                     let speeds = fast.body.state().velocities.iter().map(|v| v.norm());
                     fastest = fastest.max(speeds.fold(0.0, f64::max));
@@ -526,18 +532,18 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
     };
     let short = SlowBodyReport { velocities: &none[..3], ..news };
     assert_eq!(
-        ghosts.hear(&short),
+        ghosts.receive(&short),
         Err(GhostNodesError::Size { what: "velocities", found: 3, expected: 16 })
     );
     let nan = [Vector3::repeat(f64::NAN); 16];
     assert_eq!(
-        ghosts.hear(&SlowBodyReport { last: &nan, ..news }),
+        ghosts.receive(&SlowBodyReport { last: &nan, ..news }),
         Err(GhostNodesError::Number("an impulse"))
     );
     let negative = SlowBodyReport { mobilities: &[-1.0; 16], ..news };
-    assert_eq!(ghosts.hear(&negative), Err(GhostNodesError::Number("a time or a mobility")));
+    assert_eq!(ghosts.receive(&negative), Err(GhostNodesError::Number("a time or a mobility")));
     assert_eq!(
-        ghosts.hear(&SlowBodyReport { step: f64::NAN, ..news }),
+        ghosts.receive(&SlowBodyReport { step: f64::NAN, ..news }),
         Err(GhostNodesError::Number("a time or a mobility"))
     );
     assert_eq!(ghosts, before);

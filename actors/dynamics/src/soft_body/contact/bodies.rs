@@ -17,7 +17,7 @@ use crate::soft_body::method::ContactParams;
 pub(crate) struct AppliedImpulses {
     pub giver: Entity,
     pub vertices: Vec<ContactSums>,
-    pub wholes: Vec<ImpulseTotals>,
+    pub rigid_totals: Vec<ImpulseTotals>,
 }
 
 /// A body under contact: one of this controller, or of another.
@@ -27,7 +27,7 @@ pub(crate) struct ContactBody<'a> {
     pub stiffness: f64,
     /// Time until its impulses take effect \[s\].
     pub step: f64,
-    matter: ContactDynamics<'a>,
+    dynamics: ContactDynamics<'a>,
 }
 
 enum ContactDynamics<'a> {
@@ -60,7 +60,7 @@ struct Vertices<'a> {
 /// Motion of vertices without contacts.
 enum FreeMotion<'a> {
     Local {
-        led: &'a [DrivenVertex],
+        driven: &'a [DrivenVertex],
         /// Velocity that gravity adds, in the body's frame \[m/s\].
         falls: Vector3<f64>,
         period: f64,
@@ -83,8 +83,8 @@ impl Vertices<'_> {
         let mut speed = self.velocities.get(at).copied().unwrap_or_default();
         let mut mass = self.masses_inverse.get(at).copied().unwrap_or(0.0);
         match &self.before {
-            FreeMotion::Local { led, falls, period, forces } => {
-                if led.binary_search_by_key(&node, |led| led.vertex).is_ok() {
+            FreeMotion::Local { driven, falls, period, forces } => {
+                if driven.binary_search_by_key(&node, |driven| driven.vertex).is_ok() {
                     mass = 0.0;
                 }
                 if mass > 0.0 {
@@ -133,9 +133,9 @@ impl<'a> ContactBody<'a> {
         forces.sort_by_key(|(vertex, _)| *vertex);
         let ContactParams { masses_inverse, stiffness, friction } = body.terms;
         let falls = body.gravity_in_body * period;
-        let before = FreeMotion::Local { led: body.led, falls, period, forces };
-        let matter = ContactDynamics::Soft(Vertices::new(&body.shape, masses_inverse, before));
-        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, matter }
+        let before = FreeMotion::Local { driven: body.driven, falls, period, forces };
+        let dynamics = ContactDynamics::Soft(Vertices::new(&body.shape, masses_inverse, before));
+        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, dynamics }
     }
 
     /// A deformable body of another controller that has published its masses.
@@ -149,29 +149,29 @@ impl<'a> ContactBody<'a> {
             return None;
         }
         let before = FreeMotion::Remote { entity, falls: *falls, given, taken: &told.taken };
-        let matter = ContactDynamics::Soft(Vertices::new(&shape, &told.masses_inverse, before));
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, matter })
+        let dynamics = ContactDynamics::Soft(Vertices::new(&shape, &told.masses_inverse, before));
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, dynamics })
     }
 
     /// A rigid body whose controller takes impulses.
-    pub fn whole(
+    pub fn rigid(
         (scene, entity): (&Snapshot, Entity),
         when: (SimTime, f64),
         given: &[AppliedImpulses],
     ) -> Option<Self> {
-        let matter = ContactDynamics::Rigid(RigidProxy::of(scene, entity, when, given)?);
+        let dynamics = ContactDynamics::Rigid(RigidProxy::of(scene, entity, when, given)?);
         // Its state includes the impulses not yet taken, so that it responds immediately.
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, matter })
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, dynamics })
     }
 
-    pub fn is_whole(&self) -> bool {
-        matches!(self.matter, ContactDynamics::Rigid(_))
+    pub fn is_rigid(&self) -> bool {
+        matches!(self.dynamics, ContactDynamics::Rigid(_))
     }
 
     /// Extrapolated pose `world_from_body` and velocity of a body that moves as a whole.
-    pub fn whole_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
-        match &self.matter {
-            ContactDynamics::Rigid(whole) => Some((whole.pose, whole.of_origin())),
+    pub fn rigid_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
+        match &self.dynamics {
+            ContactDynamics::Rigid(rigid) => Some((rigid.pose, rigid.of_origin())),
             ContactDynamics::Soft(_) => None,
         }
     }
@@ -179,7 +179,7 @@ impl<'a> ContactBody<'a> {
     /// Prepares a contact point; `mover` is the body's index. A body that moves as a whole is pushed at `at_in_world`.
     pub fn hold(&mut self, mover: usize, place: &SurfacePoint, at_in_world: &Point3<f64>) -> ContactTarget {
         let mut nodes = [(0, 0.0); 3];
-        if let ContactDynamics::Soft(vertices) = &mut self.matter {
+        if let ContactDynamics::Soft(vertices) = &mut self.dynamics {
             for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
                 *node = (vertices.touch(vertex), share);
             }
@@ -189,8 +189,8 @@ impl<'a> ContactBody<'a> {
 
     /// Mobility of the point along a direction, and at most across it \[1/kg\].
     pub fn yields(&self, handle: &ContactTarget, normal: &Vector3<f64>) -> [f64; 2] {
-        match &self.matter {
-            ContactDynamics::Rigid(whole) => whole.yields(&handle.at_in_world, normal),
+        match &self.dynamics {
+            ContactDynamics::Rigid(rigid) => rigid.yields(&handle.at_in_world, normal),
             ContactDynamics::Soft(Vertices { touched, .. }) => {
                 [handle.shares().map(|(place, share)| share * share * touched[place].1).sum(); 2]
             }
@@ -199,8 +199,8 @@ impl<'a> ContactBody<'a> {
 
     /// Velocity of the point \[m/s\].
     pub fn speed(&self, handle: &ContactTarget) -> Vector3<f64> {
-        match &self.matter {
-            ContactDynamics::Rigid(whole) => whole.speed(&handle.at_in_world),
+        match &self.dynamics {
+            ContactDynamics::Rigid(rigid) => rigid.speed(&handle.at_in_world),
             ContactDynamics::Soft(Vertices { touched, .. }) => {
                 handle.shares().map(|(place, share)| touched[place].0 * share).sum()
             }
@@ -209,8 +209,8 @@ impl<'a> ContactBody<'a> {
 
     /// Applies an impulse at the point \[N·s\].
     pub fn push(&mut self, handle: &ContactTarget, impulse: &Vector3<f64>) {
-        match &mut self.matter {
-            ContactDynamics::Rigid(whole) => whole.push(&handle.at_in_world, impulse),
+        match &mut self.dynamics {
+            ContactDynamics::Rigid(rigid) => rigid.push(&handle.at_in_world, impulse),
             ContactDynamics::Soft(Vertices { touched, .. }) => {
                 for (place, share) in handle.shares() {
                     let (speed, mass) = &mut touched[place];

@@ -34,7 +34,7 @@ pub(crate) struct RespondingBody<'a> {
     pub entity: Entity,
     pub shape: Shape<'a>,
     pub terms: ContactParams<'a>,
-    pub led: &'a [DrivenVertex],
+    pub driven: &'a [DrivenVertex],
     pub gravity_in_body: Vector3<f64>,
     /// Forces on it in this tick; its contact forces are added, in its frame \[N\].
     pub forces: Vec<(u32, Vector3<f64>)>,
@@ -102,17 +102,17 @@ pub(crate) fn answer<'a>(
     let given = |body: &mut RespondingBody<'_>| AppliedImpulses {
         giver: body.entity,
         vertices: std::mem::take(&mut body.memory.given),
-        wholes: std::mem::take(&mut body.memory.given_whole),
+        rigid_totals: std::mem::take(&mut body.memory.given_whole),
     };
     let given: Vec<AppliedImpulses> = own.iter_mut().map(given).collect();
     let mut movers: Vec<ContactBody<'_>> = own.iter().map(|body| ContactBody::of(body, period)).collect();
-    let mut rows = meet(own, surroundings, scene, (now, period), &given, &mut movers);
+    let mut rows = contact_geometry(own, surroundings, scene, (now, period), &given, &mut movers);
     for _ in 0..SWEEPS {
         rows.iter_mut().for_each(|row| row.press(&mut movers));
     }
-    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_whole())).collect();
+    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_rigid())).collect();
     for (body, given) in own.iter_mut().zip(given) {
-        (body.memory.given, body.memory.given_whole) = (given.vertices, given.wholes);
+        (body.memory.given, body.memory.given_whole) = (given.vertices, given.rigid_totals);
     }
     give(own, &rows, &pushed, now, period);
 }
@@ -202,7 +202,7 @@ fn listen(
 }
 
 /// Computes the current geometry of all contacts, and drops those that have ended.
-fn meet<'a>(
+fn contact_geometry<'a>(
     own: &mut [RespondingBody<'_>],
     surroundings: &mut AdjacencyCache,
     scene: &'a Snapshot,
@@ -236,12 +236,12 @@ fn meet<'a>(
                     }
                 }
                 None => known.or_else(|| {
-                    let new = ContactBody::whole((scene, held.other), (now, period), given);
+                    let new = ContactBody::rigid((scene, held.other), (now, period), given);
                     new.map(|new| add(movers, new))
                 }),
             };
             let mut shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
-            if let Some((pose, motion)) = other.and_then(|other| movers[other].whole_motion()) {
+            if let Some((pose, motion)) = other.and_then(|other| movers[other].rigid_motion()) {
                 (shape.world_from_body, shape.motion) = (pose, motion);
             }
             if held.is_followed() {
@@ -249,7 +249,7 @@ fn meet<'a>(
                 surroundings.look(held.other, &shape.triangles);
             }
             let stars = [surroundings.of(body.entity), surroundings.of(held.other)];
-            let Some(met) = held.meet([&body.shape, &shape], stars) else { return false };
+            let Some(met) = held.contact_geometry([&body.shape, &shape], stars) else { return false };
             if let Some(mut row) = Row::new(met, [Some(index), other], movers, period) {
                 let leaving = row.slip(movers).dot(&met.normal_in_world);
                 held.slack = match std::mem::replace(&mut held.is_in, met.depth > 0.0) {

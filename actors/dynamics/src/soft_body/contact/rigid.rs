@@ -200,7 +200,7 @@ impl RigidProxy {
         let is_own = |giver: Entity| own.iter().any(|given| given.giver == giver);
         let others = scene.iter::<SoftContacts>().filter(|(giver, _)| !is_own(*giver));
         let others = others.map(|(giver, contacts)| (giver, &contacts.given_whole));
-        let all = others.chain(own.iter().map(|given| (given.giver, &given.wholes)));
+        let all = others.chain(own.iter().map(|given| (given.giver, &given.rigid_totals)));
         let mut late = [Vector3::zeros(); 2];
         for (giver, given) in all {
             for given in given.iter().filter(|given| given.body == Some(entity)) {
@@ -222,7 +222,7 @@ impl RigidProxy {
             * UnitQuaternion::from_scaled_axis(turned)
             * Translation3::from(-centre.coords);
         let there = turn * pose;
-        let whole = Self {
+        let rigid = Self {
             pose: there,
             centre: there * inertia.centre_in_body,
             velocity: linear + told.pull[0] * (since + period) + faster,
@@ -230,7 +230,7 @@ impl RigidProxy {
             mass_inverse: inertia.mass_inverse,
             inertia_inverse: inertia.inverse_in_world(&there),
         };
-        Some(whole)
+        Some(rigid)
     }
 
     /// Velocity of its origin.

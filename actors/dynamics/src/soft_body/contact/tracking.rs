@@ -231,15 +231,15 @@ impl<'a> Shape<'a> {
     }
 
     /// Unit normal of the face of a feature.
-    fn face(&self, spot: &Feature) -> Option<Vector3<f64>> {
-        let Feature::Between(nodes, _) = spot else { return None };
+    fn face(&self, feature: &Feature) -> Option<Vector3<f64>> {
+        let Feature::Between(nodes, _) = feature else { return None };
         let [a, b, c] = nodes.map(|node| self.vertex(node));
         let (a, b, c) = (a?, b?, c?);
         (b - a).cross(&(c - a)).try_normalize(0.0)
     }
 
     /// The feature for a primitive that was touched at a point.
-    fn spot(
+    fn feature(
         &self,
         part: Primitive,
         then: &Point3<f64>,
@@ -326,8 +326,8 @@ impl PersistentContact {
         );
         let points = [row.points_in_world[side], row.points_in_world[1 - side]];
         let towards = if side == 0 { -row.normal_in_world } else { row.normal_in_world };
-        let spot = |at: usize| shapes[at].spot(parts[at], &points[at], is_followed, stars[at]);
-        let spots = [spot(0)?, spot(1)?];
+        let feature = |at: usize| shapes[at].feature(parts[at], &points[at], is_followed, stars[at]);
+        let spots = [feature(0)?, feature(1)?];
         let normal_in_world = towards.try_normalize(0.5)?;
         let along = |at: usize| shapes[at].face(&spots[at]).map(|face| face.dot(&normal_in_world).abs());
         if let (Some(one), Some(two)) = (along(0), along(1))
@@ -359,7 +359,7 @@ impl PersistentContact {
     }
 
     pub(crate) fn is_followed(&self) -> bool {
-        self.spots.iter().any(|spot| matches!(spot, Feature::Triangle(_)))
+        self.spots.iter().any(|feature| matches!(feature, Feature::Triangle(_)))
     }
 
     /// Whether it has expired.
@@ -368,7 +368,7 @@ impl PersistentContact {
     }
 
     /// Its current geometry; a followed contact is tracked. `None` when it has ended.
-    pub(crate) fn meet(
+    pub(crate) fn contact_geometry(
         &mut self,
         shapes: [&Shape<'_>; 2],
         stars: [Option<&NodeAdjacency>; 2],

@@ -102,7 +102,7 @@ impl SlowSide {
     }
 
     /// Publishes the results of the step and the prediction. Velocities are those after it \[m/s\].
-    pub fn tell(
+    pub fn publish(
         &mut self,
         site: &StepContext<'_>,
         stays: &[bool],
@@ -123,7 +123,7 @@ impl SlowSide {
                 let now = velocities.get(at).copied().unwrap_or_default();
                 from.received += (body_from_giver * last).dot(&(0.5 * (before + now)));
                 from.expected.push(expected.get(at).copied().unwrap_or(now));
-                let is_led = site.led.binary_search_by_key(&vertex, |led| led.vertex).is_ok();
+                let is_led = site.driven.binary_search_by_key(&vertex, |driven| driven.vertex).is_ok();
                 let holds = is_led || stays.get(at).copied().unwrap_or(true);
                 let mass = masses.get(at).copied().filter(|mass| *mass > 0.0 && !holds);
                 let alone = mass.map_or(0.0, f64::recip);

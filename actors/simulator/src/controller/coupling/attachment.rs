@@ -55,8 +55,8 @@ impl FusedBody {
             if is_loose(body, graft.vertex) || corners.iter().any(|corner| is_loose(other, *corner)) {
                 return None;
             }
-            let guests = [0, 1, 2, 3].map(|k| (OF_BODY + others + corners[k], graft.weights[k]));
-            Some(Tie { node: first + graft.vertex, guests, stiffness, damping })
+            let ghost_nodes = [0, 1, 2, 3].map(|k| (OF_BODY + others + corners[k], graft.weights[k]));
+            Some(Tie { node: first + graft.vertex, ghost_nodes, stiffness, damping })
         }));
     }
 }

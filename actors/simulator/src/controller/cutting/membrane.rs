@@ -54,7 +54,7 @@ pub struct Membrane {
     cuts: Cuts,
     of: SurfaceElements,
     heated: ThermalDamage,
-    weakness: MembraneFailureCriteria,
+    failure_criteria: MembraneFailureCriteria,
     /// Whether heat damages it.
     burns: bool,
     /// Areas of its pieces, largest first \[m²\].
@@ -87,7 +87,7 @@ impl Membrane {
     /// It burns as a volume, or its mesh cannot be cut.
     pub fn new(
         body: &mut Deformable,
-        weakness: MembraneFailureCriteria,
+        failure_criteria: MembraneFailureCriteria,
         scene: &Snapshot,
     ) -> Result<Option<Self>, String> {
         let burns = scene.get::<CauterisedBody>(body.entity);
@@ -97,7 +97,12 @@ impl Membrane {
         let burns = burns.is_some();
         let known = scene.get::<Cuts>(body.entity);
         let of = scene.get::<SurfaceElements>(body.entity);
-        if !(burns || weakness.cut || weakness.tears_at.is_some() || known.is_some() || of.is_some()) {
+        if !(burns
+            || failure_criteria.cut
+            || failure_criteria.tears_at.is_some()
+            || known.is_some()
+            || of.is_some())
+        {
             return Ok(None);
         }
         let of = of.filter(|of| of.elements.len() == body.triangles.len()).cloned();
@@ -116,7 +121,7 @@ impl Membrane {
         body.loose = unused(body);
         let heated = ThermalDamage::known(scene, body.entity, of.taken as usize);
         let (areas, cuts_changed) = (areas(&sheet), known.is_none());
-        Ok(Some(Self { sheet, cuts, of, heated, weakness, burns, areas, cuts_changed }))
+        Ok(Some(Self { sheet, cuts, of, heated, failure_criteria, burns, areas, cuts_changed }))
     }
 
     /// Reads and writes of a controller of divisible membranes.
@@ -128,7 +133,7 @@ impl Membrane {
     /// Whether blades cut it.
     #[must_use]
     pub fn is_cut(&self) -> bool {
-        self.weakness.cut
+        self.failure_criteria.cut
     }
 
     /// The mesh.
@@ -172,7 +177,7 @@ impl Membrane {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<MembraneChange>, String> {
-        let (gone, changed) = self.heated.news(site.scene, body.entity);
+        let (gone, changed) = self.heated.take_changes(site.scene, body.entity);
         let mut stale = Vec::new();
         let kept = (!gone.is_empty()).then(|| self.take_out(&gone, &mut stale));
         let change = self.part(positions, site)?;
@@ -220,13 +225,13 @@ impl Membrane {
     /// Cuts where blades have swept, or else tears where overstretched. A tear propagates from tick to tick.
     fn part(&mut self, positions: &[Point3<f64>], site: &StepContext<'_>) -> Result<TopologyChange, String> {
         let mut change = TopologyChange::default();
-        if self.weakness.cut {
+        if self.failure_criteria.cut {
             let sweeps = self.cuts.sweeps(site.scene, site.world_from_body, &mut self.cuts_changed);
             if !sweeps.is_empty() {
                 change = self.sheet.cut(positions, &sweeps).map_err(|error| error.to_string())?;
             }
         }
-        if let Some(stretch) = self.weakness.tears_at.filter(|_| change.is_empty()) {
+        if let Some(stretch) = self.failure_criteria.tears_at.filter(|_| change.is_empty()) {
             change = self.sheet.tear(positions, stretch).map_err(|error| error.to_string())?;
         }
         self.cuts.length += change.length;
@@ -280,7 +285,9 @@ impl Membrane {
 
     /// Writes the state that a restart needs.
     pub fn publish(&mut self, body: &Deformable, out: &mut Commands) {
-        if std::mem::take(&mut self.cuts_changed) && (self.weakness.cut || self.weakness.tears_at.is_some()) {
+        if std::mem::take(&mut self.cuts_changed)
+            && (self.failure_criteria.cut || self.failure_criteria.tears_at.is_some())
+        {
             out.put(body.entity, self.cuts.clone());
         }
     }

@@ -176,7 +176,7 @@ pub struct FailureCriteria {
 /// A divisible volume and its topology changes.
 pub struct DivisibleVolume {
     volume: Volume,
-    weakness: FailureCriteria,
+    failure_criteria: FailureCriteria,
     /// The face of each surface triangle.
     faces: Vec<TetFace>,
     /// Thermal damage, by elements of the first mesh.
@@ -197,7 +197,7 @@ impl DivisibleVolume {
     /// What is wrong with its mesh.
     pub fn new(
         body: &mut Deformable,
-        weakness: FailureCriteria,
+        failure_criteria: FailureCriteria,
         scene: &Snapshot,
     ) -> Result<Option<Self>, String> {
         let known = scene.get::<VolumeCuts>(body.entity).cloned();
@@ -206,7 +206,7 @@ impl DivisibleVolume {
             return Err("it moves as a volume: 'cauterised' has no 'thickness' then".into());
         }
         let heats = burns.is_some() || scene.get::<RemovedElements>(body.entity).is_some();
-        if !(weakness.cut || weakness.tears.is_some() || heats || known.is_some()) {
+        if !(failure_criteria.cut || failure_criteria.tears.is_some() || heats || known.is_some()) {
             return Ok(None);
         }
         let rules = MeshRules { mean_ratio_min: 0.0, coincident_within: None };
@@ -234,11 +234,11 @@ impl DivisibleVolume {
             coupled.with.iter().any(|with| with.body == body.name && with.joined.is_some())
         };
         // Joints to its elements would not follow a split.
-        let halves = weakness.halves && !scene.iter::<CoupledBody>().any(has_grown);
-        let weakness = FailureCriteria { halves, ..weakness };
+        let halves = failure_criteria.halves && !scene.iter::<CoupledBody>().any(has_grown);
+        let failure_criteria = FailureCriteria { halves, ..failure_criteria };
         Ok(Some(Self {
             volume,
-            weakness,
+            failure_criteria,
             faces,
             heated,
             cuts,
@@ -292,7 +292,7 @@ impl DivisibleVolume {
     /// Whether blades open it.
     #[must_use]
     pub fn is_cut(&self) -> bool {
-        self.weakness.cut
+        self.failure_criteria.cut
     }
 
     /// Applies the topology changes of this tick.
@@ -306,7 +306,7 @@ impl DivisibleVolume {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<SurfaceChange>, String> {
-        let (gone, changed) = self.heated.news(site.scene, body.entity);
+        let (gone, changed) = self.heated.take_changes(site.scene, body.entity);
         let gone: Vec<u32> =
             all_parts(&self.parts, &gone).filter(|&tet| self.volume.tet(tet).is_some()).collect();
         if !changed.is_empty() {
@@ -318,7 +318,7 @@ impl DivisibleVolume {
             change = self.volume.take_out(&gone).map_err(|error| error.to_string())?;
             // Parts connected by a node or an edge stay so, to avoid rebuilding the solver with every element that
             // burns; pieces connected by nothing else are separated.
-            if !self.weakness.hangs_on && self.volume.pieces() > self.pieces {
+            if !self.failure_criteria.hangs_on && self.volume.pieces() > self.pieces {
                 self.volume.separate(&mut change);
             }
         }
@@ -351,12 +351,12 @@ impl DivisibleVolume {
         change: &mut VolumeChange,
     ) -> Result<Vec<TetFace>, VolumeError> {
         let mut sweeps = Vec::new();
-        if self.weakness.cut {
+        if self.failure_criteria.cut {
             let before = self.cuts.blades.clone();
             sweeps = swept(&mut self.cuts.blades, site.scene, site.world_from_body);
             self.cuts_changed = !sweeps.is_empty() || self.cuts.blades != before;
         }
-        let faces = if sweeps.is_empty() || !self.weakness.halves {
+        let faces = if sweeps.is_empty() || !self.failure_criteria.halves {
             let mut faces: Vec<TetFace> = Vec::new();
             if change.born.is_empty() {
                 let positions = elements.positions();
@@ -390,8 +390,8 @@ impl DivisibleVolume {
     /// The face to tear: the one with the largest normal stress, if that exceeds the strength. One at a time, so that
     /// the stress around it is relieved before the next.
     fn tear(&mut self, positions: &[Point3<f64>]) -> Option<TetFace> {
-        let (strength, lame) = self.weakness.tears?;
-        let of = if self.weakness.is_linear { small_stress } else { cauchy_stress };
+        let (strength, lame) = self.failure_criteria.tears?;
+        let of = if self.failure_criteria.is_linear { small_stress } else { cauchy_stress };
         let mut stresses = vec![Matrix3::zeros(); self.inverse_shapes.len()];
         for (tet, nodes) in self.volume.tets() {
             let heated = self.heated.of(self.origin(tet));

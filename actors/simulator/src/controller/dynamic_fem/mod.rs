@@ -95,7 +95,7 @@ impl Component for DynamicFemBody {
 }
 
 impl DynamicFemBody {
-    fn weakness(&self) -> Result<FailureCriteria, String> {
+    fn failure_criteria(&self) -> Result<FailureCriteria, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
         Ok(FailureCriteria {
@@ -213,7 +213,7 @@ impl Elements for Solver {
 /// Dynamic finite elements for one body.
 pub struct DynamicFemMethod {
     of: Solver,
-    parting: Option<DivisibleVolume>,
+    divisible: Option<DivisibleVolume>,
     /// Inverse mass of each node, 0 where it is anchored \[1/kg\].
     mobility: Vec<f64>,
     contacts: Vec<Contact>,
@@ -230,14 +230,14 @@ impl SoftMethod for DynamicFemMethod {
 
     fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();
-        let parting = DivisibleVolume::new(body, kind.weakness()?, scene)?;
-        let heated = parting.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
+        let divisible = DivisibleVolume::new(body, kind.failure_criteria()?, scene)?;
+        let heated = divisible.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let mobility = mobility(&solver, body);
         let mut of = Solver { kind: *kind, solver, memory, ready: None };
         of.resume(body, &heated);
         let (contacts, prescribed) = (Vec::new(), Vec::new());
-        Ok(Self { of, parting, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
+        Ok(Self { of, divisible, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -247,7 +247,7 @@ impl SoftMethod for DynamicFemMethod {
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.parting.as_ref().is_some_and(DivisibleVolume::is_cut)
+        self.divisible.as_ref().is_some_and(DivisibleVolume::is_cut)
     }
 
     fn reshape(
@@ -256,10 +256,10 @@ impl SoftMethod for DynamicFemMethod {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<SurfaceChange>, String> {
-        let Some(parting) = &mut self.parting else { return Ok(None) };
+        let Some(divisible) = &mut self.divisible else { return Ok(None) };
         self.of.take_over(site)?;
-        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
-        self.of.ask(body, site, || parting.heated());
+        let reshaped = divisible.reshape(&mut self.of, body, site, out)?;
+        self.of.ask(body, site, || divisible.heated());
         if reshaped.is_some() {
             self.mobility = mobility(&self.of.solver, body);
         }
@@ -288,7 +288,7 @@ impl SoftMethod for DynamicFemMethod {
         self.of.solver.velocities()
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         ContactSurface {
             positions: self.positions(),
             triangles: &body.triangles,
@@ -307,7 +307,7 @@ impl SoftMethod for DynamicFemMethod {
         self.contacts.clear();
         self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.of.kind)));
         self.prescribed.clear();
-        self.prescribed.extend(site.led.iter().map(|led| (led.vertex, led.position_in_world)));
+        self.prescribed.extend(site.driven.iter().map(|driven| (driven.vertex, driven.position_in_world)));
         let inputs = inputs(&self.contacts, &self.prescribed, site);
         let report = self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
         self.report = Some(report);
@@ -351,7 +351,7 @@ impl SoftMethod for DynamicFemMethod {
             measures.put("residual", report.residual);
             measures.put("inverted_elements", f64::from(report.inverted));
         }
-        self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.divisible.iter().for_each(|divisible| divisible.measure(measures));
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
     }

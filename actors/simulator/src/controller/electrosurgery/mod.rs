@@ -481,7 +481,7 @@ impl Controller for ElectrosurgeryController {
             }
             body.measure(&mut measured.values);
         }
-        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }

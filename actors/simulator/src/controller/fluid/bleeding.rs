@@ -448,7 +448,7 @@ impl Controller for BleedingController {
             let named = values.into_iter().map(|(what, value)| (format!("{}.{what}", vessel.name), value));
             measured.values.extend(named);
         }
-        self.refused.iter_mut().for_each(|vessel| vessel.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|vessel| vessel.report(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }

@@ -97,14 +97,14 @@ impl Irrigator {
         (scene, entity): (&Snapshot, Entity),
         liquid_from_world: &Isometry3<f64>,
         dt: f64,
-        spout: &mut Emitter,
+        emitter: &mut Emitter,
         fluid: &mut Fluid,
     ) {
         let liquid_from_tip = liquid_from_world * scene.world_pose(entity);
         let place = liquid_from_tip * Point3::origin();
         let hole = Hole { place, outwards: liquid_from_tip * Vector3::z(), area: self.area };
-        let given = spout.given + self.rate * level(scene, entity) * dt;
-        spout.pour(given, dt, &hole, fluid);
+        let given = emitter.given + self.rate * level(scene, entity) * dt;
+        emitter.pour(given, dt, &hole, fluid);
     }
 }
 

@@ -168,9 +168,9 @@ impl FluidController {
         let (mut spouts, mut suctions) = (BTreeMap::new(), BTreeMap::new());
         if let Some(known) = scene.get::<LiquidState>(liquid) {
             fluid.restore(&known.fluid).map_err(|error| wrong(error.to_string()))?;
-            for (entity, spout) in &known.spouts {
-                spout.check().map_err(|error| wrong(error.to_string()))?;
-                spouts.insert(*entity, *spout);
+            for (entity, emitter) in &known.spouts {
+                emitter.check().map_err(|error| wrong(error.to_string()))?;
+                spouts.insert(*entity, *emitter);
             }
             suctions.extend(known.suctions.iter().copied());
         }
@@ -298,8 +298,8 @@ impl FluidController {
         }
         let liquid_from_world = world_from_liquid.inverse();
         for (entity, irrigator) in scene.iter::<Irrigator>() {
-            let spout = self.spouts.entry(entity).or_default();
-            irrigator.pour((scene, entity), &liquid_from_world, dt, spout, &mut self.fluid);
+            let emitter = self.spouts.entry(entity).or_default();
+            irrigator.pour((scene, entity), &liquid_from_world, dt, emitter, &mut self.fluid);
         }
         for (entity, sucker) in scene.iter::<Sucker>() {
             let suction = self.suctions.entry(entity).or_default();
@@ -360,8 +360,8 @@ impl FluidController {
         let mut put = |what: &str, value: f64| values.insert(format!("{}.{what}", self.name), value);
         let volume = self.fluid.particle_volume();
         let state = self.fluid.state();
-        let emitted: u64 = self.spouts.values().map(|spout| spout.emitted).sum();
-        let given: f64 = self.spouts.values().map(|spout| spout.given).sum();
+        let emitted: u64 = self.spouts.values().map(|emitter| emitter.emitted).sum();
+        let given: f64 = self.spouts.values().map(|emitter| emitter.given).sum();
         put("volume_m3", state.numbers.len() as f64 * volume);
         put("particles", state.numbers.len() as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
@@ -423,7 +423,7 @@ impl Controller for FluidController {
             self.show();
             if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {
                 out.put(self.liquid, self.look.clone());
-                let spouts = self.spouts.iter().map(|(entity, spout)| (*entity, *spout)).collect();
+                let spouts = self.spouts.iter().map(|(entity, emitter)| (*entity, *emitter)).collect();
                 let suctions = self.suctions.iter().map(|(entity, suction)| (*entity, *suction)).collect();
                 let fluid = Arc::new(self.fluid.state().clone());
                 out.put(self.liquid, LiquidState { fluid, spouts, suctions });

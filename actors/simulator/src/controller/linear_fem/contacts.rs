@@ -85,7 +85,10 @@ pub(crate) enum ConstraintSource {
 
 impl Body {
     /// The current constraints, persistent ones first: pinned points, held vertices, rod contacts.
-    pub(crate) fn ask(&mut self, site: &StepContext<'_>) -> Result<Vec<ConstraintReaction>, String> {
+    pub(crate) fn collect_constraints(
+        &mut self,
+        site: &StepContext<'_>,
+    ) -> Result<Vec<ConstraintReaction>, String> {
         let rods = site.rods;
         let triangles = self.body.triangles.clone();
         let mut touched = Vec::new();
@@ -102,10 +105,10 @@ impl Body {
         self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
         let mut answers = Vec::new();
         self.pins.drive_in(site.scene, site.world_from_body);
-        let altered = self.parting.as_ref().map(|(_, altered)| altered);
+        let altered = self.divisible.as_ref().map(|(_, altered)| altered);
         let is_gone = |tet| altered.is_some_and(|altered| altered.is_gone(tet));
-        let led = self.pins.led(site.scene, site.world_from_body, &self.mesh, is_gone);
-        answers.extend(led.map(|(number, attachment, target)| ConstraintReaction {
+        let driven = self.pins.driven(site.scene, site.world_from_body, &self.mesh, is_gone);
+        answers.extend(driven.map(|(number, attachment, target)| ConstraintReaction {
             attachment,
             target,
             lag: 0.0,
@@ -134,7 +137,7 @@ impl Body {
     }
 
     /// Adds contacts of rods elsewhere on the surface.
-    pub(crate) fn ask_more(&self, rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
+    pub(crate) fn collect_more_contacts(&self, rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
         let mut touched = Vec::new();
         let triangles = &self.body.triangles;
         touches(
@@ -285,8 +288,8 @@ impl Body {
                 answer.lag += beyond;
                 let target = answer.target - touch.normal * answer.lag;
                 self.holding.set_target(solver, index, target)?;
-                if let Some(fading) = &mut self.fading {
-                    fading.set_target(index, target)?;
+                if let Some(blend) = &mut self.blend {
+                    blend.set_target(index, target)?;
                 }
                 moves = true;
             }

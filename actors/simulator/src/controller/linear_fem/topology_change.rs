@@ -78,7 +78,7 @@ impl MeshChanges {
     }
 
     /// The changes of the body, if there are any.
-    pub fn became(&self) -> Option<MeshChange> {
+    pub fn mesh_change(&self) -> Option<MeshChange> {
         let altered = self.alterations.iter().any(|of| *of != Alteration::NONE) || !self.parents.is_empty();
         altered.then(|| self.now())
     }
@@ -120,24 +120,24 @@ impl MeshChanges {
         key: u64,
         mesh: &TetMesh,
         solver: &mut Box<LinearFem>,
-        fading: &mut Option<InverseBlend>,
+        blend: &mut Option<InverseBlend>,
         tick: &Tick<'_>,
     ) -> Result<Option<MeshChange>, String> {
         if self.submitted && self.next.is_none() {
             self.next = built(tick, key)?.map(Box::new);
         }
         // An inverse that has no weight yet is replaced by a later one, which has less to catch up with.
-        if fading.as_ref().is_none_or(InverseBlend::is_unfelt)
+        if blend.as_ref().is_none_or(InverseBlend::has_no_weight)
             && let Some(new) = self.next.take()
         {
             let old = std::mem::replace(solver, new);
-            fading.get_or_insert_with(|| InverseBlend::new(old));
+            blend.get_or_insert_with(|| InverseBlend::new(old));
             self.submitted = false;
             self.pending.clone_from(&self.since);
             self.shrinks = self.stale;
         }
-        let done = self.come_apart(mesh, solver, fading).and_then(|()| {
-            self.correct(solver, fading)?;
+        let done = self.come_apart(mesh, solver, blend).and_then(|()| {
+            self.correct(solver, blend)?;
             if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
         });
         done.map_err(|error| error.to_string())?;
@@ -161,11 +161,11 @@ impl MeshChanges {
         &mut self,
         mesh: &TetMesh,
         solver: &mut LinearFem,
-        fading: &mut Option<InverseBlend>,
+        blend: &mut Option<InverseBlend>,
     ) -> Result<(), LinearFemError> {
-        let most = fitting(solver, if fading.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
-        if let Some(fading) = fading {
-            fading.come_apart(mesh, &self.parents, most)?;
+        let most = fitting(solver, if blend.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
+        if let Some(blend) = blend {
+            blend.come_apart(mesh, &self.parents, most)?;
         }
         catch_up(solver, mesh, &self.parents)?;
         let released = solver.release_nodes(most)?;
@@ -185,14 +185,14 @@ impl MeshChanges {
     fn correct(
         &mut self,
         solver: &mut LinearFem,
-        fading: &mut Option<InverseBlend>,
+        blend: &mut Option<InverseBlend>,
     ) -> Result<(), LinearFemError> {
-        let most = fitting(solver, if fading.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
+        let most = fitting(solver, if blend.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
         let (mut later, mut allowed) = (Vec::new(), most);
         let mut next = std::mem::take(&mut self.pending);
         // The first inverse may have been computed after their removal.
         next.retain(|&tet| !solver.is_out(tet));
-        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, most))?;
+        blend.as_mut().map_or(Ok(()), |blend| blend.remove(&next, most))?;
         while !next.is_empty() {
             let room = solver.removable().min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
@@ -218,13 +218,13 @@ impl MeshChanges {
     }
 
     /// Removed elements that still contribute to forces, until the next inverse.
-    pub fn waiting(&self, fading: Option<&InverseBlend>) -> usize {
-        self.pending.iter().filter(|tet| !fading.is_some_and(|fading| fading.hides(**tet))).count()
+    pub fn waiting(&self, blend: Option<&InverseBlend>) -> usize {
+        self.pending.iter().filter(|tet| !blend.is_some_and(|blend| blend.hides(**tet))).count()
     }
 
     /// Separated nodes that still act as one, until the next inverse or for some ticks.
-    pub fn nodes_waiting(&self, solver: &LinearFem, fading: Option<&InverseBlend>) -> usize {
-        fading.and_then(InverseBlend::waiting).unwrap_or_else(|| solver.waiting())
+    pub fn nodes_waiting(&self, solver: &LinearFem, blend: Option<&InverseBlend>) -> usize {
+        blend.and_then(InverseBlend::waiting).unwrap_or_else(|| solver.waiting())
     }
 
     /// Whether a new inverse still has to catch up with the removals during its computation.

@@ -195,7 +195,7 @@ impl MassSpringBody {
 
     /// Cutting and tearing criteria of a volume. Its stress is that of the continuum that the springs represent, with
     /// Poisson's ratio 1/4.
-    pub(crate) fn weakness(&self) -> FailureCriteria {
+    pub(crate) fn failure_criteria(&self) -> FailureCriteria {
         let Springs::Volume { young_modulus, .. } = self.springs else { return FailureCriteria::default() };
         let shear = 0.4 * young_modulus;
         FailureCriteria {
@@ -207,7 +207,11 @@ impl MassSpringBody {
         }
     }
 
-    pub(crate) fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> ContactSurface<'a> {
+    pub(crate) fn contact_surface<'a>(
+        &self,
+        body: &'a Deformable,
+        positions: &'a [Point3<f64>],
+    ) -> ContactSurface<'a> {
         let is_line = matches!(self.springs, Springs::Line { .. });
         ContactSurface {
             positions,

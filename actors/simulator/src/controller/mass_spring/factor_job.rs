@@ -111,7 +111,7 @@ impl FactorKeeper {
     }
 
     /// The state that a restart needs, if it has changed.
-    pub fn news(&mut self) -> Option<SpringFactor> {
+    pub fn take_changes(&mut self) -> Option<SpringFactor> {
         std::mem::take(&mut self.is_changed).then_some(self.memory)
     }
 }

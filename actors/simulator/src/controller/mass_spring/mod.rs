@@ -173,7 +173,7 @@ pub struct MassSpringMethod {
     /// Cutting and tearing of a surface.
     membrane: Option<Membrane>,
     /// Of a volume.
-    parting: Option<DivisibleVolume>,
+    divisible: Option<DivisibleVolume>,
     /// Of a line.
     line: Option<LineCuts>,
 }
@@ -218,8 +218,8 @@ impl MassSpringMethod {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<SurfaceChange>, String> {
-        if let Some(parting) = &mut self.parting {
-            return parting.reshape(&mut self.of, body, site, out);
+        if let Some(divisible) = &mut self.divisible {
+            return divisible.reshape(&mut self.of, body, site, out);
         }
         if let Some(line) = &mut self.line {
             let copies = line.reshape(&self.of.solver.state().positions, body, site, out);
@@ -272,16 +272,17 @@ impl SoftMethod for MassSpringMethod {
             }
             false => None,
         };
-        let parting = if is_volume { DivisibleVolume::new(body, kind.weakness(), scene)? } else { None };
-        let altered = match (&membrane, &parting) {
+        let divisible =
+            if is_volume { DivisibleVolume::new(body, kind.failure_criteria(), scene)? } else { None };
+        let altered = match (&membrane, &divisible) {
             (Some(membrane), _) => membrane.alterations(),
-            (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
+            (None, Some(divisible)) => Solver::alterations(body.tets.len(), &divisible.heated()),
             (None, None) => Vec::new(),
         };
-        let weakness = LineFailureCriteria { cut: true, tears_at: kind.tears_at };
-        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, weakness, scene));
+        let failure_criteria = LineFailureCriteria { cut: true, tears_at: kind.tears_at };
+        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, failure_criteria, scene));
         let mut of = Solver::new(kind, body, altered)?;
-        if parting.is_some() {
+        if divisible.is_some() {
             of.come_apart();
         }
         let safe_step = of.solver.safe_step();
@@ -298,7 +299,7 @@ impl SoftMethod for MassSpringMethod {
             is_warped,
             factor,
             membrane,
-            parting,
+            divisible,
             line,
         })
     }
@@ -318,8 +319,8 @@ impl SoftMethod for MassSpringMethod {
         &self.of.solver.state().velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
-        self.of.kind.skin(body, self.positions())
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+        self.of.kind.contact_surface(body, self.positions())
     }
 
     fn terms(&self) -> Option<ContactParams<'_>> {
@@ -328,7 +329,7 @@ impl SoftMethod for MassSpringMethod {
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.membrane.is_some() || self.parting.is_some() || self.line.is_some()
+        self.membrane.is_some() || self.divisible.is_some() || self.line.is_some()
     }
 
     fn reshape(
@@ -359,8 +360,11 @@ impl SoftMethod for MassSpringMethod {
         contacts.extend(site.touches.iter().map(|touch| self.contact(touch)));
         self.contacts = contacts;
         self.prescribed.clear();
-        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
-        self.prescribed.extend(led);
+        let driven = site
+            .driven
+            .iter()
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world });
+        self.prescribed.extend(driven);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         let input = Input {
@@ -388,7 +392,7 @@ impl SoftMethod for MassSpringMethod {
         if let Some(line) = &mut self.line {
             line.publish(body, out);
         }
-        if let Some(factor) = self.factor.news() {
+        if let Some(factor) = self.factor.take_changes() {
             out.put(body.entity, factor);
         }
     }
@@ -409,8 +413,8 @@ impl SoftMethod for MassSpringMethod {
         if let Some(membrane) = &self.membrane {
             membrane.measure(measures);
         }
-        if let Some(parting) = &self.parting {
-            parting.measure(measures);
+        if let Some(divisible) = &self.divisible {
+            divisible.measure(measures);
         }
         if let Some(line) = &self.line {
             line.measure(measures);

@@ -91,7 +91,7 @@ impl Controller for SutureController {
                 list
             }
             Sewn::RejectedBody(parts) => {
-                parts.iter_mut().for_each(|part| part.tell(tick, &mut measured, out));
+                parts.iter_mut().for_each(|part| part.report(tick, &mut measured, out));
                 CollisionList { collisions: Vec::new(), penetration_max: 0.0 }
             }
         };

@@ -309,7 +309,7 @@ impl Sewing {
     }
 
     /// Reaction forces on instruments: the force on the held part, and its distance from the instrument.
-    fn tell(&self, tick: &Tick<'_>) -> CollisionList {
+    fn collision_list(&self, tick: &Tick<'_>) -> CollisionList {
         let mut collisions = Vec::new();
         let needle = self.needle.entity;
         for (instrument, place, force) in &self.forces {
@@ -325,7 +325,7 @@ impl Sewing {
             pulls: &self.pulls,
             displacement_max: 0.0,
         };
-        told.tell(tick.time, &mut collisions);
+        told.report(tick.time, &mut collisions);
         collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
         collisions.truncate(COLLISIONS_MAX);
         CollisionList { collisions, penetration_max: self.memory.penetration_max }
@@ -414,7 +414,7 @@ impl Sewing {
             match self.step(scene, tick, out) {
                 Ok(()) => {
                     self.write(scene, tick, out);
-                    return self.tell(tick);
+                    return self.collision_list(tick);
                 }
                 Err(why) => {
                     self.frozen = true;

@@ -31,7 +31,7 @@ pub struct ContactReport<'a> {
 
 impl ContactReport<'_> {
     /// Writes them as rows of the collision list.
-    pub fn tell(&self, at: SimTime, collisions: &mut Vec<Collision>) {
+    pub fn report(&self, at: SimTime, collisions: &mut Vec<Collision>) {
         let mut add =
             |a: Entity, primitive_a: Primitive, place: Point3<f64>, force: Vector3<f64>, depth: f64| {
                 collisions.push(collision(a, primitive_a, self.thread, place, force, depth, at));

@@ -187,7 +187,7 @@ impl Controller for ThreadController {
                                 .as_ref()
                                 .map_or(0.0, ElasticSupport::displacement_max),
                         };
-                        told.tell(tick.time, &mut collisions);
+                        told.report(tick.time, &mut collisions);
                     }
                     // It does not move until the elastic body's inverse is ready.
                     Ok(None) => {}
@@ -200,7 +200,7 @@ impl Controller for ThreadController {
             depth_max = depth_max.max(body.memory.penetration_max);
             body.measure(&mut measured);
         }
-        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
         collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions, penetration_max: depth_max });
@@ -279,7 +279,7 @@ impl Body {
         let dt = period / count;
         self.reactions.resize(self.parts.list.len(), Reaction::default());
         if let Some(lying) = &mut self.lying {
-            lying.meet(self.lines.first().entity, world_from_thread, scene, tick)?;
+            lying.begin_step(self.lines.first().entity, world_from_thread, scene, tick)?;
         }
         let mut report = ThreadReport::default();
         for step in 0..count as usize {
@@ -313,7 +313,7 @@ impl Body {
             };
             let done = done.map_err(|error| error.to_string())?;
             if let Some(lying) = &mut self.lying {
-                lying.met(dt, self.thread.state());
+                lying.end_step(dt, self.thread.state());
             }
             if let Some(tied) = &mut self.tied {
                 tied.deform(self.thread.presses());

@@ -141,7 +141,7 @@ impl Component for XpbdBody {
 
 impl XpbdBody {
     /// Cutting and tearing criteria of a volume.
-    fn weakness(&self) -> FailureCriteria {
+    fn failure_criteria(&self) -> FailureCriteria {
         let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
             return FailureCriteria::default();
         };
@@ -334,7 +334,7 @@ impl Elements for Solver {
 /// XPBD method for one body.
 pub struct XpbdMethod {
     pub(super) of: Solver,
-    parting: Option<DivisibleVolume>,
+    divisible: Option<DivisibleVolume>,
     membrane: Option<Membrane>,
     line: Option<LineCuts>,
     /// Its couplings, if it has any.
@@ -354,12 +354,15 @@ impl XpbdMethod {
         self.contacts.clear();
         self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
         self.prescribed.clear();
-        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
-        self.prescribed.extend(led);
+        let driven = site
+            .driven
+            .iter()
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world });
+        self.prescribed.extend(driven);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         match &mut self.coupled {
-            Some(coupled) => coupled.meet(body, self.of.solver.state(), site),
+            Some(coupled) => coupled.begin_step(body, self.of.solver.state(), site),
             None => Ok(()),
         }
     }
@@ -393,19 +396,19 @@ impl SoftMethod for XpbdMethod {
         if let Some(what) = of_another {
             return Err(what.into());
         }
-        let (parting, membrane) = match kind.matter {
-            Matter::Volume { .. } => (DivisibleVolume::new(body, kind.weakness(), scene)?, None),
+        let (divisible, membrane) = match kind.matter {
+            Matter::Volume { .. } => (DivisibleVolume::new(body, kind.failure_criteria(), scene)?, None),
             Matter::Cloth { .. } => {
-                let weakness = MembraneFailureCriteria { cut: kind.cut, tears_at: kind.tears_at };
-                (None, Membrane::new(body, weakness, scene)?)
+                let failure_criteria = MembraneFailureCriteria { cut: kind.cut, tears_at: kind.tears_at };
+                (None, Membrane::new(body, failure_criteria, scene)?)
             }
             Matter::Rod { .. } => (None, None),
         };
-        let weakness = LineFailureCriteria { cut: kind.cut, tears_at: kind.tears_at };
+        let failure_criteria = LineFailureCriteria { cut: kind.cut, tears_at: kind.tears_at };
         let is_weak_rod = matches!(kind.matter, Matter::Rod { .. }) && (kind.cut || kind.tears_at.is_some());
-        let line = is_weak_rod.then(|| LineCuts::new(body, weakness, scene));
+        let line = is_weak_rod.then(|| LineCuts::new(body, failure_criteria, scene));
         let altered = membrane.as_ref().map(Membrane::alterations).unwrap_or_default();
-        let heated = parting.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
+        let heated = divisible.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
         let groups = scene.get::<XpbdGroups>(body.entity).cloned().unwrap_or_default();
         let made = kind.solver(body, &altered, &heated.removed, &groups);
         let (solver, network) = made.map_err(|error| error.to_string())?;
@@ -415,7 +418,7 @@ impl SoftMethod for XpbdMethod {
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = FastSide::new(body, thickness, scene)?;
         let (contacts, prescribed, forces, tied, island) = Default::default();
-        Ok(Self { of, parting, membrane, line, coupled, contacts, prescribed, forces, tied, island })
+        Ok(Self { of, divisible, membrane, line, coupled, contacts, prescribed, forces, tied, island })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -430,7 +433,7 @@ impl SoftMethod for XpbdMethod {
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.parting.as_ref().is_some_and(DivisibleVolume::is_cut)
+        self.divisible.as_ref().is_some_and(DivisibleVolume::is_cut)
             || self.membrane.as_ref().is_some_and(Membrane::is_cut)
             || self.line.as_ref().is_some_and(LineCuts::is_cut)
     }
@@ -455,8 +458,8 @@ impl SoftMethod for XpbdMethod {
             // Its segments keep their numbers.
             return Ok(Some(SurfaceChange::default()));
         }
-        let Some(parting) = &mut self.parting else { return Ok(None) };
-        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
+        let Some(divisible) = &mut self.divisible else { return Ok(None) };
+        let reshaped = divisible.reshape(&mut self.of, body, site, out)?;
         self.of.tell_groups(body.entity, out);
         Ok(reshaped)
     }
@@ -469,7 +472,7 @@ impl SoftMethod for XpbdMethod {
         &self.of.solver.state().velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         let is_rod = matches!(self.of.kind.matter, Matter::Rod { .. });
         ContactSurface {
             positions: self.positions(),
@@ -538,7 +541,7 @@ impl SoftMethod for XpbdMethod {
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
         let heights = || self.positions().iter().map(|position| position.z);
-        self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.divisible.iter().for_each(|divisible| divisible.measure(measures));
         self.membrane.iter().for_each(|membrane| membrane.measure(measures));
         self.line.iter().for_each(|line| line.measure(measures));
         self.coupled.iter().for_each(|coupled| coupled.measure(measures));

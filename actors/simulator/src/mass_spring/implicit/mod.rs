@@ -281,8 +281,8 @@ impl MassSpring {
         {
             *position = began + velocity * h;
         }
-        for led in input.prescribed {
-            next.positions[led.node as usize] = led.position;
+        for driven in input.prescribed {
+            next.positions[driven.node as usize] = driven.position;
         }
     }
 

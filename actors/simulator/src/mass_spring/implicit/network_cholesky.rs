@@ -1,5 +1,5 @@
-//! Sparse Cholesky factorisation of the step's matrix of a network of springs: symbolic once per network, numeric in each
-//! step. It orders the rows itself, and lets the library choose between supernodes and columns, unlike
+//! Sparse Cholesky factorisation of the step's matrix of a network of springs: symbolic once per network, numeric in
+//! each step. It orders the rows itself, and lets the library choose between supernodes and columns, unlike
 //! [`crate::linear_algebra::SupernodalCholesky`].
 
 use std::sync::Arc;

@@ -179,12 +179,12 @@ mod tests {
     fn its_slope_is_what_it_adds_to_the_matrix() {
         let rows = rows();
         for at in [[-2e-3, 1e-4, -3e-4], [-2e-3, 3e-3, -1e-3], [-1e-3, -9e-3, 4e-3], [1e-3, 1.0, 1.0]] {
-            let (force, law) = CoulombState::of(at, FRICTION, YIELDS);
-            assert_eq!(law.linear(at, FRICTION, YIELDS).map(f64::to_bits)[0], force[0].to_bits());
+            let (force, coulomb) = CoulombState::of(at, FRICTION, YIELDS);
+            assert_eq!(coulomb.linear(at, FRICTION, YIELDS).map(f64::to_bits)[0], force[0].to_bits());
             let mut added = Added::default();
             added.clear(2);
-            law.add(&rows, FRICTION, YIELDS, &mut added);
-            assert_eq!(added.slanted, matches!(law, CoulombState::Slides { .. }));
+            coulomb.add(&rows, FRICTION, YIELDS, &mut added);
+            assert_eq!(added.slanted, matches!(coulomb, CoulombState::Slides { .. }));
             for node in 0..2 {
                 for axis in 0..4 {
                     let pushed = |by: f64| {
@@ -206,7 +206,7 @@ mod tests {
                         };
                         let found = (more[other] - less[other]) / 2e-8;
                         let off = (found + block.column(axis)).amax();
-                        assert!(off < 1e-4 / YIELDS, "{law:?}, node {node}, axis {axis}: off by {off}");
+                        assert!(off < 1e-4 / YIELDS, "{coulomb:?}, node {node}, axis {axis}: off by {off}");
                     }
                 }
             }

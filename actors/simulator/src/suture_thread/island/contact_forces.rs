@@ -128,12 +128,12 @@ impl Island {
     fn factorise(&mut self, softness: f64) -> Result<(), Failure> {
         self.added.clear(self.right.len());
         for contact in &mut self.sprung {
-            contact.law = contact.next;
+            contact.coulomb = contact.next;
         }
         let (obstacles, strands) = self.sprung.split_at(self.with_obstacles);
         for contact in obstacles {
             let yields = softness * contact.compliance;
-            contact.law.add(&contact.rows, contact.friction, yields, &mut self.added);
+            contact.coulomb.add(&contact.rows, contact.friction, yields, &mut self.added);
         }
         let added = (!obstacles.is_empty()).then_some(&self.added);
         let found = if strands.is_empty() {
@@ -143,9 +143,9 @@ impl Island {
             self.sparse.analyse(self.right.len(), couples);
             self.sparse.begin(&self.matrix, added);
             for (number, contact) in strands.iter().enumerate() {
-                if contact.law != CoulombState::Open {
+                if contact.coulomb != CoulombState::Open {
                     let yields = softness * contact.compliance;
-                    let (blocks, slanted) = contact.law.blocks(&contact.rows, contact.friction, yields);
+                    let (blocks, slanted) = contact.coulomb.blocks(&contact.rows, contact.friction, yields);
                     self.sparse.add_couple(number, &blocks, slanted);
                 }
             }
@@ -170,7 +170,7 @@ impl Island {
         }
         for contact in &self.sprung {
             let yields = softness * contact.compliance;
-            let force = contact.law.linear(contact.offset, contact.friction, yields);
+            let force = contact.coulomb.linear(contact.offset, contact.friction, yields);
             contact.rows.push(&force, &mut self.moved);
         }
         if self.is_knotted() {
@@ -233,18 +233,18 @@ impl Island {
             let by = contact.rows.apart(&self.moved);
             let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
             let yields = softness * contact.compliance;
-            let linear = contact.law.linear(apart, contact.friction, yields);
-            let (force, law) = CoulombState::of(apart, contact.friction, yields);
+            let linear = contact.coulomb.linear(apart, contact.friction, yields);
+            let (force, coulomb) = CoulombState::of(apart, contact.friction, yields);
             let lacking: [f64; 3] = std::array::from_fn(|k| force[k] - linear[k]);
             contact.force = force;
             if lacking != [0.0; 3] {
                 let size = lacking[0].abs().max(lacking[1].abs()).max(lacking[2].abs());
-                let same = std::mem::discriminant(&law) == std::mem::discriminant(&contact.law);
+                let same = std::mem::discriminant(&coulomb) == std::mem::discriminant(&contact.coulomb);
                 changed |= !same && size > FORCE_TOLERANCE;
                 off = true;
                 contact.rows.push(&lacking, &mut self.rest);
             }
-            contact.next = contact.law.next(law, contact.friction);
+            contact.next = contact.coulomb.next(coulomb, contact.friction);
         }
         if !off {
             return 0.0;
@@ -293,7 +293,7 @@ impl Island {
         let rows = 3 * places;
         self.problem.clear(places);
         for contact in &self.dense {
-            self.problem.rules.push(contact.rule());
+            self.problem.rules.push(contact.law());
             self.problem.yields.push(contact.yields());
         }
         let slanted = self.added.slanted;
@@ -363,7 +363,7 @@ impl Island {
             }
             let gap = self.problem.gap(place);
             let apart = std::array::from_fn(|k| gap[k] - tie.yields[k] * contact.force[k]);
-            let gives_way = tie.rule.of(apart, tie.yields).1.gives_way();
+            let gives_way = tie.law.of(apart, tie.yields).1.gives_way();
             self.tied[tie.number] = TieResult { force: contact.force, gap, gives_way };
         }
         Ok(())
@@ -385,8 +385,8 @@ impl Active {
         self.tie.is_none() && self.key.with == 0
     }
 
-    fn rule(&self) -> ForceLaw {
-        self.tie.map_or(ForceLaw::Contact { friction: self.friction }, |tie| tie.rule)
+    fn law(&self) -> ForceLaw {
+        self.tie.map_or(ForceLaw::Contact { friction: self.friction }, |tie| tie.law)
     }
 
     fn yields(&self) -> [f64; 3] {

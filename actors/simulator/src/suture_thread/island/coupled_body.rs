@@ -28,7 +28,7 @@ pub(crate) struct Tolerance {
 pub(crate) struct Tie {
     /// Its rows on the rod, with their three directions.
     pub rows: Rows,
-    pub rule: ForceLaw,
+    pub law: ForceLaw,
     /// Gap at the iterate without the forces of ties and contacts and without the rod's motion \[m\].
     pub gap: [f64; 3],
     /// Compliance \[m/N\].
@@ -103,7 +103,7 @@ pub(crate) trait CoupledBody {
     }
 
     /// Fills in its compliance.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), FailureCause>;
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause>;
 
     /// Moves by the link forces, given as acting on the rod \[N\]; returns the largest displacement \[m\].
     fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause>;

@@ -55,11 +55,11 @@ impl Island {
     pub(super) fn note_near(
         &mut self,
         material: &ThreadMaterial,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         key: ContactKey,
         companion: &impl CoupledBody,
     ) {
-        let obstacle = &around.obstacles[key.with as usize - 1];
+        let obstacle = &surroundings.obstacles[key.with as usize - 1];
         let Shape::Mesh { from: points, triangles, .. } = &obstacle.shape else { return };
         let Some(&nodes) = triangles.get(key.feature as usize) else { return };
         let corners = nodes.map(|node| obstacle.to * points[node as usize]);
@@ -243,7 +243,7 @@ impl CoupledBody for TiedAround<'_> {
 
     /// Gaps were measured to the surface as it was at the beginning of the step; slip is counted from the beginning of
     /// the substep.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), FailureCause> {
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause> {
         let rows = 3 * links.len();
         let on_surface = |link: &Link| match link {
             Link::Surface(place, directions) => Some((*place, directions.map(|of| self.in_body(&of)))),
@@ -254,7 +254,7 @@ impl CoupledBody for TiedAround<'_> {
             let from_rest = self.body.displacement(&at, self.body.presses());
             let since = self.body.displacement(&at, &self.presses);
             for (k, moved) in [from_rest, since, since].into_iter().enumerate() {
-                giving.base[3 * place + k] = directions[k].dot(&moved);
+                compliance_rows.base[3 * place + k] = directions[k].dot(&moved);
             }
             for (other, link) in links[..=place].iter().enumerate() {
                 let Some((by, toward)) = on_surface(link) else { continue };
@@ -263,8 +263,8 @@ impl CoupledBody for TiedAround<'_> {
                     let along = block.tr_mul(direction);
                     for (m, toward) in toward.iter().enumerate() {
                         let (row, column) = (3 * place + k, 3 * other + m);
-                        giving.compliance[column * rows + row] = along.dot(toward);
-                        giving.compliance[row * rows + column] = along.dot(toward);
+                        compliance_rows.compliance[column * rows + row] = along.dot(toward);
+                        compliance_rows.compliance[row * rows + column] = along.dot(toward);
                     }
                 }
             }

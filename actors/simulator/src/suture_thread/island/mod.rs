@@ -48,7 +48,7 @@ struct Active {
     force: [f64; 3],
     compliance: f64,
     /// For a contact with an obstacle: its state in the current and in the next factors.
-    law: CoulombState,
+    coulomb: CoulombState,
     next: CoulombState,
     /// Contact point on the obstacle \[m\].
     surface: Point3<f64>,
@@ -64,7 +64,7 @@ struct Active {
 struct BodyTie {
     /// Index in the coupled body's list.
     number: usize,
-    rule: ForceLaw,
+    law: ForceLaw,
     yields: [f64; 3],
 }
 
@@ -157,14 +157,14 @@ impl Island {
     }
 
     /// Begins a step of a rod in this `state`.
-    pub fn begin(&mut self, state: &ThreadState, around: &Surroundings) {
+    pub fn begin(&mut self, state: &ThreadState, surroundings: &Surroundings) {
         self.trial.clone_from(state);
         self.hold_forces.clear();
-        self.hold_forces.resize(around.holds.len(), Vector3::zeros());
+        self.hold_forces.resize(surroundings.holds.len(), Vector3::zeros());
         self.hold_torques.clear();
-        self.hold_torques.resize(around.twist_holds.len(), 0.0);
+        self.hold_torques.resize(surroundings.twist_holds.len(), 0.0);
         self.reactions.clear();
-        self.reactions.resize(around.obstacles.len(), Reaction::default());
+        self.reactions.resize(surroundings.obstacles.len(), Reaction::default());
     }
 
     /// Advances the state by `dt`, or leaves it unchanged.
@@ -173,10 +173,10 @@ impl Island {
         material: &ThreadMaterial,
         state: &mut ThreadState,
         dt: f64,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         companion: &mut impl CoupledBody,
     ) -> Result<ThreadReport, ThreadStepError> {
-        self.begin(state, around);
+        self.begin(state, surroundings);
         let mut report = ThreadReport::default();
         // Time in units of the shortest substep, so that substeps add up exactly.
         let whole = 1_u32 << HALVINGS_MAX;
@@ -186,10 +186,10 @@ impl Island {
             let fractions = [f64::from(done) / f64::from(whole), f64::from(done + part) / f64::from(whole)];
             let divisible = part > 1 && report.parts < PARTS_MAX;
             let length = dt * (fractions[1] - fractions[0]);
-            match self.part(material, length, fractions, around, divisible, &mut report, companion) {
+            match self.part(material, length, fractions, surroundings, divisible, &mut report, companion) {
                 Ok(()) => {
                     companion.finish(&self.joined.links, &self.joined.forces);
-                    self.finish(material, length, fractions, around);
+                    self.finish(material, length, fractions, surroundings);
                     done += part;
                     report.parts += 1;
                     // A substep is as long as alignment allows: 1, 2, 4 … of the shortest.
@@ -208,18 +208,18 @@ impl Island {
                 Err(_) => part /= 2,
             }
         }
-        self.tell(material, around, &mut report);
+        self.fill_report(material, surroundings, &mut report);
         std::mem::swap(&mut self.trial, state);
         Ok(report)
     }
 
     /// Fills in the report at the end of a step.
-    pub fn tell(&self, material: &ThreadMaterial, around: &Surroundings, report: &mut ThreadReport) {
+    pub fn fill_report(&self, material: &ThreadMaterial, surroundings: &Surroundings, report: &mut ThreadReport) {
         report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
         let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths).filter(|(_, rest)| **rest > 0.0);
         report.strain_max =
             strains.fold(0.0, |most, (length, rest)| f64::max(most, (length / rest - 1.0).abs()));
-        report.penetration_max = self.penetration(material, around);
+        report.penetration_max = self.penetration(material, surroundings);
     }
 
     /// Solves one substep; `divisible` says whether a shorter one is possible.
@@ -229,7 +229,7 @@ impl Island {
         material: &ThreadMaterial,
         dt: f64,
         fractions: [f64; 2],
-        around: &Surroundings,
+        surroundings: &Surroundings,
         divisible: bool,
         report: &mut ThreadReport,
         companion: &mut impl CoupledBody,
@@ -244,29 +244,29 @@ impl Island {
         });
         self.at.begin(&self.trial);
         self.motions.clear();
-        self.motions.extend(around.obstacles.iter().map(|obstacle| Motion::of(obstacle, fractions)));
+        self.motions.extend(surroundings.obstacles.iter().map(|obstacle| Motion::of(obstacle, fractions)));
         self.reach.clear();
         let speeds = self.trial.velocities.iter().map(|v| 1.2 * dt * v.norm() + 0.1 * diameter);
         self.reach.extend(speeds);
-        for hold in around.holds {
+        for hold in surroundings.holds {
             let left = 1.0 - fractions[0];
             let way =
                 (hold.to - self.trial.positions[hold.node]).norm() * (fractions[1] - fractions[0]) / left;
             self.reach[hold.node] = self.reach[hold.node].max(1.1 * way);
         }
-        self.seek(material, around);
+        self.seek(material, surroundings);
         self.former.clone_from(&self.trial.contacts);
         self.tied.clear();
         for iteration in 0..tolerance.iterations {
             report.iterations += 1;
-            self.linearise(material, dt, fractions, around);
-            self.gather(material, around, if iteration == 0 { dt } else { 0.0 }, companion)?;
+            self.linearise(material, dt, fractions, surroundings);
+            self.gather(material, surroundings, if iteration == 0 { dt } else { 0.0 }, companion)?;
             self.answer(companion, report)?;
             let damped = self.damp(iteration);
             let of_rod = self.advance(material)?;
             let of_companion = self.advance_companion(companion)?;
             let largest = of_rod.max(of_companion);
-            self.guard(material, around, companion)?;
+            self.guard(material, surroundings, companion)?;
             let error = self.length_error(material);
             let touches = self.contacts().any(|contact| contact.force[0] > 0.0);
             let (moved, length) = if touches { tolerance.touching } else { tolerance.free };
@@ -284,7 +284,7 @@ impl Island {
                 return Err(Failure { node: error.0, why: FailureCause::Wanders });
             }
             // A pair that came near only in the last iterate has not been solved for.
-            if let Some(node) = self.sunk(material, around, companion).filter(|_| divisible) {
+            if let Some(node) = self.sunk(material, surroundings, companion).filter(|_| divisible) {
                 return Err(Failure { node, why: FailureCause::PassedThrough });
             }
         }
@@ -297,7 +297,7 @@ impl Island {
         companion.advance(&self.joined.links, &self.joined.forces).map_err(|why| Failure { node: 0, why })
     }
 
-    fn seek(&mut self, material: &ThreadMaterial, around: &Surroundings) {
+    fn seek(&mut self, material: &ThreadMaterial, surroundings: &Surroundings) {
         if self.trial.positions.is_empty() {
             self.candidates.found.clear();
             return;
@@ -308,12 +308,12 @@ impl Island {
             &self.trial.rest_lengths,
             material.radius,
             0.2 * material.diameter(),
-            around.obstacles,
+            surroundings.obstacles,
             &self.motions,
         );
-        if !around.spared.is_empty() {
+        if !surroundings.spared.is_empty() {
             let spared = |key: &ContactKey| {
-                around.spared.iter().any(|spared| {
+                surroundings.spared.iter().any(|spared| {
                     key.with as usize == spared.obstacle + 1
                         && (spared.edges[0]..=spared.edges[1]).contains(&(key.edge as usize))
                 })
@@ -323,19 +323,33 @@ impl Island {
     }
 
     /// The rod's matrix and forces at the iterate, with boundary conditions.
-    fn linearise(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
+    fn linearise(
+        &mut self,
+        material: &ThreadMaterial,
+        dt: f64,
+        fractions: [f64; 2],
+        surroundings: &Surroundings,
+    ) {
         let nodes = self.at.positions.len();
         self.matrix.clear(nodes);
         self.right.clear();
         self.right.resize(nodes, Cell::zeros());
-        assemble(material, &self.trial, &self.at, dt, &around.gravity, &mut self.matrix, &mut self.right);
-        for load in around.loads {
+        assemble(
+            material,
+            &self.trial,
+            &self.at,
+            dt,
+            &surroundings.gravity,
+            &mut self.matrix,
+            &mut self.right,
+        );
+        for load in surroundings.loads {
             for k in 0..3 {
                 self.right[load.node][k] += load.force[k];
             }
         }
         let share = (fractions[1] - fractions[0]) / (1.0 - fractions[0]);
-        for hold in around.holds {
+        for hold in surroundings.holds {
             let (pull, stiffness) = self.pull(hold, share);
             let mut diagonal = self.matrix.diagonal[hold.node].fixed_view_mut::<3, 3>(0, 0);
             diagonal += stiffness;
@@ -343,7 +357,7 @@ impl Island {
                 self.right[hold.node][k] += pull[k];
             }
         }
-        for hold in around.twist_holds {
+        for hold in surroundings.twist_holds {
             let edge = hold.edge;
             let stiffness = boundary::twist_hold_stiffness(material, self.trial.rest_lengths[edge]);
             self.right[edge][3] += stiffness * self.turn_left(hold, share);
@@ -419,7 +433,7 @@ impl Island {
     fn guard(
         &mut self,
         material: &ThreadMaterial,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         companion: &impl CoupledBody,
     ) -> Result<(), Failure> {
         let mut further = false;
@@ -431,12 +445,12 @@ impl Island {
             }
         }
         if further {
-            self.seek(material, around);
+            self.seek(material, surroundings);
         }
         let (from, to) = (&self.trial.positions, &self.at.positions);
         // An edge next to a spared one reaches with its end into the same body.
         let beside_spared = |key: &ContactKey| {
-            around.spared.iter().any(|spared| {
+            surroundings.spared.iter().any(|spared| {
                 let edge = key.edge as usize;
                 key.with as usize == spared.obstacle + 1
                     && (edge + 1 == spared.edges[0] || edge == spared.edges[1] + 1)
@@ -447,13 +461,13 @@ impl Island {
             let face = companion
                 .swept()
                 .filter(|_| companion.surface().is_some_and(|surface| key.with as usize == surface + 1))
-                .zip(around.face(key));
+                .zip(surroundings.face(key));
             let passed = match face {
                 Some((swept, nodes)) => {
                     let corners = swept.map(|nodes_at| nodes.map(|node| nodes_at[node as usize]));
                     passed_through_face(key.edge as usize, [from, to], material.radius, corners)
                 }
-                None => passed_through(key, from, to, material.radius, around.obstacles, &self.motions),
+                None => passed_through(key, from, to, material.radius, surroundings.obstacles, &self.motions),
             };
             if passed {
                 return Err(Failure { node: candidate.key.edge as usize, why: FailureCause::PassedThrough });
@@ -483,8 +497,14 @@ impl Island {
     }
 
     /// Makes the iterate the state at the end of the substep, and accumulates the reactions.
-    pub fn finish(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
-        self.feel(material, fractions, around);
+    pub fn finish(
+        &mut self,
+        material: &ThreadMaterial,
+        dt: f64,
+        fractions: [f64; 2],
+        surroundings: &Surroundings,
+    ) {
+        self.feel(material, fractions, surroundings);
         let state = &mut self.trial;
         for node in 0..state.positions.len() {
             state.velocities[node] = (self.at.positions[node] - state.positions[node]) / dt;
