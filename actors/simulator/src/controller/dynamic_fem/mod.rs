@@ -18,7 +18,8 @@ use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, OutOfValidity, Snapshot, SoftAbilities,
 };
 
-use super::cutting::volume::{DivisibleVolume, Elements, FailureCriteria, Split};
+use super::cutting::divisible_volume::DivisibleVolume;
+use super::cutting::volume::{Elements, FailureCriteria, Split};
 use super::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use factor_job::{Built, Former};

@@ -36,7 +36,8 @@ use trocar_scene::{
     Pose, Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
-use super::cutting::volume::{DivisibleVolume, FailureCriteria};
+use super::cutting::divisible_volume::DivisibleVolume;
+use super::cutting::volume::FailureCriteria;
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
 use blend::InverseBlend;
 use contacts::{ConstraintReaction, ConstraintSource, Contacts};

@@ -13,9 +13,10 @@ use trocar_dynamics::tet_mesh::NodeAdjacency;
 use trocar_scene::{Access, Commands, Entity, EntitySet, LineMesh, Snapshot};
 
 use super::cauterised::CauterisedBody;
+use super::cutting::divisible_volume::DivisibleVolume;
 use super::cutting::line::{LineCuts, LineFailureCriteria};
 use super::cutting::membrane::{Membrane, MembraneChange, MembraneFailureCriteria};
-use super::cutting::volume::{DivisibleVolume, Elements, Split};
+use super::cutting::volume::{Elements, Split};
 use super::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::mass_spring::{
     ChangedMesh, Contact, Input, LinearSolver, MassSpring, NodeForce, Prescribed, SurfaceMaterial,

@@ -22,9 +22,10 @@ use trocar_scene::{
 };
 
 use super::coupling::fast_side::FastSide;
+use super::cutting::divisible_volume::DivisibleVolume;
 use super::cutting::line::{LineCuts, LineFailureCriteria};
 use super::cutting::membrane::{Membrane, MembraneChange, MembraneFailureCriteria};
-use super::cutting::volume::{DivisibleVolume, Elements, FailureCriteria, Split};
+use super::cutting::volume::{Elements, FailureCriteria, Split};
 use super::thermal_damage::CoagulatedElement;
 use crate::mass_spring::{
     Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,

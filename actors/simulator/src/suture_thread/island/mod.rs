@@ -214,7 +214,12 @@ impl Island {
     }
 
     /// Fills in the report at the end of a step.
-    pub fn fill_report(&self, material: &ThreadMaterial, surroundings: &Surroundings, report: &mut ThreadReport) {
+    pub fn fill_report(
+        &self,
+        material: &ThreadMaterial,
+        surroundings: &Surroundings,
+        report: &mut ThreadReport,
+    ) {
         report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
         let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths).filter(|(_, rest)| **rest > 0.0);
         report.strain_max =
