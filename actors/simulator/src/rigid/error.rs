@@ -67,7 +67,9 @@ pub enum RigidStepError {
     )]
     Contact(usize),
     /// A body whose state would become non-finite, or a non-finite force.
-    #[error("body {body} would come to be nowhere")]
+    #[error(
+        "the state of body {body} would become non-finite: take a shorter step, or check its mass and the forces on it"
+    )]
     Body {
         /// The body.
         body: usize,
