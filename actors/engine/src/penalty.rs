@@ -237,7 +237,7 @@ impl Penalties {
         }
         for _ in 0..FRICTION_SWEEPS {
             for pressed in &mut self.pressed {
-                self.contacts[pressed.penalty].rub(&mut self.movers, pressed);
+                self.contacts[pressed.penalty].apply_friction(&mut self.movers, pressed);
             }
         }
         for (handle, mover) in self.handles.iter().zip(&self.movers) {
@@ -278,7 +278,7 @@ impl Penalty {
     }
 
     /// Adds the remaining friction impulse. Gravity's contribution in this step counts towards the sliding velocity.
-    fn rub(&self, movers: &mut [ContactBody], pressed: &mut ActiveContact) {
+    fn apply_friction(&self, movers: &mut [ContactBody], pressed: &mut ActiveContact) {
         let [first, second] = self.sides.map(|side| side.mover.map(|index| movers[index]));
         let speed = |body: Option<ContactBody>| {
             body.map_or(Vector::ZERO, |body| body.speed(pressed.point) + body.falls)

@@ -61,7 +61,7 @@ impl GhostNode {
     /// Advances by `h` seconds with an impulse \[N·s\].
     pub fn go(&mut self, h: f64, impulse: &Vector3<f64>) {
         let mut path = self.path;
-        let (velocity, mobility) = self.flies(h, self.position.coords, self.velocity, &mut path);
+        let (velocity, mobility) = self.free_velocity(h, self.position.coords, self.velocity, &mut path);
         self.velocity = velocity + impulse * mobility;
         self.position += self.velocity * h;
         self.path = path;
@@ -69,7 +69,7 @@ impl GhostNode {
 
     /// Its velocity after a substep without contact forces, and its mobility \[1/kg\]. The spring to its path is
     /// implicit; the path advances by the substep.
-    fn flies(
+    fn free_velocity(
         &self,
         h: f64,
         was: Vector3<f64>,
@@ -383,7 +383,7 @@ impl ExternalNodes<'_> {
         let moving = self.ghost_nodes.iter().zip(&mut scratch.moved.ghost_nodes);
         for (place, (ghost_node, moved)) in scratch.places.iter_mut().zip(moving) {
             let was = Vector3::new(place[0], place[1], place[2]);
-            let (velocity, mobility) = ghost_node.flies(h, was, moved.velocity, &mut moved.path);
+            let (velocity, mobility) = ghost_node.free_velocity(h, was, moved.velocity, &mut moved.path);
             let now = was + velocity * h;
             *place = [now.x, now.y, now.z, mobility];
         }

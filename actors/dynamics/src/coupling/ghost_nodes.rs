@@ -181,7 +181,7 @@ impl GhostNodes {
 
     /// Largest position error of any ghost \[m\].
     #[must_use]
-    pub fn furthest_behind(&self) -> f64 {
+    pub fn position_error_max(&self) -> f64 {
         self.behind.iter().map(|behind| behind.norm()).fold(0.0, f64::max)
     }
 

@@ -124,7 +124,7 @@ impl<W: World> RigidBodiesController<W> {
             meets_soft_bodies: meets_soft_bodies(context.scene),
             pushed: Vec::new(),
         };
-        this.take_in(context.scene, 0.0)?;
+        this.read_changes(context.scene, 0.0)?;
         Ok(this)
     }
 
@@ -134,7 +134,7 @@ impl<W: World> RigidBodiesController<W> {
     }
 
     /// Reads the changes of the scene since the last call.
-    fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), WorldError> {
+    fn read_changes(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), WorldError> {
         self.drop_vanished(scene);
         let changed = scene.iter_changed::<RigidBody>(self.seen).map(|(entity, _)| entity);
         let changed = changed
@@ -389,7 +389,7 @@ impl<W: World> Controller for RigidBodiesController<W> {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        self.take_in(scene, tick.period.as_secs_f64())
+        self.read_changes(scene, tick.period.as_secs_f64())
             .map_err(|error| ControllerError::Scene(error.to_string()))?;
         let step_secs = self.step_secs;
         // Catch up to the tick's time; the lag determines the number of steps.

@@ -92,7 +92,7 @@ impl<W: World> RigidBodiesController<W> {
             let after = motion(&told.inertia, &now.isometry(), &velocity);
             let by_push = told.inertia.change(&pose.isometry(), [push.force, push.torque]);
             let pull = [0, 1].map(|side| (after[side] - before[side]) / secs - by_push[side]);
-            known.is_told &= !told.learn(pull);
+            known.is_told &= !told.update_acceleration(pull);
         }
         self.pushed.drain(..).try_for_each(|entity| self.world.push(entity, &Wrench::default()))
     }

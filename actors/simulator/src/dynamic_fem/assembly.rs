@@ -35,7 +35,7 @@ impl DynamicFem {
     }
 
     /// Derives everything from the mesh except the factor.
-    pub(super) fn look_at_mesh(&mut self, fixed: &[u32]) {
+    pub(super) fn derive_from_mesh(&mut self, fixed: &[u32]) {
         let (mesh, density) = (&self.mesh, self.config.density);
         let nodes = mesh.rest().len();
         let consistent = (self.config.mass == MassMatrix::Consistent).then(|| {

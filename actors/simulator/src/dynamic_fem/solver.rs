@@ -153,7 +153,7 @@ impl DynamicFem {
             mesh,
             config: *config,
         };
-        body.look_at_mesh(fixed);
+        body.derive_from_mesh(fixed);
         body.work.flat.resize(body.factor.rows(), 0.0);
         Ok(body)
     }

@@ -57,7 +57,7 @@ fn parents(known: usize, births: &[NodeOrigin]) -> Vec<Vec<(u32, f64)>> {
 impl DynamicFem {
     /// Whether it still uses the factor of its former mesh.
     #[must_use]
-    pub fn is_lent(&self) -> bool {
+    pub fn has_stale_factor(&self) -> bool {
         self.lent.is_some()
     }
 
@@ -102,7 +102,7 @@ impl DynamicFem {
     ///
     /// # Errors
     /// Not enough memory for a symbolic factorisation, which is needed at once where there is no former factor.
-    pub fn come_apart(
+    pub fn split_nodes(
         &mut self,
         mesh: TetMesh,
         fixed: &[u32],
@@ -121,25 +121,25 @@ impl DynamicFem {
         births.extend_from_slice(born);
         let known = mesh.rest().len() - births.len();
         self.mesh = mesh;
-        self.look_at_mesh(fixed);
+        self.derive_from_mesh(fixed);
         change(self);
         if !lends {
             return self.settle();
         }
         self.factored_at = factored_at;
         self.numbers.truncate(known);
-        self.lend(births)
+        self.reuse_factor(births)
     }
 
     /// Continues from a state whose factor is the current or the reused one.
-    pub fn go_on(&mut self, state: &DynamicFemState) {
+    pub fn resume(&mut self, state: &DynamicFemState) {
         self.positions.clone_from(&state.positions);
         self.velocities.clone_from(&state.velocities);
         self.accelerations.clone_from(&state.accelerations);
         self.debt = state.debt;
     }
 
-    fn lend(&mut self, births: Vec<NodeOrigin>) -> Result<(), FactorError> {
+    fn reuse_factor(&mut self, births: Vec<NodeOrigin>) -> Result<(), FactorError> {
         let known = self.numbers.len();
         self.numbers.resize(self.positions.len(), None);
         self.work.flat.clear();
@@ -177,7 +177,7 @@ impl DynamicFem {
         let Analysis { numbers, hessian, factor, factored_at } = analysis;
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
         (self.factored_at, self.debt, self.lent) = (factored_at, 0, None);
-        self.lend(births.to_vec())
+        self.reuse_factor(births.to_vec())
     }
 
     /// Does the symbolic factorisation of the current mesh at once; the factor is still to be computed.
@@ -189,7 +189,7 @@ impl DynamicFem {
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
         (self.factored_at, self.lent) = (FactoredAt::default(), None);
         self.analysed += 1;
-        self.lend(Vec::new())
+        self.reuse_factor(Vec::new())
     }
 }
 

@@ -48,7 +48,7 @@ impl Emitter {
     }
 
     /// Emits the increase of the cumulative volume `given` \[m³\], over the last `dt` \[s\], into the liquid.
-    pub fn pour(&mut self, given: f64, dt: f64, hole: &Hole, fluid: &mut Fluid) {
+    pub fn emit(&mut self, given: f64, dt: f64, hole: &Hole, fluid: &mut Fluid) {
         if !given.is_finite() || dt.is_nan() || dt <= 0.0 {
             return;
         }
@@ -93,7 +93,7 @@ mod tests {
             // 5 ml/s; now and then an update is lost or repeated.
             let given = f64::from(step) * 5e-6 * 0.005;
             for _ in 0..step % 3 {
-                emitter.pour(given, 0.005, &hole, &mut fluid);
+                emitter.emit(given, 0.005, &hole, &mut fluid);
             }
             fluid.step(0.005).expect("a step");
         }
@@ -104,10 +104,10 @@ mod tests {
         assert_eq!(fluid.state().numbers.len() as u64 + fluid.state().absorbed, emitter.emitted);
         // Outside of the box nothing is emitted, but counted.
         let far = Hole { place: Point3::new(9.0, 0.0, 0.0), ..hole };
-        emitter.pour(6e-6, 0.1, &far, &mut fluid);
+        emitter.emit(6e-6, 0.1, &far, &mut fluid);
         assert!((emitter.unseen + emitter.waiting - 1e-6).abs() < volume);
-        emitter.pour(f64::NAN, 0.1, &hole, &mut fluid);
-        emitter.pour(1e-6, 0.1, &hole, &mut fluid);
+        emitter.emit(f64::NAN, 0.1, &hole, &mut fluid);
+        emitter.emit(1e-6, 0.1, &hole, &mut fluid);
         assert_eq!(emitter.given, 6e-6, "less than before is nothing new");
         emitter.check().expect("a state");
         assert!(Emitter { waiting: -1.0, ..emitter }.check().is_err());

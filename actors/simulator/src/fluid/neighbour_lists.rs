@@ -260,14 +260,14 @@ impl Rows {
         self.row_of.clear();
         for particle in 0..self.liquid.len() {
             let place = self.liquid[particle];
-            let row = self.give_row(grid, apart, place, particle as u32);
+            let row = self.next_row(grid, apart, place, particle as u32);
             self.row_of.push(row);
         }
         self.end_cluster();
         self.particles = self.places.len();
         for at in 0..self.wet.len() {
             let wall = self.wet[at];
-            let row = self.give_row(grid, apart, walls.places[wall as usize], wall);
+            let row = self.next_row(grid, apart, walls.places[wall as usize], wall);
             self.row_of_wall[wall as usize] = row;
         }
         self.end_cluster();
@@ -292,7 +292,7 @@ impl Rows {
     }
 
     /// The next row, in the last cluster if near enough.
-    fn give_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
+    fn next_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
         let cell = grid.cell_of(&place);
         let begun = self.places.len() % LANES;
         if begun > 0

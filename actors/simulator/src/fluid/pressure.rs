@@ -125,7 +125,7 @@ impl Solver {
                 since += 1;
                 iterations += 1;
                 let further = match left.bound > left.free {
-                    true => self.leave_bounds(rows, dt),
+                    true => self.release_bounds(rows, dt),
                     false => self.advance(rows, dt),
                 };
                 let Some(further) = further else { break };
@@ -139,7 +139,7 @@ impl Solver {
     }
 
     /// Releases rows from their bounds; returns the residual, or `None` where there is no descent.
-    fn leave_bounds(&mut self, rows: &mut Rows, dt: f32) -> Option<ResidualNorms> {
+    fn release_bounds(&mut self, rows: &mut Rows, dt: f32) -> Option<ResidualNorms> {
         for ((direction, slope), (value, scale)) in
             self.direction.iter_mut().zip(&self.slope).zip(self.scaled.iter().zip(&self.scale))
         {

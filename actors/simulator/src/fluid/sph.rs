@@ -268,7 +268,7 @@ impl Fluid {
 
     /// Removes at most this many particles within a ball, the nearest first, as a suction device does; returns how
     /// many.
-    pub fn suck(&mut self, centre: &Point3<f64>, radius: f64, most: u64) -> u64 {
+    pub fn remove_within(&mut self, centre: &Point3<f64>, radius: f64, most: u64) -> u64 {
         if most == 0 {
             return 0;
         }

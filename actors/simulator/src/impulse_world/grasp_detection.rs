@@ -55,7 +55,7 @@ pub(super) fn update(
 
 /// Forms, keeps or releases the grasp constraint.
 fn assist(tool: &mut Tool, body: &impl Fn(Entity) -> Option<Isometry3<f64>>) {
-    let squeezes = tool.squeezes();
+    let squeezes = tool.is_closing();
     let Some(hold) = &mut tool.hold else { return };
     let Some(pose) = body(hold.held).filter(|_| squeezes) else {
         hold.assisted = false;

@@ -184,7 +184,7 @@ impl Tool {
     }
 
     /// Whether its drive squeezes.
-    pub fn squeezes(&self) -> bool {
+    pub fn is_closing(&self) -> bool {
         self.joint.is_some_and(|joint| joint.angle > self.state.drive_reference)
     }
 

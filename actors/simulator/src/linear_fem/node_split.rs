@@ -68,7 +68,7 @@ impl LinearFem {
     ///
     /// # Errors
     /// A mesh that is no such split of this body.
-    pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32]) -> Result<(), LinearFemError> {
+    pub fn split_nodes(&mut self, mesh: &TetMesh, parents: &[u32]) -> Result<(), LinearFemError> {
         let before = self.mesh.rest().len();
         let fits = mesh.rest().len() == before + parents.len()
             && mesh.tets().len() == self.mesh.tets().len()
@@ -165,7 +165,7 @@ impl LinearFem {
         self.mesh = self.mesh.parted(known, &[], whole);
         if !parents.is_empty() {
             let mesh = self.mesh.parted(known, parents, tets.to_vec());
-            self.come_apart(&mesh, parents)?;
+            self.split_nodes(&mesh, parents)?;
         }
         let bond = bond(&self.mesh, &self.material);
         let fails = || LinearFemError::State("its changes are not ones of this body");

@@ -100,7 +100,7 @@ impl RigidBodies {
     ///
     /// # Errors
     /// A missing body; a non-finite impulse or point.
-    pub fn strike(
+    pub fn apply_impulse(
         &mut self,
         body: u32,
         impulse: &Vector3<f64>,

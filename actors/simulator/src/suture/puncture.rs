@@ -18,12 +18,12 @@ const ON: f64 = 1e-10;
 impl Suture {
     /// Whether a free tip crossed the surface; it then touches the surface there.
     pub(super) fn meets(&mut self) -> Result<bool, SutureError> {
-        if self.trial.tip != Tip::Free || self.would_go_back() {
+        if self.trial.tip != Tip::Free || self.has_withdrawn() {
             return Ok(false);
         }
         let from = self.trial.needle.pose() * self.solid.point(self.solid.shape().length());
         let Some(to) = self.tip_at_iterate() else { return Ok(false) };
-        let Some(crossing) = self.tissue.comes_in(&from, &to) else { return Ok(false) };
+        let Some(crossing) = self.tissue.entry_crossing(&from, &to) else { return Ok(false) };
         if !self.tissue.name(&crossing.place) {
             return Err(SutureError::Full);
         }
@@ -39,7 +39,7 @@ impl Suture {
     }
 
     /// Whether the free tip has gone back into its exit hole.
-    fn would_go_back(&self) -> bool {
+    fn has_withdrawn(&self) -> bool {
         let (Some(point), Some(site)) = (self.trial.channel.last(), self.workspace.sites.last()) else {
             return false;
         };
@@ -81,7 +81,7 @@ impl Suture {
         self.trial.presses.clone_from(&self.workspace.presses);
         self.slide();
         self.tip_goes_on()?;
-        self.go_back()?;
+        self.remove_channel_ahead()?;
         self.cut()?;
         self.pass_through();
         // Forces of points that no longer exist are removed with them.
@@ -224,7 +224,7 @@ impl Suture {
     }
 
     /// Removes the channel ahead of a withdrawn tip.
-    fn go_back(&mut self) -> Result<(), SutureError> {
+    fn remove_channel_ahead(&mut self) -> Result<(), SutureError> {
         let length = self.solid.shape().length();
         while let Some(point) = self.trial.channel.last().copied() {
             if point.along <= length {

@@ -331,7 +331,7 @@ impl Tissue {
     /// First intersection of a point moving from `from` to `to` \[m\] during the step with the surface from outside;
     /// the surface moves from its position at the beginning of the step to the current one. Sides are compared at both
     /// ends of the step.
-    pub(super) fn comes_in(&self, from: &Point3<f64>, to: &Point3<f64>) -> Option<Crossing> {
+    pub(super) fn entry_crossing(&self, from: &Point3<f64>, to: &Point3<f64>) -> Option<Crossing> {
         let low = from.coords.inf(&to.coords);
         let high = from.coords.sup(&to.coords);
         let mut first: Option<Crossing> = None;

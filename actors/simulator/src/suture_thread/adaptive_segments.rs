@@ -258,7 +258,7 @@ fn divided(
         edge += 1;
     }
     twist(state, &actions, &mut to);
-    move_on(state, &actions, &mut to);
+    carry_velocities(state, &actions, &mut to);
     to.contacts = contacts(state, &renumbered);
     Some((to, renumbered))
 }
@@ -339,7 +339,7 @@ fn twist(state: &ThreadState, actions: &[EdgeAction], to: &mut ThreadState) {
 }
 
 /// Velocities: interpolated at new nodes; neighbours of a removed node take over its momentum.
-fn move_on(state: &ThreadState, actions: &[EdgeAction], to: &mut ThreadState) {
+fn carry_velocities(state: &ThreadState, actions: &[EdgeAction], to: &mut ThreadState) {
     let half = |rest: &[f64], node: usize| {
         let before = if node > 0 { rest[node - 1] } else { 0.0 };
         0.5 * (before + rest.get(node).copied().unwrap_or(0.0))

@@ -464,7 +464,12 @@ fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it
                 lying.find(&surface, &[0, 1, 2], positions, velocities, FAST, &mut fast.presses);
                 fast.step(gravity);
                 let moved = fast.body.external_nodes();
-                lying.end_step(&fast.presses, &moved.presses, &moved.ghost_nodes, &fast.body.state().positions);
+                lying.end_step(
+                    &fast.presses,
+                    &moved.presses,
+                    &moved.ghost_nodes,
+                    &fast.body.state().positions,
+                );
                 if period >= 100 {
                     pressed += fast
                         .body

@@ -69,7 +69,7 @@ impl Bar {
     }
 
     fn cut(&self, body: &mut DynamicFem) {
-        body.come_apart(self.slit.clone(), &self.fixed, &self.born, |_| {}).expect("it comes apart");
+        body.split_nodes(self.slit.clone(), &self.fixed, &self.born, |_| {}).expect("it comes apart");
     }
 }
 
@@ -93,7 +93,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
     let config = Config { mass_damping: 2.0, stiffness_damping: 1e-3, ..Config::default() };
     let (mut lent, mut at_once) = (bar.hanging(&config), bar.hanging(&config));
     bar.cut(&mut lent);
-    assert!(lent.is_lent() && lent.has_factor());
+    assert!(lent.has_stale_factor() && lent.has_factor());
     // The control has its own factor from the first step on.
     bar.cut(&mut at_once);
     let own = |body: &DynamicFem| {
@@ -103,7 +103,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
     };
     let analysis = own(&at_once);
     at_once.take_over(analysis, &[]).expect("room");
-    assert!(!at_once.is_lent());
+    assert!(!at_once.has_stale_factor());
     let (mut most, mut first) = (0.0_f64, [0; 2]);
     for step in 0..60 {
         let (mut swapped, is_swap) = (None, step % 10 == 3);
@@ -111,7 +111,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
             // An identical body, apart from the factor.
             let mut twin = bar.hanging(&config);
             bar.cut(&mut twin);
-            twin.go_on(&lent.state());
+            twin.resume(&lent.state());
             let analysis = own(&twin);
             twin.take_over(analysis, &[]).expect("room");
             swapped = Some(twin);

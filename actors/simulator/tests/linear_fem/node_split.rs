@@ -68,7 +68,7 @@ impl OpenCut {
     /// The former inverse, corrected.
     fn serving(&self) -> LinearFem {
         let mut fem = body(&self.whole, &self.wall);
-        fem.come_apart(&self.mesh, &self.parents).expect("it becomes that");
+        fem.split_nodes(&self.mesh, &self.parents).expect("it becomes that");
         while fem.can_release() {
             assert!(fem.release_nodes(7).expect("room") > 0);
         }
@@ -161,7 +161,7 @@ fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_sli
     assert!(apart(&whole, &exact[..born]) > 0.05 * most(&exact));
     // With nodes split in the mesh only, it bends as an unsplit one.
     let mut together = body(&slit.whole, &slit.wall);
-    together.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    together.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(together.waiting(), slit.parents.len());
     let moved = bent(&mut together);
     assert!(apart(&moved[..born], &whole) < 1e-12 * most(&whole));
@@ -209,7 +209,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
     assert!(apart(&there, &then) < 1e-4 * most(&then));
     // The control: an unsplit bar gives another force.
     let mut whole = body(&slit.whole, &slit.wall);
-    whole.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    whole.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     // Both lips at one position: the second of them cannot be constrained elsewhere.
     let handle = whole.hold(Attachment::node(born + 3, Hold::Point)).expect("held");
     let other = whole.hold(Attachment::node(slit.parents[3], Hold::Point));
@@ -221,7 +221,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
     let handle = during.hold(Attachment { weights: grasp(&during, 0.09), hold: Hold::Point }).expect("held");
     during.set_target(handle, Vector3::new(0.0, 0.0, 0.002)).expect("held");
     let before = during.solve(&[]).expect("solved").reactions[0].force;
-    during.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    during.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(during.solve(&[]).expect("solved").reactions[0].force, before);
     during.release_nodes(4).expect("room");
     during.remove(&[700]).expect("it is there");
@@ -264,7 +264,7 @@ fn what_burns_and_what_is_cut_are_corrected_for_in_any_order() {
         if order == 0 {
             fem.remove(&gone).expect("they are there");
         }
-        fem.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+        fem.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
         if order == 1 {
             fem.release_nodes(3).expect("room");
             fem.remove(first).expect("they are there");
@@ -349,14 +349,14 @@ fn more_than_can_be_corrected_for_waits_and_meshes_that_it_does_not_become_are_r
     let slit = OpenCut::new([40, 12, 12], 0.05, 0.0);
     assert_eq!(slit.parents.len(), 169);
     let mut fem = body(&slit.whole, &slit.wall);
-    fem.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    fem.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(fem.release_nodes(1000).expect("room"), 128);
     assert_eq!((fem.waiting(), fem.can_release(), fem.removable()), (41, false, 0));
     assert_eq!(fem.release_nodes(1000), Ok(0));
     assert_eq!(fem.remove(&[5]), Err(LinearFemError::TooManyRemoved));
     let mut other = body(&slit.whole, &slit.wall);
-    assert_eq!(other.come_apart(&slit.mesh, &slit.parents[1..]), Err(LinearFemError::OtherMesh));
+    assert_eq!(other.split_nodes(&slit.mesh, &slit.parents[1..]), Err(LinearFemError::OtherMesh));
     let ahead = vec![slit.mesh.rest().len() as u32; slit.parents.len()];
-    assert_eq!(other.come_apart(&slit.mesh, &ahead), Err(LinearFemError::OtherMesh));
+    assert_eq!(other.split_nodes(&slit.mesh, &ahead), Err(LinearFemError::OtherMesh));
     assert!(!other.is_corrected());
 }

@@ -88,7 +88,7 @@ pub(crate) fn answer<'a>(
     (now, period, me): (SimTime, f64, Entity),
 ) {
     take(own, scene, period);
-    listen(own, surroundings, scene, (now, period, me));
+    read_detections(own, surroundings, scene, (now, period, me));
     for body in own.iter_mut() {
         body.pressed = (0.0, 0);
         let presses = [body.memory.force_in_world, body.taken].iter().any(|force| *force != Vector3::zeros());
@@ -141,7 +141,7 @@ fn take(own: &mut [RespondingBody<'_>], scene: &Snapshot, period: f64) {
 }
 
 /// Reads the detectors' lists since the last call.
-fn listen(
+fn read_detections(
     own: &mut [RespondingBody<'_>],
     surroundings: &mut AdjacencyCache,
     scene: &Snapshot,

@@ -96,7 +96,7 @@ impl RigidContacts {
     }
 
     /// Updates the acceleration by everything else from a step, linear and angular; returns whether it changed.
-    pub(crate) fn learn(&mut self, pull: [Vector3<f64>; 2]) -> bool {
+    pub(crate) fn update_acceleration(&mut self, pull: [Vector3<f64>; 2]) -> bool {
         let before = std::mem::replace(&mut self.last_pull, pull);
         // A persistent acceleration occurs in two consecutive steps.
         let goes_on = |side: usize| {

@@ -120,7 +120,12 @@ impl FastSide {
     ///
     /// # Errors
     /// Why it cannot continue.
-    pub fn begin_step(&mut self, body: &Deformable, state: &State, site: &StepContext<'_>) -> Result<(), String> {
+    pub fn begin_step(
+        &mut self,
+        body: &Deformable,
+        state: &State,
+        site: &StepContext<'_>,
+    ) -> Result<(), String> {
         self.look_outside(body);
         self.ghost_nodes.clear();
         self.ties.clear();
@@ -207,7 +212,7 @@ impl FastSide {
         let count: usize = self.with.iter().map(|partner| partner.ties.len()).sum();
         let fused: usize = self.fused.iter().map(|fused| fused.count()).sum();
         measures.put("joined_vertices", (count + fused) as f64);
-        let behind = self.with.iter().map(|partner| partner.given.ghosts.furthest_behind());
+        let behind = self.with.iter().map(|partner| partner.given.ghosts.position_error_max());
         let tank: f64 = self.with.iter().map(|partner| partner.given.ghosts.tank()).sum();
         measures.put("coupling_tank_j", tank);
         measures.put("coupling_behind_m", behind.fold(0.0, f64::max));

@@ -56,7 +56,7 @@ fn built(
 impl Solver {
     /// After a restart: computes the factor in progress again, so that it is used from the same time.
     pub(crate) fn resume(&mut self, body: &Deformable, heated: &ThermalDamage) {
-        if !self.solver.is_lent() {
+        if !self.solver.has_stale_factor() {
             self.memory.lent = None;
         }
         let wanted = self.memory.lent.as_ref().and_then(|lent| lent.wanted.as_ref());
@@ -68,7 +68,9 @@ impl Solver {
     /// # Errors
     /// Why it could not be computed.
     pub(crate) fn take_over(&mut self, site: &StepContext<'_>) -> Result<(), String> {
-        let Some(lent) = self.memory.lent.as_mut().filter(|_| self.solver.is_lent()) else { return Ok(()) };
+        let Some(lent) = self.memory.lent.as_mut().filter(|_| self.solver.has_stale_factor()) else {
+            return Ok(());
+        };
         let Some(wanted) = &lent.wanted else { return Ok(()) };
         if let Some(output) = site.tick.jobs.take(wanted.key) {
             self.ready = output.downcast::<Built>().ok().map(|built| *built);
@@ -93,7 +95,7 @@ impl Solver {
         site: &StepContext<'_>,
         heated: impl FnOnce() -> ThermalDamage,
     ) {
-        if !self.solver.is_lent() {
+        if !self.solver.has_stale_factor() {
             (self.memory.lent, self.ready) = (None, None);
             return;
         }

@@ -145,7 +145,7 @@ impl DynamicFemBody {
         heated: &ThermalDamage,
     ) -> Result<DynamicFem, String> {
         let state = memory.state(&body.positions, &body.velocities);
-        if let Some(lent) = memory.lent.as_ref().filter(|_| memory.lends_to(body.rest.len())) {
+        if let Some(lent) = memory.lent.as_ref().filter(|_| memory.fits(body.rest.len())) {
             let DynamicFemMemory { factor_positions, factor_dt, factor_couplings, .. } = memory;
             let former = Former { tets: &lent.tets, nodes: factor_positions.len() };
             let mut solver = former.solver(self, &body.rest, &body.pinned, heated)?;
@@ -153,9 +153,9 @@ impl DynamicFemBody {
                 .factor_at(factor_positions, *factor_dt, factor_couplings)
                 .map_err(|error| error.to_string())?;
             let mesh = Self::mesh(&body.rest, &body.tets, true)?;
-            let done = solver.come_apart(mesh, &body.pinned, &lent.births, |solver| heat(solver, heated));
+            let done = solver.split_nodes(mesh, &body.pinned, &lent.births, |solver| heat(solver, heated));
             done.map_err(|error| error.to_string())?;
-            solver.go_on(&state);
+            solver.resume(&state);
             return Ok(solver);
         }
         let mesh = Self::mesh(&body.rest, &body.tets, body.is_parted)?;
@@ -204,7 +204,7 @@ impl Elements for Solver {
             let former = self.solver.mesh();
             self.memory.split(split.born, || former.tets().to_vec());
         }
-        let done = self.solver.come_apart(mesh, &body.pinned, split.born, |solver| heat(solver, &heated));
+        let done = self.solver.split_nodes(mesh, &body.pinned, split.born, |solver| heat(solver, &heated));
         done.map_err(|error| error.to_string())?;
         self.memory.take(&self.solver);
         Ok(())
@@ -274,7 +274,7 @@ impl SoftMethod for DynamicFemMethod {
 
     fn publish(&mut self, body: &Deformable, site: &StepContext<'_>, out: &mut Commands) {
         if self.unsolved[0] == UNSOLVED_MAX && site.scene.get::<OutOfValidity>(body.entity).is_none() {
-            out.put(body.entity, OutOfValidity { reason: self.doubt(), since: site.tick.time });
+            out.put(body.entity, OutOfValidity { reason: self.validity_warning(), since: site.tick.time });
         }
         let Solver { solver, memory, .. } = &mut self.of;
         memory.take(solver);
@@ -346,7 +346,7 @@ impl SoftMethod for DynamicFemMethod {
         measures.put("kinetic_energy_j", energies.kinetic);
         measures.put("elastic_energy_j", energies.elastic);
         measures.put("unsolved_steps", f64::from(self.unsolved[1]));
-        measures.put("lent_factor", f64::from(u8::from(self.of.solver.is_lent())));
+        measures.put("lent_factor", f64::from(u8::from(self.of.solver.has_stale_factor())));
         measures.put("analysed_in_ticks", f64::from(self.of.solver.analysed()));
         if let Some(report) = &self.report {
             measures.put("residual", report.residual);
@@ -359,7 +359,7 @@ impl SoftMethod for DynamicFemMethod {
 }
 
 impl DynamicFemMethod {
-    fn doubt(&self) -> String {
+    fn validity_warning(&self) -> String {
         let residual = self.report.map_or(0.0, |report| report.residual);
         let inverted = self.report.and_then(|report| Some((report.inverted, report.first_inverted?)));
         let inverted = inverted.map_or_else(String::new, |(count, first)| {

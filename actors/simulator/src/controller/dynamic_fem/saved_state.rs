@@ -77,7 +77,7 @@ impl DynamicFemMemory {
         }
         self.factor_dt = factor_dt;
         self.factor_couplings = factor_couplings;
-        if !solver.is_lent() {
+        if !solver.has_stale_factor() {
             self.lent = None;
         }
     }
@@ -91,7 +91,7 @@ impl DynamicFemMemory {
 
     /// Checks the factor's data against a body with this many nodes.
     #[must_use]
-    pub fn lends_to(&self, nodes: usize) -> bool {
+    pub fn fits(&self, nodes: usize) -> bool {
         let Some(lent) = &self.lent else { return false };
         let known = self.factor_positions.len();
         let is_of =

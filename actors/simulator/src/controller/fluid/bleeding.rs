@@ -207,7 +207,7 @@ impl Body {
     }
 
     /// Opens the wall where the tissue around it was removed.
-    fn burn_through(&mut self, scene: &Snapshot, tissue: Entity, body_from_tissue: &Isometry3<f64>) {
+    fn perforate(&mut self, scene: &Snapshot, tissue: Entity, body_from_tissue: &Isometry3<f64>) {
         let (Some(gone), Some(rest)) = (scene.get::<RemovedElements>(tissue), rest_of(scene, tissue)) else {
             return;
         };
@@ -307,7 +307,7 @@ impl Body {
         let tissue =
             self.vessel.tissue.map(|tissue| (tissue, world_from_body.inverse() * scene.world_pose(tissue)));
         if let Some((tissue, body_from_tissue)) = &tissue {
-            self.burn_through(scene, *tissue, body_from_tissue);
+            self.perforate(scene, *tissue, body_from_tissue);
         }
         let Some((place, direction, vertices)) = along(&self.line, self.state.hole) else {
             return Err("its line has no length left".into());

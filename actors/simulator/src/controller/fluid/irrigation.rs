@@ -92,7 +92,7 @@ fn level(scene: &Snapshot, entity: Entity) -> f64 {
 
 impl Irrigator {
     /// Emits liquid for `dt` seconds.
-    pub(crate) fn pour(
+    pub(crate) fn emit(
         &self,
         (scene, entity): (&Snapshot, Entity),
         liquid_from_world: &Isometry3<f64>,
@@ -104,13 +104,13 @@ impl Irrigator {
         let place = liquid_from_tip * Point3::origin();
         let hole = Hole { place, outwards: liquid_from_tip * Vector3::z(), area: self.area };
         let given = emitter.given + self.rate * level(scene, entity) * dt;
-        emitter.pour(given, dt, &hole, fluid);
+        emitter.emit(given, dt, &hole, fluid);
     }
 }
 
 impl Sucker {
     /// Removes liquid for `dt` seconds, nearest particles first.
-    pub(crate) fn suck(
+    pub(crate) fn remove_within(
         &self,
         (scene, entity): (&Snapshot, Entity),
         liquid_from_world: &Isometry3<f64>,
@@ -122,7 +122,7 @@ impl Sucker {
         // Suction that lacked liquid is not made up for later.
         suction.waiting = if now > 0.0 { suction.waiting.min(particle) + now } else { 0.0 };
         let tip = liquid_from_world * scene.world_pose(entity) * Point3::origin();
-        let taken = fluid.suck(&tip, self.reach, (suction.waiting / particle).floor() as u64);
+        let taken = fluid.remove_within(&tip, self.reach, (suction.waiting / particle).floor() as u64);
         suction.taken += taken;
         suction.waiting -= taken as f64 * particle;
     }

@@ -294,22 +294,22 @@ impl FluidController {
         for (entity, vessel) in scene.iter::<VesselState>() {
             let liquid_from_vessel = world_from_liquid.inverse() * scene.world_pose(entity);
             let hole = vessel.hole_in(&liquid_from_vessel);
-            self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
+            self.spouts.entry(entity).or_default().emit(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
         }
         let liquid_from_world = world_from_liquid.inverse();
         for (entity, irrigator) in scene.iter::<Irrigator>() {
             let emitter = self.spouts.entry(entity).or_default();
-            irrigator.pour((scene, entity), &liquid_from_world, dt, emitter, &mut self.fluid);
+            irrigator.emit((scene, entity), &liquid_from_world, dt, emitter, &mut self.fluid);
         }
         for (entity, sucker) in scene.iter::<Sucker>() {
             let suction = self.suctions.entry(entity).or_default();
-            sucker.suck((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
+            sucker.remove_within((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
         }
         self.fluid.step(dt).map(drop).map_err(|error| error.to_string())
     }
 
     /// Restores the scene's state: discards the emission of a failed step.
-    fn go_back(&mut self, scene: &Snapshot) {
+    fn restore(&mut self, scene: &Snapshot) {
         let Some(known) = scene.get::<LiquidState>(self.liquid) else { return };
         if self.fluid.restore(&known.fluid).is_ok() {
             self.spouts = known.spouts.iter().copied().collect();
@@ -318,7 +318,7 @@ impl FluidController {
     }
 
     /// Reports once that a wall in the scene is invalid.
-    fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
+    fn validity_warning(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
         let Some(wall) = self.held.first().filter(|_| scene.get::<OutOfValidity>(self.liquid).is_none())
         else {
             return;
@@ -414,11 +414,11 @@ impl Controller for FluidController {
             && let Err(reason) = self.step(dt, scene)
         {
             self.frozen = true;
-            self.go_back(scene);
+            self.restore(scene);
             freeze(self.liquid, FrozenPart::Body, reason, tick, out);
         }
         if !self.frozen {
-            self.doubt(tick, scene, out);
+            self.validity_warning(tick, scene, out);
             let was_empty = self.look.positions.is_empty();
             self.show();
             if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {

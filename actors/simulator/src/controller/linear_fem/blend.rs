@@ -29,7 +29,7 @@ pub(crate) fn catch_up(
 ) -> Result<(), LinearFemError> {
     let missing = mesh.rest().len().saturating_sub(solver.mesh().rest().len());
     match parents.len().checked_sub(missing) {
-        Some(known) if missing > 0 => solver.come_apart(mesh, &parents[known..]),
+        Some(known) if missing > 0 => solver.split_nodes(mesh, &parents[known..]),
         _ => Ok(()),
     }
 }
@@ -75,7 +75,12 @@ impl InverseBlend {
     }
 
     /// Applies a topology change to the old inverse, by at most this many nodes.
-    pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32], most: usize) -> Result<(), LinearFemError> {
+    pub fn split_nodes(
+        &mut self,
+        mesh: &TetMesh,
+        parents: &[u32],
+        most: usize,
+    ) -> Result<(), LinearFemError> {
         catch_up(&mut self.old, mesh, parents)?;
         self.old.release_nodes(most).map(drop)
     }

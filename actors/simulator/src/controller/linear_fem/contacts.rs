@@ -104,7 +104,7 @@ impl Body {
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
         self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
         let mut answers = Vec::new();
-        self.pins.drive_in(site.scene, site.world_from_body);
+        self.pins.record_points(site.scene, site.world_from_body);
         let altered = self.divisible.as_ref().map(|(_, altered)| altered);
         let is_gone = |tet| altered.is_some_and(|altered| altered.is_gone(tet));
         let driven = self.pins.driven(site.scene, site.world_from_body, &self.mesh, is_gone);
@@ -131,8 +131,8 @@ impl Body {
         touched.retain(|touch| self.can_be_pushed(touch, rods));
         touched.sort_by(|a, b| b.depth.total_cmp(&a.depth));
         touched.truncate(CONTACTS_MAX);
-        self.go_on_pressing(rods, &mut answers);
-        self.keep_out(&touched, rods, &mut answers);
+        self.continue_contacts(rods, &mut answers);
+        self.add_rod_constraints(&touched, rods, &mut answers);
         Ok(answers)
     }
 
@@ -154,7 +154,7 @@ impl Body {
         );
         touched.retain(|touch| touch.depth > PENETRATION_MAX && self.can_be_pushed(touch, rods));
         touched.truncate(CONTACTS_MAX.saturating_sub(answers.len()));
-        self.keep_out(&touched, rods, answers);
+        self.add_rod_constraints(&touched, rods, answers);
     }
 
     /// Jaws that hold do not push as well, and a held vertex cannot be pushed.
@@ -173,7 +173,7 @@ impl Body {
     }
 
     /// Continues the contacts of the last tick, at their new positions.
-    fn go_on_pressing(&self, rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
+    fn continue_contacts(&self, rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
         for known in &self.contacts.places {
             let now = self.place(&known.nodes, &known.weights)[1];
             let own = rods.iter().enumerate().filter(|(_, rod)| rod.instrument.to_bits() == known.instrument);
@@ -185,7 +185,7 @@ impl Body {
             let Some(touch) = self.pressed(rod, rods, &known.nodes, &known.weights) else { continue };
             if touch.depth > -MARGIN && self.can_be_pushed(&touch, rods) && !self.is_covered(&touch, answers)
             {
-                answers.push(self.kept_out(touch, rods));
+                answers.push(self.rod_constraint(touch, rods));
             }
         }
     }
@@ -234,7 +234,12 @@ impl Body {
 
     /// Adds constraints that keep surface points outside rods: all of `touched`, or those that other patches do not
     /// cover.
-    fn keep_out(&self, touched: &[RodContact], rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
+    fn add_rod_constraints(
+        &self,
+        touched: &[RodContact],
+        rods: &[Rod],
+        answers: &mut Vec<ConstraintReaction>,
+    ) {
         for touch in touched {
             // Most are covered already: only the others are examined.
             if self.is_covered(touch, answers) {
@@ -243,13 +248,13 @@ impl Body {
             let seen = || self.pressed(touch.rod, rods, &touch.nodes, &touch.weights);
             let touch = if self.kind.contact_radius > 0.0 { seen().unwrap_or(*touch) } else { *touch };
             if !self.is_covered(&touch, answers) {
-                answers.push(self.kept_out(touch, rods));
+                answers.push(self.rod_constraint(touch, rods));
             }
         }
     }
 
     /// A constraint that keeps a surface point outside a rod, with the patch around it.
-    fn kept_out(&self, touch: RodContact, rods: &[Rod]) -> ConstraintReaction {
+    fn rod_constraint(&self, touch: RodContact, rods: &[Rod]) -> ConstraintReaction {
         let [place, _] = self.place(&touch.nodes, &touch.weights);
         let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
         let patch = patch(&self.body.rest, &self.body.triangles, &place, self.kind.contact_radius);

@@ -92,7 +92,7 @@ impl Pins {
     }
 
     /// Records the points in the frames of their entities, unless already recorded.
-    pub fn drive_in(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
+    pub fn record_points(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
         if self.places.in_entity.len() == self.pins.len() {
             return;
         }

@@ -213,10 +213,10 @@ impl Controller for LinearFemController {
                         if body.solver.is_some() {
                             body.write(out);
                         }
-                        if body.goes_beyond(tick) {
+                        if body.leaves_linear_range(tick) {
                             out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
                             if scene.get::<OutOfValidity>(body.body.entity).is_none() {
-                                out.put(body.body.entity, body.doubt(tick));
+                                out.put(body.body.entity, body.validity_warning(tick));
                             }
                         }
                     }
@@ -308,7 +308,7 @@ impl Body {
         }
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
         // Results of the last evaluation are for the next tick.
-        self.look_inside(site.tick);
+        self.evaluate_interior(site.tick);
         if !self.divisible.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
             self.blend.take_if(InverseBlend::is_over);
         }
@@ -331,7 +331,7 @@ impl Body {
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        if !altered.is_still(&self.mesh, solver) {
+        if !altered.is_up_to_date(&self.mesh, solver) {
             // Held constraints would be re-entered with every change.
             let nothing = std::iter::empty::<&Attachment>;
             let release = |blend: &mut InverseBlend| blend.keep(nothing());
@@ -412,7 +412,7 @@ impl Body {
 
     /// Evaluates the interior periodically. During burning or cutting always, because uncovered surface belongs to the
     /// interior for the inverse; and for tearing, which depends on element stress.
-    fn look_inside(&mut self, tick: &Tick<'_>) {
+    fn evaluate_interior(&mut self, tick: &Tick<'_>) {
         let Some(solver) = &mut self.solver else { return };
         let look = tick.number.is_multiple_of(INSIDE_EVERY);
         let always = solver.is_corrected() || self.blend.is_some() || self.kind.strength.is_some();
@@ -497,15 +497,15 @@ impl Body {
     }
 
     /// Whether it has just left the validity of linear elasticity.
-    fn goes_beyond(&mut self, tick: &Tick<'_>) -> bool {
+    fn leaves_linear_range(&mut self, tick: &Tick<'_>) -> bool {
         let beyond = !self.deformation.is_small();
         let new = beyond && !self.beyond && tick.number > 0;
         self.beyond = beyond;
         new
     }
 
-    fn doubt(&self, tick: &Tick<'_>) -> OutOfValidity {
-        let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.doubt());
+    fn validity_warning(&self, tick: &Tick<'_>) -> OutOfValidity {
+        let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.validity_warning());
         OutOfValidity { reason, since: tick.time }
     }
 

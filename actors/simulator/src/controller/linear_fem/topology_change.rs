@@ -136,7 +136,7 @@ impl MeshChanges {
             self.pending.clone_from(&self.since);
             self.shrinks = self.stale;
         }
-        let done = self.come_apart(mesh, solver, blend).and_then(|()| {
+        let done = self.split_nodes(mesh, solver, blend).and_then(|()| {
             self.correct(solver, blend)?;
             if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
         });
@@ -145,7 +145,7 @@ impl MeshChanges {
     }
 
     /// Whether [`Self::follow`] would change nothing in the active inverse, and begin no job.
-    pub fn is_still(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
+    pub fn is_up_to_date(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
         let waits = self.stale || self.submitted || self.shrinks || self.next.is_some();
         let all = solver.mesh().rest().len() == mesh.rest().len();
         !waits && self.pending.is_empty() && all && !solver.can_release()
@@ -157,7 +157,7 @@ impl MeshChanges {
     }
 
     /// Separates the nodes that are separate in the mesh.
-    fn come_apart(
+    fn split_nodes(
         &mut self,
         mesh: &TetMesh,
         solver: &mut LinearFem,
@@ -165,7 +165,7 @@ impl MeshChanges {
     ) -> Result<(), LinearFemError> {
         let most = fitting(solver, if blend.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
         if let Some(blend) = blend {
-            blend.come_apart(mesh, &self.parents, most)?;
+            blend.split_nodes(mesh, &self.parents, most)?;
         }
         catch_up(solver, mesh, &self.parents)?;
         let released = solver.release_nodes(most)?;

@@ -66,7 +66,7 @@ impl FactorKeeper {
     }
 
     /// Hands a due factor to the springs, or submits a job for one.
-    pub fn serve(&mut self, springs: &mut MassSpring, entity: Entity, site: &StepContext<'_>) {
+    pub fn provide(&mut self, springs: &mut MassSpring, entity: Entity, site: &StepContext<'_>) {
         let Some(parted_at) = self.memory.parted_at else { return };
         let jobs = site.tick.jobs;
         if std::mem::take(&mut self.is_new) {

@@ -79,7 +79,7 @@ impl Solver {
     }
 
     /// Builds the node-to-element adjacency.
-    fn come_apart(&mut self) {
+    fn split_nodes(&mut self) {
         let there = (0..).zip(self.body.tets.iter().copied());
         let there = there.filter(|(tet, _)| self.altered[*tet as usize] != Alteration::GONE);
         self.stars = NodeAdjacency::new(self.body.rest.len(), there);
@@ -213,7 +213,7 @@ impl MassSpringMethod {
     }
 
     /// Applies the topology changes of this tick.
-    fn come_apart(
+    fn split_nodes(
         &mut self,
         body: &mut Deformable,
         site: &StepContext<'_>,
@@ -284,7 +284,7 @@ impl SoftMethod for MassSpringMethod {
         let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, failure_criteria, scene));
         let mut of = Solver::new(kind, body, altered)?;
         if divisible.is_some() {
-            of.come_apart();
+            of.split_nodes();
         }
         let safe_step = of.solver.safe_step();
         let (contacts, prescribed, forces) = Default::default();
@@ -339,7 +339,7 @@ impl SoftMethod for MassSpringMethod {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<SurfaceChange>, String> {
-        let reshaped = self.come_apart(body, site, out);
+        let reshaped = self.split_nodes(body, site, out);
         let has_followed = std::mem::take(&mut self.of.has_followed);
         if self.choose(site)? && has_followed {
             self.factor.parted(site.tick.time);
@@ -354,7 +354,7 @@ impl SoftMethod for MassSpringMethod {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         if self.is_warped == Some(true) {
-            self.factor.serve(&mut self.of.solver, body.entity, site);
+            self.factor.provide(&mut self.of.solver, body.entity, site);
         }
         let mut contacts = std::mem::take(&mut self.contacts);
         contacts.clear();

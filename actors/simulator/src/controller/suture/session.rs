@@ -96,7 +96,7 @@ impl Sewing {
         if is_new {
             suture.swage();
         }
-        lie(&suture, &scene.world_pose(needle), &mut line);
+        update_line(&suture, &scene.world_pose(needle), &mut line);
         line.radius = kind.wire_radius;
         Ok(Self {
             gravity: gravity_in_world,
@@ -149,10 +149,10 @@ impl Sewing {
             if update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy) {
                 self.memory.loop_min = None;
             }
-            self.leading.spare(&self.memory.grips, &self.parts, thread);
+            self.leading.exempt_held(&self.memory.grips, &self.parts, thread);
             for held in &self.memory.held {
                 // The thread behind the tail lies within jaws that hold the needle there.
-                self.leading.spare_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
+                self.leading.exempt_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
             }
         }
     }
@@ -184,7 +184,7 @@ impl Sewing {
             return Ok(());
         };
         follow(&mut self.memory.grips, &now);
-        self.lie(world_from_needle);
+        self.replace_line(world_from_needle);
         Ok(())
     }
 
@@ -200,7 +200,7 @@ impl Sewing {
                 continue;
             };
             follow_cut(&mut self.memory.grips, &parted);
-            self.lie(&scene.world_pose(self.needle.entity));
+            self.replace_line(&scene.world_pose(self.needle.entity));
             self.memory.loop_min = None;
             out.event(name, self.needle.entity, None, tick.time.as_secs_f64());
         }
@@ -208,8 +208,8 @@ impl Sewing {
     }
 
     /// Rebuilds its line with the current nodes.
-    fn lie(&mut self, world_from_needle: &Isometry3<f64>) {
-        lie(&self.suture, world_from_needle, &mut self.needle);
+    fn replace_line(&mut self, world_from_needle: &Isometry3<f64>) {
+        update_line(&self.suture, world_from_needle, &mut self.needle);
         self.has_line = false;
     }
 
@@ -346,7 +346,7 @@ impl Sewing {
         let positions: Vec<_> =
             self.suture.tissue().positions().iter().map(|point| body_from_world * point).collect();
         if !self.deformation.is_small() && scene.get::<OutOfValidity>(body).is_none() {
-            out.put(body, OutOfValidity { reason: self.deformation.doubt(), since: tick.time });
+            out.put(body, OutOfValidity { reason: self.deformation.validity_warning(), since: tick.time });
         }
         // Quasi-static: zero velocities.
         let still = vec![Vector3::zeros(); positions.len()];
@@ -437,10 +437,10 @@ fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<Sutu
 }
 
 /// Updates a line to the needle and thread; where the thread was cut, no segment joins the pieces.
-fn lie(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformable) {
+fn update_line(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformable) {
     let mut nodes = Vec::new();
     line_of(suture, world_from_entity, &mut nodes);
-    line.lie(nodes);
+    line.replace_line(nodes);
     if let Some(thread) = &suture.state().thread {
         let joins =
             |edge: &[u32; 2]| (edge[0] as usize).checked_sub(PIECES).is_none_or(|edge| thread.joins(edge));

@@ -201,7 +201,7 @@ impl GraspConstraints {
     }
 
     /// Exempts the first `length` \[m\] of the thread from collisions with an instrument.
-    pub fn spare_beginning(
+    pub fn exempt_beginning(
         &mut self,
         instrument: Entity,
         length: f64,
@@ -219,7 +219,7 @@ impl GraspConstraints {
     }
 
     /// Exempts the held parts from collisions with the jaws that hold them.
-    pub fn spare(&mut self, grips: &[Grip], parts: &ObstacleParts, state: &ThreadState) {
+    pub fn exempt_held(&mut self, grips: &[Grip], parts: &ObstacleParts, state: &ThreadState) {
         self.spared.clear();
         for grip in grips {
             let (Some((_, jaws)), Some([first, last])) = (parts.instrument(grip.instrument), grip.range())

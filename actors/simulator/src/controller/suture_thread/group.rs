@@ -58,13 +58,13 @@ impl ThreadGroup {
             let line = Deformable::read(scene, other).map_err(|error| error.to_string())?;
             let mut line = one(line, radius, has_lines)?;
             if !has_lines && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))? {
-                line.lie(nodes);
+                line.replace_line(nodes);
             }
             list.push(line);
         }
         let mut lines = Self { list, anchored: Vec::new(), has_lines };
         if !has_lines && let Some(nodes) = kind.nodes()? {
-            lines.list[0].lie(nodes);
+            lines.list[0].replace_line(nodes);
         }
         lines.anchor();
         Ok(lines)
@@ -111,12 +111,12 @@ impl ThreadGroup {
 
     /// Replaces their nodes: new rest positions \[m\], and the new number of each former node, unless it was removed;
     /// the last node of each line is never removed.
-    pub fn lie(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
+    pub fn replace_line(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
         let (mut begin, mut from) = (0, 0);
         for line in &mut self.list {
             begin += line.rest.len();
             let end = now.get(begin - 1).copied().flatten().map_or(from, |node| node as usize + 1);
-            line.lie(rest[from..end].to_vec());
+            line.replace_line(rest[from..end].to_vec());
             let joins = |[node, _]: &[u32; 2]| state.joins(from + *node as usize);
             Arc::make_mut(&mut line.segments).retain(joins);
             from = end;
@@ -127,7 +127,7 @@ impl ThreadGroup {
 
     /// Cuts them.
     pub fn part(&mut self, parted: &CutNumbering, state: &ThreadState) {
-        self.lie(&parted.places(&self.rest()), &parted.nodes, state);
+        self.replace_line(&parted.places(&self.rest()), &parted.nodes, state);
     }
 
     /// Each thread with its first and last node, in concatenated numbers.

@@ -67,7 +67,7 @@ impl Component for KnotState {
 
 impl KnotState {
     /// One more evaluation of the throws' order; `None` where they do not come undone one by one in this configuration.
-    pub(crate) fn read_on(mut self, points: &[Point3<f64>]) -> Option<Self> {
+    pub(crate) fn read_next(mut self, points: &[Point3<f64>]) -> Option<Self> {
         let reading = self.reading.as_mut()?;
         if !reading.look(points) {
             return None;

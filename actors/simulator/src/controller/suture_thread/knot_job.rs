@@ -85,7 +85,7 @@ impl KnotWatch {
         if self.is_looking {
             return Ok(looked);
         }
-        let is_for_knot = tick.number % KNOT_EVERY == 1 && !self.lies_still(points, STILL * radius);
+        let is_for_knot = tick.number % KNOT_EVERY == 1 && !self.is_at_rest(points, STILL * radius);
         let is_for_order =
             !self.is_unreadable && self.state.reading.is_some() && tick.number.is_multiple_of(READ_EVERY);
         if is_for_knot {
@@ -101,7 +101,7 @@ impl KnotWatch {
         } else if is_for_order && let [[first, last]] = thread.tangled()[..] {
             let (state, points) = (self.state.clone(), points[first..=last].to_vec());
             self.is_looking =
-                tick.jobs.submit(self.begin(move || KnotJobResult::Order(state.read_on(&points))));
+                tick.jobs.submit(self.begin(move || KnotJobResult::Order(state.read_next(&points))));
         }
         Ok(looked)
     }
@@ -134,7 +134,7 @@ impl KnotWatch {
         }
     }
 
-    fn lies_still(&self, points: &[Point3<f64>], way: f64) -> bool {
+    fn is_at_rest(&self, points: &[Point3<f64>], way: f64) -> bool {
         let near = |(seen, now): (&Point3<f64>, &Point3<f64>)| (now - seen).norm_squared() <= way * way;
         self.seen.len() == points.len() && self.seen.iter().zip(points).all(near)
     }

@@ -274,7 +274,7 @@ impl Body {
         if self.kind.adaptive && tick.number.is_multiple_of(EDGES_EVERY) {
             adapt(&self.kind, &mut self.thread, &mut self.lines, &mut self.memory.grips)?;
         }
-        self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
+        self.leading.exempt_held(&self.memory.grips, &self.parts, self.thread.state());
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
         let dt = period / count;
         self.reactions.resize(self.parts.list.len(), Reaction::default());

@@ -35,7 +35,7 @@ pub fn adapt(
         return Ok(false);
     };
     follow(grips, &now);
-    lines.lie(&rest(&lines.rest(), &now), &now.nodes, thread.state());
+    lines.replace_line(&rest(&lines.rest(), &now), &now.nodes, thread.state());
     Ok(true)
 }
 

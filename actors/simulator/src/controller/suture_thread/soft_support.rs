@@ -66,7 +66,7 @@ impl LyingOn {
     /// Maximum position error of its nodes in the thread's solver \[m\].
     #[must_use]
     pub fn behind(&self) -> f64 {
-        self.partner.given.ghosts.furthest_behind()
+        self.partner.given.ghosts.position_error_max()
     }
 
     /// Begins a tick: reads the body's report.

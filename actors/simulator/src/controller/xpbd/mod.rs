@@ -261,7 +261,7 @@ pub(super) struct Solver {
 
 impl Solver {
     /// Writes the constraint groups for a restart, if they have changed.
-    fn tell_groups(&mut self, entity: Entity, out: &mut Commands) {
+    fn publish_groups(&mut self, entity: Entity, out: &mut Commands) {
         if std::mem::take(&mut self.regrouped) {
             let Groups { distances, bends, tets } = self.solver.groups();
             let [distances, bends, tets] = [distances, bends, tets].map(|groups| Arc::new(groups.to_vec()));
@@ -449,7 +449,7 @@ impl SoftMethod for XpbdMethod {
             let positions = &self.of.solver.state().positions;
             let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
             self.of.follow(membrane, body, &parted).map_err(|error| error.to_string())?;
-            self.of.tell_groups(body.entity, out);
+            self.of.publish_groups(body.entity, out);
             return Ok(parted.reshaped);
         }
         if let Some(line) = &mut self.line {
@@ -461,7 +461,7 @@ impl SoftMethod for XpbdMethod {
         }
         let Some(divisible) = &mut self.divisible else { return Ok(None) };
         let reshaped = divisible.reshape(&mut self.of, body, site, out)?;
-        self.of.tell_groups(body.entity, out);
+        self.of.publish_groups(body.entity, out);
         Ok(reshaped)
     }
 

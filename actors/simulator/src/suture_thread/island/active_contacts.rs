@@ -185,7 +185,7 @@ impl Island {
     }
 
     /// An edge that has penetrated deeply, contact or not, and deeper than before.
-    pub(super) fn sunk(
+    pub(super) fn deepest_penetration(
         &self,
         material: &ThreadMaterial,
         surroundings: &Surroundings,

@@ -65,11 +65,11 @@ impl Island {
         }
         self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.join(companion)?;
-        if !self.take_turns(report)? && self.draw_in() {
+        if !self.alternate(report)? && self.promote_obstacle_contacts() {
             self.factorise(1.0)?;
             self.settle(report)?;
             self.join(companion)?;
-            self.take_turns(report)?;
+            self.alternate(report)?;
         }
         self.take_ties()?;
         for contact in self.dense.iter_mut().chain(&mut self.sprung) {
@@ -80,7 +80,7 @@ impl Island {
     }
 
     /// Alternates between the dense problem and the contact springs. Returns whether the two agree.
-    fn take_turns(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+    fn alternate(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
         for _ in 0..TURNS_MAX {
             if self.dense.is_empty() {
                 return Ok(true);
@@ -103,7 +103,7 @@ impl Island {
 
     /// Moves obstacle contacts that are active or nearly so into the dense problem: where a tie is next to one of them,
     /// the alternation cycles. Returns whether there were any.
-    fn draw_in(&mut self) -> bool {
+    fn promote_obstacle_contacts(&mut self) -> bool {
         let before = self.dense.len();
         let Self { sprung, dense, moved, .. } = self;
         sprung.retain(|contact| {
@@ -346,7 +346,7 @@ impl Island {
                 self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.yields()[k];
             }
         }
-        self.add_giving();
+        self.add_compliance();
         self.measure();
     }
     /// Results of the ties; an error where they violate their laws.

@@ -181,7 +181,7 @@ impl Island {
     }
 
     /// Adds the compliance of coupled bodies to the problem's.
-    pub(super) fn add_giving(&mut self) {
+    pub(super) fn add_compliance(&mut self) {
         let CoupledLinks { places, compliance, .. } = &self.joined;
         let (own, rows) = (3 * places.len(), self.problem.force.len());
         for (column, first) in places.iter().enumerate() {

@@ -289,7 +289,9 @@ impl Island {
                 return Err(Failure { node: error.0, why: FailureCause::Wanders });
             }
             // A pair that came near only in the last iterate has not been solved for.
-            if let Some(node) = self.sunk(material, surroundings, companion).filter(|_| divisible) {
+            if let Some(node) =
+                self.deepest_penetration(material, surroundings, companion).filter(|_| divisible)
+            {
                 return Err(Failure { node, why: FailureCause::PassedThrough });
             }
         }
