@@ -1,5 +1,5 @@
-//! Critically damped coupling between a hand and its instrument (Colgate, Stanley, Brown 1995): a spring and damper in six
-//! degrees of freedom, discretised for a fixed step.
+//! Critically damped coupling between a hand and its instrument (Colgate, Stanley, Brown 1995): a spring and damper in
+//! six degrees of freedom, discretised for a fixed step.
 //!
 //! The spring is explicit and the damper an exact exponential decay, so the force at rest is exactly stiffness times
 //! displacement for any step length. Both are limited to what is stable with the instrument's inertia at that step, and
