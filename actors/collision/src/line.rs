@@ -42,7 +42,7 @@ pub enum LineError {
         found: usize,
     },
     /// The radius is negative or not finite.
-    #[error("a radius of {radius} m is not one: 0 and more is valid")]
+    #[error("a radius of {radius} m is out of range (≥ 0)")]
     Radius {
         /// The value given \[m\].
         radius: f64,

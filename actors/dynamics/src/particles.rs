@@ -50,13 +50,13 @@ pub enum StepError {
         problem: &'static str,
     },
     /// The position or velocity of a node became non-finite.
-    #[error("node {node} has a position or velocity that is not finite")]
+    #[error("node {node} has a position or velocity that is not finite: take a shorter step")]
     NotFinite {
         /// The first such node.
         node: u32,
     },
     /// A node is faster than anything in the scene can be: the step was too large for the stiffness.
-    #[error("node {node} would move at {speed} m/s, above the limit of {limit} m/s")]
+    #[error("node {node} would move at {speed} m/s, above the limit of {limit} m/s: take a shorter step")]
     Runaway {
         /// The first such node.
         node: u32,
@@ -66,6 +66,6 @@ pub enum StepError {
         limit: f64,
     },
     /// The factorisation failed: the matrix is not positive definite to working precision.
-    #[error("the step's matrix could not be factorised")]
+    #[error("the step's matrix could not be factorised: take a shorter step, or check masses and stiffness")]
     Factorisation,
 }

@@ -14,7 +14,7 @@ use thiserror::Error;
 
 /// A held vertex, and its position in the frame of the instrument that holds it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Held {
+pub struct HeldVertex {
     /// The vertex.
     pub vertex: u32,
     /// Its position in the instrument's frame \[m\].
@@ -29,7 +29,7 @@ pub struct Pick {
     /// Held triangles, ascending; of a line its segments.
     pub triangles: Vec<u32>,
     /// Their vertices, ascending, without those that an earlier pick holds.
-    pub vertices: Vec<Held>,
+    pub vertices: Vec<HeldVertex>,
 }
 
 /// All picks on one surface, in the order in which the jaws closed. This is the complete state.
@@ -145,7 +145,7 @@ impl Picks {
             vertices.sort_unstable();
             vertices.dedup();
             let held = |vertex: &u32| self.picks.iter().any(|pick| pick.held(*vertex).is_some());
-            let vertices = vertices.into_iter().filter(|vertex| !held(vertex)).map(|vertex| Held {
+            let vertices = vertices.into_iter().filter(|vertex| !held(vertex)).map(|vertex| HeldVertex {
                 vertex,
                 in_instrument: jaw.pose_in_world.inverse_transform_point(&positions[vertex as usize]),
             });
@@ -174,17 +174,17 @@ impl Picks {
     /// Prescribed positions of all held vertices, in ascending order of vertices; `jaws` as in
     /// [`update`](Self::update).
     #[must_use]
-    pub fn led(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
-        let mut led = Vec::new();
+    pub fn driven(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
+        let mut driven = Vec::new();
         for pick in &self.picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
-            led.extend(pick.vertices.iter().map(|held| DrivenVertex {
+            driven.extend(pick.vertices.iter().map(|held| DrivenVertex {
                 vertex: held.vertex,
                 position_in_world: jaw.pose_in_world * held.in_instrument,
             }));
         }
-        led.sort_by_key(|led| led.vertex);
-        led
+        driven.sort_by_key(|driven| driven.vertex);
+        driven
     }
 
     /// Renumbers or removes triangles; a pick without triangles is dropped.
@@ -231,7 +231,7 @@ impl Picks {
                         Some(jaw.pose_in_world.inverse_transform_point(position))
                     };
                     let in_instrument = known.get(&vertex).copied().or_else(fresh)?;
-                    Some(Held { vertex, in_instrument })
+                    Some(HeldVertex { vertex, in_instrument })
                 })
                 .collect();
             taken.extend(pick.vertices.iter().map(|held| held.vertex));
@@ -242,7 +242,7 @@ impl Picks {
 
 impl Pick {
     /// The held vertex of that number, if it is held.
-    fn held(&self, vertex: u32) -> Option<&Held> {
+    fn held(&self, vertex: u32) -> Option<&HeldVertex> {
         self.vertices.binary_search_by_key(&vertex, |held| held.vertex).ok().map(|at| &self.vertices[at])
     }
 }

@@ -15,10 +15,11 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::{Instrument, InstrumentTarget, Velocity};
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::shapes::working_end;
 use trocar_scene::time::SimTime;
 
-use trocar_dynamics::instrument::coupling::{VirtualCoupling, Wrench};
+use trocar_dynamics::instrument::coupling::CriticallyDampedCoupling;
 use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::set_point::SetPoint;
 use trocar_dynamics::instrument::state::InstrumentState;
@@ -76,7 +77,7 @@ fn rigid_part(instrument: &Instrument) -> SharedShape {
 pub struct Grasper {
     entity: Entity,
     instrument: Instrument,
-    coupling: VirtualCoupling,
+    coupling: CriticallyDampedCoupling,
     palm: RigidBodyHandle,
     shaft: ColliderHandle,
     jaws: Jaws,
@@ -149,7 +150,7 @@ impl Grasper {
         Self {
             entity,
             instrument: instrument.clone(),
-            coupling: VirtualCoupling::new(
+            coupling: CriticallyDampedCoupling::new(
                 instrument.mass,
                 gyration,
                 instrument.coupling_stiffness,
@@ -187,7 +188,7 @@ impl Grasper {
         &self.instrument
     }
     /// The coupling in effect.
-    pub fn coupling(&self) -> &VirtualCoupling {
+    pub fn coupling(&self) -> &CriticallyDampedCoupling {
         &self.coupling
     }
     /// The body that it holds by opposing contacts of both jaws.

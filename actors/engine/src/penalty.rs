@@ -28,9 +28,9 @@ const STIFFNESS_SHARE_MAX: f64 = 0.25;
 
 /// Past poses of a body.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Trail(VecDeque<(SimTime, RapierPose)>);
+pub(crate) struct PoseHistory(VecDeque<(SimTime, RapierPose)>);
 
-impl Trail {
+impl PoseHistory {
     pub(crate) fn push(&mut self, now: SimTime, pose: RapierPose) {
         if self.0.len() == TRAIL_STEPS {
             self.0.pop_front();
@@ -46,15 +46,15 @@ impl Trail {
 }
 
 /// The world's knowledge of an entity that takes part in a contact.
-pub(crate) enum Known<'a> {
+pub(crate) enum KnownEntity<'a> {
     /// A body that may move, and its past poses.
-    Body(RigidBodyHandle, Option<&'a Trail>),
+    Body(RigidBodyHandle, Option<&'a PoseHistory>),
     /// Any other entity: it does not move.
     Fixed,
 }
 
 /// Contact parameters that the detector does not report.
-pub(crate) struct Terms {
+pub(crate) struct PenaltyParams {
     /// Used where the detector reports no force \[N/m\].
     pub(crate) stiffness: f64,
     /// Coulomb friction coefficient.
@@ -85,7 +85,7 @@ struct Penalty {
 
 /// A contact with a normal force in this step.
 #[derive(Clone, Copy, Debug)]
-struct Pressed {
+struct ActiveContact {
     penalty: usize,
     point: Vector,
     normal: Vector,
@@ -97,7 +97,7 @@ struct Pressed {
 
 /// A body under contact: the contact impulses enter the step as forces, together with gravity.
 #[derive(Clone, Copy, Debug)]
-struct Mover {
+struct ContactBody {
     pose: RapierPose,
     centre: Vector,
     linear: Vector,
@@ -110,7 +110,7 @@ struct Mover {
     torque: Vector,
 }
 
-impl Mover {
+impl ContactBody {
     fn new(body: &RigidBody, falls: Vector) -> Self {
         let properties = body.mass_properties();
         let moves = body.is_dynamic();
@@ -156,8 +156,8 @@ pub(crate) struct Penalties {
     contacts: Vec<Penalty>,
     handles: Vec<RigidBodyHandle>,
     // Those of the current step.
-    movers: Vec<Mover>,
-    pressed: Vec<Pressed>,
+    movers: Vec<ContactBody>,
+    pressed: Vec<ActiveContact>,
 }
 
 impl Penalties {
@@ -171,13 +171,13 @@ impl Penalties {
         &mut self,
         collision: &Collision,
         bodies: &RigidBodySet,
-        known: impl Fn(Entity) -> Known<'a>,
-        terms: &Terms,
+        known: impl Fn(Entity) -> KnownEntity<'a>,
+        terms: &PenaltyParams,
     ) {
         let then = |entity: Entity| match known(entity) {
-            Known::Fixed => Some((None, RapierPose::IDENTITY)),
-            Known::Body(handle, Some(trail)) => Some((Some(handle), trail.at(collision.detected_at)?)),
-            Known::Body(handle, None) => Some((Some(handle), *bodies.get(handle)?.position())),
+            KnownEntity::Fixed => Some((None, RapierPose::IDENTITY)),
+            KnownEntity::Body(handle, Some(trail)) => Some((Some(handle), trail.at(collision.detected_at)?)),
+            KnownEntity::Body(handle, None) => Some((Some(handle), *bodies.get(handle)?.position())),
         };
         let (Some(first), Some(second)) = (then(collision.a), then(collision.b)) else { return };
         let frame = if second.0.is_some() { second.1 } else { first.1 };
@@ -226,8 +226,9 @@ impl Penalties {
             return;
         }
         let fixed = RigidBody::default();
-        let mover =
-            |handle: &RigidBodyHandle| Mover::new(bodies.get(*handle).unwrap_or(&fixed), gravity * step_secs);
+        let mover = |handle: &RigidBodyHandle| {
+            ContactBody::new(bodies.get(*handle).unwrap_or(&fixed), gravity * step_secs)
+        };
         self.movers.clear();
         self.movers.extend(self.handles.iter().map(mover));
         self.pressed.clear();
@@ -236,7 +237,7 @@ impl Penalties {
         }
         for _ in 0..FRICTION_SWEEPS {
             for pressed in &mut self.pressed {
-                self.contacts[pressed.penalty].rub(&mut self.movers, pressed);
+                self.contacts[pressed.penalty].apply_friction(&mut self.movers, pressed);
             }
         }
         for (handle, mover) in self.handles.iter().zip(&self.movers) {
@@ -250,7 +251,7 @@ impl Penalties {
 
 impl Penalty {
     /// The spring's normal force and its point of application.
-    fn press(&self, penalty: usize, movers: &mut [Mover], step_secs: f64) -> Option<Pressed> {
+    fn press(&self, penalty: usize, movers: &mut [ContactBody], step_secs: f64) -> Option<ActiveContact> {
         let [first, second] = self.sides;
         let body = |side: Side| side.mover.map(|index| movers[index]);
         let place = |side: Side| body(side).map_or(side.point, |body| body.pose.transform_point(side.point));
@@ -273,14 +274,15 @@ impl Penalty {
         let apart = (speed(second) - speed(first)).dot(normal);
         let impulse = (stiffness * depth - damping * apart).max(0.0) * step_secs;
         self.push(movers, normal * impulse, point);
-        Some(Pressed { penalty, point, normal, limit: self.friction * impulse, rubbed: Vector::ZERO })
+        Some(ActiveContact { penalty, point, normal, limit: self.friction * impulse, rubbed: Vector::ZERO })
     }
 
     /// Adds the remaining friction impulse. Gravity's contribution in this step counts towards the sliding velocity.
-    fn rub(&self, movers: &mut [Mover], pressed: &mut Pressed) {
+    fn apply_friction(&self, movers: &mut [ContactBody], pressed: &mut ActiveContact) {
         let [first, second] = self.sides.map(|side| side.mover.map(|index| movers[index]));
-        let speed =
-            |body: Option<Mover>| body.map_or(Vector::ZERO, |body| body.speed(pressed.point) + body.falls);
+        let speed = |body: Option<ContactBody>| {
+            body.map_or(Vector::ZERO, |body| body.speed(pressed.point) + body.falls)
+        };
         let apart = speed(second) - speed(first);
         let sliding = apart - pressed.normal * apart.dot(pressed.normal);
         let fast = sliding.length();
@@ -296,7 +298,7 @@ impl Penalty {
         pressed.rubbed = rubs;
     }
 
-    fn push(&self, movers: &mut [Mover], impulse_on_second: Vector, point: Vector) {
+    fn push(&self, movers: &mut [ContactBody], impulse_on_second: Vector, point: Vector) {
         for (side, impulse) in self.sides.iter().zip([-impulse_on_second, impulse_on_second]) {
             if let Some(index) = side.mover {
                 movers[index].push(impulse, point);

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use rapier3d_f64::dynamics::{FrictionModel, IntegrationParameters, SpringCoefficients};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::rigid_world::{WorldSettings, check_setting};
 
 use crate::EngineError;
 
@@ -44,19 +45,20 @@ pub struct EngineSettings {
 
 impl Default for EngineSettings {
     fn default() -> Self {
+        let shared = WorldSettings::default();
         Self {
-            substep_secs: 0.001,
+            substep_secs: shared.substep_secs,
             solver_iterations: 4,
             grasp_iterations: 4,
             grasp_sweeps: 1,
-            gravity_in_world: Vector3::new(0.0, 0.0, -9.81),
-            floor_height: Some(-0.05),
-            coupling_force_max: 20.0,
-            jaw_rate_max: 6.0,
-            extrapolation_secs_max: 0.02,
+            gravity_in_world: shared.gravity_in_world,
+            floor_height: shared.floor_height,
+            coupling_force_max: shared.coupling_force_max,
+            jaw_rate_max: shared.jaw_rate_max,
+            extrapolation_secs_max: shared.extrapolation_secs_max,
             penalty_stiffness: 500.0,
-            claims_all_poses: false,
-            contact_models_by_others: Vec::new(),
+            claims_all_poses: shared.claims_all_poses,
+            contact_models_by_others: shared.contact_models_by_others,
         }
     }
 }
@@ -67,28 +69,25 @@ impl EngineSettings {
     /// # Errors
     /// [`EngineError::InvalidSetting`] names the first setting that is out of range.
     pub fn check(&self) -> Result<(), EngineError> {
-        let within = |field, value: f64, low: f64, high: f64, valid| {
-            // Written so that a NaN fails.
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(EngineError::InvalidSetting { field, value, valid })
-            }
-        };
-        within("substep_secs", self.substep_secs, 1e-5, 0.005, "1e-5 to 0.005 s")?;
-        within("solver_iterations", self.solver_iterations as f64, 1.0, 128.0, "1 to 128")?;
-        within("grasp_iterations", self.grasp_iterations as f64, 0.0, 128.0, "0 to 128")?;
-        within("grasp_sweeps", self.grasp_sweeps as f64, 0.0, 32.0, "0 to 32")?;
-        for axis in self.gravity_in_world.iter() {
-            within("gravity_in_world", *axis, -100.0, 100.0, "-100 to 100 m/s²")?;
+        self.shared().check()?;
+        check_setting("solver_iterations", self.solver_iterations as f64, 1.0..=128.0, "1 to 128")?;
+        check_setting("grasp_iterations", self.grasp_iterations as f64, 0.0..=128.0, "0 to 128")?;
+        check_setting("grasp_sweeps", self.grasp_sweeps as f64, 0.0..=32.0, "0 to 32")?;
+        check_setting("penalty_stiffness", self.penalty_stiffness, 1.0..=1e5, "1 to 100,000 N/m")
+    }
+
+    /// Those of them that every world has.
+    pub(crate) fn shared(&self) -> WorldSettings {
+        WorldSettings {
+            substep_secs: self.substep_secs,
+            gravity_in_world: self.gravity_in_world,
+            floor_height: self.floor_height,
+            coupling_force_max: self.coupling_force_max,
+            jaw_rate_max: self.jaw_rate_max,
+            extrapolation_secs_max: self.extrapolation_secs_max,
+            claims_all_poses: self.claims_all_poses,
+            contact_models_by_others: self.contact_models_by_others.clone(),
         }
-        if let Some(height) = self.floor_height {
-            within("floor_height", height, -100.0, 100.0, "-100 to 100 m")?;
-        }
-        within("coupling_force_max", self.coupling_force_max, 0.1, 200.0, "0.1 to 200 N")?;
-        within("jaw_rate_max", self.jaw_rate_max, 0.01, 100.0, "0.01 to 100 rad/s")?;
-        within("penalty_stiffness", self.penalty_stiffness, 1.0, 1e5, "1 to 100,000 N/m")?;
-        within("extrapolation_secs_max", self.extrapolation_secs_max, 0.0, 0.1, "0 to 0.1 s")
     }
 
     /// Rapier's own parameters.

@@ -16,7 +16,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
 use trocar_dynamics::soft_body::method::{Measures, StepContext};
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
@@ -100,13 +100,13 @@ pub struct EngineSoftMethod {
     /// Fixed vertices, ascending.
     pinned: Vec<u32>,
     /// Vertices held by jaws, ascending.
-    led: Vec<u32>,
+    driven: Vec<u32>,
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
 }
 
 /// A contact with a rod during a step.
-struct Pressed {
+struct ActiveContact {
     /// The contact point at the beginning of the step \[m\].
     touched: Vector3<f64>,
     /// Its mobility, with all contacts on its vertices counted \[1/kg\].
@@ -121,43 +121,43 @@ impl EngineSoftMethod {
 
     /// Updates the vertices that jaws hold.
     fn lead(&mut self, site: &StepContext<'_>) -> Result<(), String> {
-        let wanted: Vec<u32> = site.led.iter().map(|led| led.vertex).collect();
-        if wanted == self.led {
+        let wanted: Vec<u32> = site.driven.iter().map(|driven| driven.vertex).collect();
+        if wanted == self.driven {
             return Ok(());
         }
         let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
-        for &vertex in self.led.iter().filter(|vertex| wanted.binary_search(vertex).is_err()) {
+        for &vertex in self.driven.iter().filter(|vertex| wanted.binary_search(vertex).is_err()) {
             body.set_particle_pinned(vertex as usize, false);
         }
-        for &vertex in wanted.iter().filter(|vertex| self.led.binary_search(vertex).is_err()) {
+        for &vertex in wanted.iter().filter(|vertex| self.driven.binary_search(vertex).is_err()) {
             body.set_particle_pinned(vertex as usize, true);
         }
-        self.led = wanted;
+        self.driven = wanted;
         Ok(())
     }
 
     /// The mobility of each contact; contacts that share a vertex share its mobility.
-    fn pressed(&self, touches: &[Touch]) -> Vec<Pressed> {
+    fn pressed(&self, touches: &[RodContact]) -> Vec<ActiveContact> {
         let is_free =
-            |node: &u32| self.pinned.binary_search(node).is_err() && self.led.binary_search(node).is_err();
+            |node: &u32| self.pinned.binary_search(node).is_err() && self.driven.binary_search(node).is_err();
         let mut shared = std::collections::BTreeMap::<u32, f64>::new();
         for (node, _) in touches.iter().flat_map(joint) {
             *shared.entry(node).or_default() += 1.0;
         }
-        let of = |touch: &Touch| {
+        let of = |touch: &RodContact| {
             let free = joint(touch).filter(|(node, _)| is_free(node));
             let yields = free.map(|(node, share)| shared[&node] * share * share / self.masses[node as usize]);
-            Pressed { touched: self.place(touch), yields: yields.sum(), impulse: Vector3::zeros() }
+            ActiveContact { touched: self.place(touch), yields: yields.sum(), impulse: Vector3::zeros() }
         };
         touches.iter().map(of).collect()
     }
 
-    fn place(&self, touch: &Touch) -> Vector3<f64> {
+    fn place(&self, touch: &RodContact) -> Vector3<f64> {
         joint(touch).map(|(node, share)| self.positions[node as usize].coords * share).sum()
     }
 
     /// Force of a contact \[N\] in a substep of `h` seconds that begins `since` seconds into the step.
-    fn force(&self, touch: &Touch, pressed: &Pressed, since: f64, h: f64) -> Vector3<f64> {
+    fn force(&self, touch: &RodContact, pressed: &ActiveContact, since: f64, h: f64) -> Vector3<f64> {
         let EngineSoftBody { contact_stiffness, friction, .. } = self.kind;
         let slip: Vector3<f64> =
             joint(touch).map(|(node, share)| self.velocities[node as usize] * share).sum::<Vector3<f64>>()
@@ -197,7 +197,7 @@ impl EngineSoftMethod {
 }
 
 /// Nodes and weights of a contact.
-fn joint(touch: &Touch) -> impl Iterator<Item = (u32, f64)> {
+fn joint(touch: &RodContact) -> impl Iterator<Item = (u32, f64)> {
     touch.nodes.into_iter().zip(touch.weights).filter(|(_, weight)| *weight != 0.0)
 }
 
@@ -260,7 +260,17 @@ impl SoftMethod for EngineSoftMethod {
             }
         }
         let (positions, velocities) = (body.positions.to_vec(), body.velocities.to_vec());
-        Ok(Self { kind: *kind, world, handle, mesh, masses, pinned, led: Vec::new(), positions, velocities })
+        Ok(Self {
+            kind: *kind,
+            world,
+            handle,
+            mesh,
+            masses,
+            pinned,
+            driven: Vec::new(),
+            positions,
+            velocities,
+        })
     }
 
     fn positions(&self) -> &[Point3<f64>] {
@@ -271,9 +281,9 @@ impl SoftMethod for EngineSoftMethod {
         &self.velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         let triangles = &body.triangles[..];
-        Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
+        ContactSurface { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
     }
 
     fn step(
@@ -288,7 +298,8 @@ impl SoftMethod for EngineSoftMethod {
         self.world.integration_parameters.dt = h;
         self.world.gravity = vector_to_rapier(&site.gravity);
         let mut pressed = self.pressed(site.touches);
-        let from: Vec<Point3<f64>> = self.led.iter().map(|&vertex| self.positions[vertex as usize]).collect();
+        let from: Vec<Point3<f64>> =
+            self.driven.iter().map(|&vertex| self.positions[vertex as usize]).collect();
         for part in 0..parts {
             let since = f64::from(part) * h;
             let pushes: Vec<Vector3<f64>> = site
@@ -309,9 +320,9 @@ impl SoftMethod for EngineSoftMethod {
                 }
             }
             let share = f64::from(part + 1) / f64::from(parts);
-            for (led, from) in site.led.iter().zip(&from) {
-                let target = from + (led.position_in_world - from) * share;
-                body.set_particle_kinematic_target(led.vertex as usize, vector_to_rapier(&target.coords));
+            for (driven, from) in site.driven.iter().zip(&from) {
+                let target = from + (driven.position_in_world - from) * share;
+                body.set_particle_kinematic_target(driven.vertex as usize, vector_to_rapier(&target.coords));
             }
             self.part()?;
         }

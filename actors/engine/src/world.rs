@@ -20,21 +20,21 @@ use trocar_scene::components::{
     Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::time::SimTime;
 
 use trocar_dynamics::instrument::contact::Contact;
-use trocar_dynamics::instrument::coupling::Wrench as WrenchOnHand;
 use trocar_dynamics::instrument::grasp::{self, Hold, PadContact};
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 pub use trocar_dynamics::rigid_world::FLOOR;
-use trocar_dynamics::rigid_world::{Wrench, check};
+use trocar_dynamics::rigid_world::{FLOOR_HALF_EXTENTS, check};
 
 use crate::anticipate::first_obstacle;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;
-use crate::penalty::{Penalties, Trail};
+use crate::penalty::{Penalties, PoseHistory};
 use crate::settings::EngineSettings;
 use crate::{EngineError, contacts, shapes};
 
@@ -55,9 +55,9 @@ struct Body {
     colliders: Vec<ColliderHandle>,
     motion: Motion,
     /// Remaining motion of a kinematic body towards its target pose.
-    travel: Option<Travel>,
+    travel: Option<KinematicMove>,
     /// Past poses, if an external detector finds the body's contacts.
-    trail: Option<Trail>,
+    trail: Option<PoseHistory>,
     friction: f64,
     /// External wrench on the body; torque about the world origin.
     push: Wrench,
@@ -65,7 +65,7 @@ struct Body {
 
 /// Motion of a kinematic body towards its target pose.
 #[derive(Clone, Copy, Debug)]
-struct Travel {
+struct KinematicMove {
     to: RapierPose,
     /// Steps that remain.
     steps: u32,
@@ -97,7 +97,7 @@ pub struct RigidWorld {
     pads: Vec<PadContact>,
     /// Contacts from external detectors.
     penalties: Penalties,
-    tools: BTreeMap<Entity, Trail>,
+    tools: BTreeMap<Entity, PoseHistory>,
 }
 
 impl RigidWorld {
@@ -113,12 +113,12 @@ impl RigidWorld {
             ..PhysicsWorld::default()
         };
         if let Some(height) = settings.floor_height {
-            let half = 0.05;
-            let floor = ColliderBuilder::cuboid(2.0, 2.0, half)
+            let [x, y, z] = FLOOR_HALF_EXTENTS;
+            let floor = ColliderBuilder::cuboid(x, y, z)
                 .collision_groups(groups(GROUP_FIXED, !GROUP_FIXED))
                 .friction_combine_rule(CoefficientCombineRule::GeometricMean)
                 .user_data(contacts::tag(FLOOR, Primitive::Shape(0)));
-            let place = RapierPose::translation(0.0, 0.0, height - half);
+            let place = RapierPose::translation(0.0, 0.0, height - z);
             physics.insert(RigidBodyBuilder::fixed().pose(place), floor);
         }
         Ok(Self {
@@ -320,7 +320,7 @@ impl RigidWorld {
         let body = self.physics.bodies.get_mut(known.handle).ok_or(EngineError::Unknown { entity })?;
         if known.motion == Motion::Kinematic {
             let steps = (travel_secs / self.settings.substep_secs).round().clamp(1.0, 1000.0) as u32;
-            known.travel = Some(Travel { to: pose_to_rapier(pose), steps });
+            known.travel = Some(KinematicMove { to: pose_to_rapier(pose), steps });
             return Ok(());
         }
         body.set_position(pose_to_rapier(pose), true);
@@ -521,7 +521,7 @@ impl RigidWorld {
     }
     /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps since
     /// the last call.
-    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<WrenchOnHand> {
+    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<Wrench> {
         self.graspers.get_mut(&entity).map(Grasper::take_wrench_on_hand)
     }
     /// `instrument_from_body`, if both are simulated.

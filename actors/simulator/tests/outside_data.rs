@@ -5,17 +5,18 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::picking::{Held, Pick, Picks};
+use trocar_dynamics::picking::{HeldVertex, Pick, Picks};
 use trocar_dynamics::soft_body::contact::{ContactSums, Feature, PersistentContact, SoftContacts};
 use trocar_dynamics::soft_body::grasp::Grips;
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::tet_mesh::NodeOrigin;
 use trocar_scene::{
     BuildContext, Component, Controller, ControllerError, Entity, Frozen, HeatFrozen, LineMesh, SimTime,
     SurfaceMesh, TetMesh,
 };
 use trocar_simulator::controller::{
-    Coagulated, CoagulatedElements, DynamicFemController, ElectrosurgeryController, LinearFemController,
-    MassSpringController, RemovedElements, ThreadController, VolumeCuts, XpbdController, XpbdGroups,
+    CoagulatedElement, CoagulatedElements, DynamicFemController, ElectrosurgeryController,
+    LinearFemController, MassSpringController, RemovedElements, ThreadController, VolumeCuts, XpbdController,
+    XpbdGroups,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -120,7 +121,7 @@ fn elements_that_name_vertices_that_there_are_not_are_refused_by_every_controlle
 fn memories_of_another_body_are_refused() {
     let volume = body(BLOCK, "xpbd = { cut = true }");
     let births = |of: u32| VolumeCuts {
-        births: Arc::new(vec![Birth { of: [of, 0], share: 0.5 }]),
+        births: Arc::new(vec![NodeOrigin { of: [of, 0], share: 0.5 }]),
         ..VolumeCuts::default()
     };
     refused(&volume, xpbd, births(26), &["node 26", "[26, 0]"]);
@@ -135,7 +136,7 @@ fn memories_of_another_body_are_refused() {
     refused(&volume, xpbd, groups(vec![0; 3]), &["3 groups for 48"]);
     refused(&volume, xpbd, groups((0..48).map(|k| 60_000 + k).collect()), &["beyond the last"]);
     for (vertex, triangle, says) in [(9_999, 0, "vertex 9999"), (0, 9_999, "9999")] {
-        let held = Held { vertex, in_instrument: Point3::origin() };
+        let held = HeldVertex { vertex, in_instrument: Point3::origin() };
         let pick = Pick { instrument: 7, triangles: vec![triangle], vertices: vec![held] };
         let grips = Grips { picks: Picks { picks: vec![pick], ..Picks::default() } };
         refused(&volume, xpbd, grips.clone(), &["grips", says]);
@@ -160,7 +161,7 @@ fn news_of_elements_that_there_are_not_change_nothing() {
         assert!(!stage.has::<Frozen>("body"), "{}", stage.get::<Frozen>("body").reason);
     }
     let coagulated = || {
-        let of = |element| Coagulated { element, stiffness: 2.0, length: 0.95 };
+        let of = |element| CoagulatedElement { element, stiffness: 2.0, length: 0.95 };
         CoagulatedElements { elements: Arc::new(vec![of(3), of(9_999), of(u32::MAX)]) }
     };
     let removed = || RemovedElements { elements: Arc::new(vec![5, 9_999, u32::MAX]) };

@@ -1,7 +1,7 @@
 //! External nodes in a step: nodes of other bodies that the stepped body is tied to or lies on.
 //!
-//! A guest is a mass point that another solver moves between steps. Within a step it moves freely, and responds to the
-//! body's impulses with its own mobility. The impulses are reported afterwards, so that the other solver applies
+//! A ghost node is a mass point that another solver moves between steps. Within a step it moves freely, and responds to
+//! the body's impulses with its own mobility. The impulses are reported afterwards, so that the other solver applies
 //! exactly the same numbers.
 
 use nalgebra::{Point3, Vector3};
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::particles::StepError;
 
-/// In ties, numbers from here on refer to nodes of the bodies that are stepped together, not to guests.
+/// In ties, numbers from here on refer to nodes of the bodies that are stepped together, not to ghost nodes.
 pub const OF_BODY: u32 = 1 << 31;
 
 /// A node of another body: a mass, attached by a spring to its predicted path.
@@ -24,7 +24,7 @@ pub struct GhostNode {
     /// External force \[N\], in addition to what moves it along its path.
     pub pull: Vector3<f64>,
     /// Its predicted path.
-    pub path: Path,
+    pub path: PredictedPath,
     /// Stiffness of the spring to the path \[N/m\].
     pub stiffness: f64,
 }
@@ -32,7 +32,7 @@ pub struct GhostNode {
 /// A motion with constant acceleration for a while, then with constant velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Path {
+pub struct PredictedPath {
     /// Current position \[m\].
     pub position: Point3<f64>,
     /// Current velocity \[m/s\].
@@ -47,7 +47,7 @@ impl GhostNode {
     /// An immovable one.
     #[must_use]
     pub fn as_wall(self) -> Self {
-        let path = Path { position: self.position, ..Path::default() };
+        let path = PredictedPath { position: self.position, ..PredictedPath::default() };
         Self {
             velocity: Vector3::zeros(),
             mobility: 0.0,
@@ -61,7 +61,7 @@ impl GhostNode {
     /// Advances by `h` seconds with an impulse \[N·s\].
     pub fn go(&mut self, h: f64, impulse: &Vector3<f64>) {
         let mut path = self.path;
-        let (velocity, mobility) = self.flies(h, self.position.coords, self.velocity, &mut path);
+        let (velocity, mobility) = self.free_velocity(h, self.position.coords, self.velocity, &mut path);
         self.velocity = velocity + impulse * mobility;
         self.position += self.velocity * h;
         self.path = path;
@@ -69,7 +69,13 @@ impl GhostNode {
 
     /// Its velocity after a substep without contact forces, and its mobility \[1/kg\]. The spring to its path is
     /// implicit; the path advances by the substep.
-    fn flies(&self, h: f64, was: Vector3<f64>, moved: Vector3<f64>, path: &mut Path) -> (Vector3<f64>, f64) {
+    fn free_velocity(
+        &self,
+        h: f64,
+        was: Vector3<f64>,
+        moved: Vector3<f64>,
+        path: &mut PredictedPath,
+    ) -> (Vector3<f64>, f64) {
         let velocity = moved + path.go(h) + self.pull * (self.mobility * h);
         let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
         let now = path.position.coords.lerp(&(was + velocity * h), loose);
@@ -77,7 +83,7 @@ impl GhostNode {
     }
 }
 
-impl Path {
+impl PredictedPath {
     /// Advances by `h` seconds; returns the change of velocity.
     pub fn go(&mut self, h: f64) -> Vector3<f64> {
         let change = self.acceleration * h.min(self.lasts);
@@ -88,26 +94,26 @@ impl Path {
     }
 }
 
-/// A zero-length spring and damper between a node of the body and a point among guests.
+/// A zero-length spring and damper between a node of the body and a point among ghost nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tie {
     /// The node.
     pub node: u32,
-    /// The guests, or nodes from [`OF_BODY`] on, with their weights; the sum is 1.
-    pub guests: [(u32, f64); 4],
+    /// The ghost nodes, or nodes from [`OF_BODY`] on, with their weights; the sum is 1.
+    pub ghost_nodes: [(u32, f64); 4],
     /// Stiffness: force per stretch \[N/m\], above 0.
     pub stiffness: f64,
     /// Damping \[N·s/m\].
     pub damping: f64,
 }
 
-/// A contact that keeps a node of the body on one side of a triangle of guests: a one-sided spring with friction.
+/// A contact that keeps a node of the body on one side of a triangle of ghost nodes: a one-sided spring with friction.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Press {
+pub struct NodeContact {
     /// The node.
     pub node: u32,
-    /// The guests, with their weights; the sum is 1.
-    pub guests: [(u32, f64); 3],
+    /// The ghost nodes, with their weights; the sum is 1.
+    pub ghost_nodes: [(u32, f64); 3],
     /// The point where friction makes it stick.
     pub anchor: [(u32, f64); 3],
     /// Unit normal towards the allowed side.
@@ -124,14 +130,14 @@ pub struct Press {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ExternalNodes<'a> {
     /// Nodes of other bodies.
-    pub guests: &'a [GhostNode],
-    /// Ties between the body and the guests.
+    pub ghost_nodes: &'a [GhostNode],
+    /// Ties between the body and the ghost nodes.
     pub ties: &'a [Tie],
-    /// Contacts with the guests' surface.
-    pub presses: &'a [Press],
+    /// Contacts with the ghost nodes' surface.
+    pub presses: &'a [NodeContact],
 }
 
-/// Result of a step for a guest.
+/// Result of a step for a ghost node.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GhostMoved {
     /// Position \[m\].
@@ -139,7 +145,7 @@ pub struct GhostMoved {
     /// Velocity \[m/s\].
     pub velocity: Vector3<f64>,
     /// Its path, advanced by the step.
-    pub path: Path,
+    pub path: PredictedPath,
     /// Impulse by ties and contacts \[N·s\].
     pub impulse: Vector3<f64>,
     /// Work of that impulse \[J\].
@@ -149,17 +155,17 @@ pub struct GhostMoved {
 /// Results of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GhostImpulses {
-    /// For each guest.
-    pub guests: Vec<GhostMoved>,
+    /// For each ghost node.
+    pub ghost_nodes: Vec<GhostMoved>,
     /// For each tie.
-    pub ties: Vec<Tied>,
+    pub ties: Vec<TieResult>,
     /// For each contact.
-    pub presses: Vec<Pressed>,
+    pub presses: Vec<NodeContactResult>,
 }
 
 /// Result of a step for a tie.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Tied {
+pub struct TieResult {
     /// Force on the body, averaged over the step \[N\].
     pub force: Vector3<f64>,
     /// Dissipated energy \[J\]: by damping and by implicit integration.
@@ -168,7 +174,7 @@ pub struct Tied {
 
 /// Result of a step for a contact.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pressed {
+pub struct NodeContactResult {
     /// Force on the body, averaged over the step \[N\].
     pub force: Vector3<f64>,
     /// Whether it was active at the end.
@@ -184,7 +190,7 @@ pub struct Pressed {
 /// Work arrays and results of a step with external nodes.
 #[derive(Clone, Debug, Default)]
 pub struct ExternalNodesState {
-    /// Guests as nodes.
+    /// Ghost nodes as nodes.
     places: Vec<[f64; 4]>,
     /// Their positions at the beginning of the substep.
     before: Vec<[f64; 4]>,
@@ -200,15 +206,15 @@ pub struct ExternalNodesState {
     moved: GhostImpulses,
 }
 
-/// All nodes of a substep: those of one body after another, then the guests.
-pub(crate) struct Places<'a> {
+/// All nodes of a substep: those of one body after another, then the ghost nodes.
+pub(crate) struct SubstepNodes<'a> {
     pub bodies: Vec<&'a mut [[f64; 4]]>,
-    pub guests: &'a mut [[f64; 4]],
+    pub ghost_nodes: &'a mut [[f64; 4]],
     /// One over the squared substep \[1/s²\].
     pub rate: f64,
 }
 
-impl Places<'_> {
+impl SubstepNodes<'_> {
     fn body(&mut self, node: u32) -> &mut [f64; 4] {
         let mut node = node as usize;
         for body in &mut self.bodies {
@@ -221,28 +227,28 @@ impl Places<'_> {
     }
 
     fn at(&mut self, number: u32) -> &mut [f64; 4] {
-        if number < OF_BODY { &mut self.guests[number as usize] } else { self.body(number - OF_BODY) }
+        if number < OF_BODY { &mut self.ghost_nodes[number as usize] } else { self.body(number - OF_BODY) }
     }
 
-    /// Separation of a node from a point among guests, and the sum of their mobilities \[1/kg\].
-    fn apart<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N]) -> (Vector3<f64>, f64) {
+    /// Separation of a node from a point among ghost nodes, and the sum of their mobilities \[1/kg\].
+    fn apart<const N: usize>(&mut self, node: u32, ghost_nodes: &[(u32, f64); N]) -> (Vector3<f64>, f64) {
         let [x, y, z, mut yields] = *self.body(node);
         let mut apart = Vector3::new(x, y, z);
-        for &(guest, weight) in guests {
-            let [x, y, z, mobility] = *self.at(guest);
+        for &(ghost_node, weight) in ghost_nodes {
+            let [x, y, z, mobility] = *self.at(ghost_node);
             apart -= Vector3::new(x, y, z) * weight;
             yields += mobility * weight * weight;
         }
         (apart, yields)
     }
 
-    fn push<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N], by: &Vector3<f64>) {
+    fn push<const N: usize>(&mut self, node: u32, ghost_nodes: &[(u32, f64); N], by: &Vector3<f64>) {
         let shift = |place: &mut [f64; 4], share: f64| {
             let mobility = place[3];
             (0..3).for_each(|axis| place[axis] += by[axis] * share * mobility);
         };
         shift(self.body(node), 1.0);
-        guests.iter().for_each(|&(guest, weight)| shift(self.at(guest), -weight));
+        ghost_nodes.iter().for_each(|&(ghost_node, weight)| shift(self.at(ghost_node), -weight));
     }
 }
 
@@ -255,7 +261,7 @@ impl ExternalNodesState {
 
     /// Resets the results, before a step that may fail.
     pub fn forget(&mut self) {
-        self.moved.guests.clear();
+        self.moved.ghost_nodes.clear();
         self.moved.ties.clear();
         self.moved.presses.clear();
     }
@@ -275,12 +281,17 @@ impl ExternalNodes<'_> {
     /// The invalid entry.
     pub fn check(&self, nodes: usize) -> Result<(), StepError> {
         let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
-        let guests = self.guests.len();
-        for (index, guest) in self.guests.iter().enumerate() {
-            let path = guest.path.velocity.iter().chain(&guest.path.acceleration).chain([&guest.path.lasts]);
-            let vectors = guest.velocity.iter().chain(&guest.pull).chain(path);
-            let places = guest.position.iter().chain(guest.path.position.iter());
-            let numbers = [guest.mobility, guest.stiffness];
+        let ghost_nodes = self.ghost_nodes.len();
+        for (index, ghost_node) in self.ghost_nodes.iter().enumerate() {
+            let path = ghost_node
+                .path
+                .velocity
+                .iter()
+                .chain(&ghost_node.path.acceleration)
+                .chain([&ghost_node.path.lasts]);
+            let vectors = ghost_node.velocity.iter().chain(&ghost_node.pull).chain(path);
+            let places = ghost_node.position.iter().chain(ghost_node.path.position.iter());
+            let numbers = [ghost_node.mobility, ghost_node.stiffness];
             let is_number = |value: &f64| value.is_finite();
             if !(vectors.chain(places).chain(&numbers).all(is_number) && numbers.iter().all(|of| *of >= 0.0))
             {
@@ -293,12 +304,13 @@ impl ExternalNodes<'_> {
         }
         let is_known = |number: u32| match number.checked_sub(OF_BODY) {
             Some(node) => (node as usize) < nodes,
-            None => (number as usize) < guests,
+            None => (number as usize) < ghost_nodes,
         };
-        let known = |of: &[(u32, f64)]| of.iter().all(|(guest, w)| is_known(*guest) && w.is_finite());
+        let known =
+            |of: &[(u32, f64)]| of.iter().all(|(ghost_node, w)| is_known(*ghost_node) && w.is_finite());
         for (index, tie) in self.ties.iter().enumerate() {
             let soft = [tie.stiffness, tie.damping].iter().all(|value| *value >= 0.0 && value.is_finite());
-            if tie.node as usize >= nodes || !known(&tie.guests) {
+            if tie.node as usize >= nodes || !known(&tie.ghost_nodes) {
                 return wrong("tie", index, "names a node or a guest that does not exist");
             } else if !(soft && tie.stiffness > 0.0) {
                 return wrong("tie", index, "has a stiffness that is not above 0, or damping below 0");
@@ -308,8 +320,13 @@ impl ExternalNodes<'_> {
             let finite =
                 [press.thickness, press.friction].iter().all(|value| *value >= 0.0 && value.is_finite());
             let unit = (press.normal.norm_squared() - 1.0).abs() < 1e-6;
-            let of_guests = press.guests.iter().chain(&press.anchor).all(|(guest, _)| *guest < OF_BODY);
-            if press.node as usize >= nodes || !of_guests || !known(&press.guests) || !known(&press.anchor) {
+            let of_guests =
+                press.ghost_nodes.iter().chain(&press.anchor).all(|(ghost_node, _)| *ghost_node < OF_BODY);
+            if press.node as usize >= nodes
+                || !of_guests
+                || !known(&press.ghost_nodes)
+                || !known(&press.anchor)
+            {
                 return wrong("press", index, "names a node or a guest that does not exist");
             } else if !(finite && unit && press.stiffness > 0.0 && press.stiffness.is_finite()) {
                 return wrong(
@@ -325,22 +342,22 @@ impl ExternalNodes<'_> {
     /// Prepares a step.
     pub fn prepare(&self, scratch: &mut ExternalNodesState) {
         scratch.places.clear();
-        scratch.places.extend(self.guests.iter().map(|guest| {
-            let [x, y, z] = guest.position.into();
-            [x, y, z, guest.mobility]
+        scratch.places.extend(self.ghost_nodes.iter().map(|ghost_node| {
+            let [x, y, z] = ghost_node.position.into();
+            [x, y, z, ghost_node.mobility]
         }));
         let moved = &mut scratch.moved;
-        moved.guests.clear();
-        let still = |guest: &GhostNode| GhostMoved {
-            velocity: guest.velocity,
-            path: guest.path,
+        moved.ghost_nodes.clear();
+        let still = |ghost_node: &GhostNode| GhostMoved {
+            velocity: ghost_node.velocity,
+            path: ghost_node.path,
             ..GhostMoved::default()
         };
-        moved.guests.extend(self.guests.iter().map(still));
+        moved.ghost_nodes.extend(self.ghost_nodes.iter().map(still));
         moved.ties.clear();
-        moved.ties.resize(self.ties.len(), Tied::default());
+        moved.ties.resize(self.ties.len(), TieResult::default());
         moved.presses.clear();
-        moved.presses.resize(self.presses.len(), Pressed::default());
+        moved.presses.resize(self.presses.len(), NodeContactResult::default());
         scratch.tied.clear();
         scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
     }
@@ -349,24 +366,24 @@ impl ExternalNodes<'_> {
     pub fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
         let ExternalNodesState { places, before, aparts, given, ties, presses, .. } = scratch;
         before.clone_from(places);
-        let mut all = Places { bodies, guests: places, rate: 0.0 };
+        let mut all = SubstepNodes { bodies, ghost_nodes: places, rate: 0.0 };
         aparts.clear();
-        aparts.extend(self.ties.iter().map(|tie| all.apart(tie.node, &tie.guests).0));
-        aparts.extend(self.presses.iter().map(|press| all.apart(press.node, &press.guests).0));
+        aparts.extend(self.ties.iter().map(|tie| all.apart(tie.node, &tie.ghost_nodes).0));
+        aparts.extend(self.presses.iter().map(|press| all.apart(press.node, &press.ghost_nodes).0));
         given.clear();
-        given.resize(self.guests.len(), Vector3::zeros());
+        given.resize(self.ghost_nodes.len(), Vector3::zeros());
         ties.clear();
         ties.resize(self.ties.len(), Vector3::zeros());
         presses.clear();
         presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
     }
 
-    /// Predicts the guests' positions.
+    /// Predicts the ghost nodes' positions.
     pub fn predict(&self, h: f64, scratch: &mut ExternalNodesState) {
-        let moving = self.guests.iter().zip(&mut scratch.moved.guests);
-        for (place, (guest, moved)) in scratch.places.iter_mut().zip(moving) {
+        let moving = self.ghost_nodes.iter().zip(&mut scratch.moved.ghost_nodes);
+        for (place, (ghost_node, moved)) in scratch.places.iter_mut().zip(moving) {
             let was = Vector3::new(place[0], place[1], place[2]);
-            let (velocity, mobility) = guest.flies(h, was, moved.velocity, &mut moved.path);
+            let (velocity, mobility) = ghost_node.free_velocity(h, was, moved.velocity, &mut moved.path);
             let now = was + velocity * h;
             *place = [now.x, now.y, now.z, mobility];
         }
@@ -375,9 +392,9 @@ impl ExternalNodes<'_> {
     /// One constraint iteration.
     pub fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
         let ExternalNodesState { places, aparts, ties, presses, .. } = scratch;
-        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        let mut all = SubstepNodes { bodies, ghost_nodes: places, rate: 1.0 / (h * h) };
         for ((tie, multiplier), then) in self.ties.iter().zip(ties).zip(&*aparts) {
-            let (stretch, yields) = all.apart(tie.node, &tie.guests);
+            let (stretch, yields) = all.apart(tie.node, &tie.ghost_nodes);
             if yields == 0.0 {
                 continue;
             }
@@ -385,18 +402,18 @@ impl ExternalNodes<'_> {
             let drag = tie.damping / (tie.stiffness * h);
             let slip = stretch - then;
             let change = (-stretch - *multiplier * soft - slip * drag) / ((1.0 + drag) * yields + soft);
-            all.push(tie.node, &tie.guests, &change);
+            all.push(tie.node, &tie.ghost_nodes, &change);
             *multiplier += change;
         }
         for (press, (along, across)) in self.presses.iter().zip(presses) {
-            let (over, yields) = all.apart(press.node, &press.guests);
+            let (over, yields) = all.apart(press.node, &press.ghost_nodes);
             if yields == 0.0 {
                 continue;
             }
             let soft = all.rate / press.stiffness;
             let gap = press.normal.dot(&over) - press.thickness;
             let pressed = (*along - (gap + soft * *along) / (yields + soft)).max(0.0);
-            all.push(press.node, &press.guests, &(press.normal * (pressed - *along)));
+            all.push(press.node, &press.ghost_nodes, &(press.normal * (pressed - *along)));
             *along = pressed;
             let (slip, yields) = all.apart(press.node, &press.anchor);
             let slip = slip - press.normal * press.normal.dot(&slip);
@@ -411,43 +428,51 @@ impl ExternalNodes<'_> {
     /// Ends a substep.
     pub fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState, parts: f64) {
         let ExternalNodesState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
-        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        let mut all = SubstepNodes { bodies, ghost_nodes: places, rate: 1.0 / (h * h) };
         // Work of the impulses on everything they act on; with the springs' energy its negative is the dissipated
         // energy. Computed from displacements of the ends: opposing forces on a light node cancel within a substep.
         let taken =
             |impulse: &Vector3<f64>, then: &Vector3<f64>, now: &Vector3<f64>| impulse.dot(&(now - then)) / h;
         for (index, (tie, multiplier)) in self.ties.iter().zip(&*ties).enumerate() {
             let impulse = multiplier / h;
-            for &(guest, weight) in tie.guests.iter().filter(|(guest, _)| *guest < OF_BODY) {
-                given[guest as usize] -= impulse * weight;
+            for &(ghost_node, weight) in
+                tie.ghost_nodes.iter().filter(|(ghost_node, _)| *ghost_node < OF_BODY)
+            {
+                given[ghost_node as usize] -= impulse * weight;
             }
             let tied = &mut moved.ties[index];
             tied.force += impulse / (h * parts);
-            let now = all.apart(tie.node, &tie.guests).0;
+            let now = all.apart(tie.node, &tie.ghost_nodes).0;
             let kept = 0.5 * tie.stiffness * (now.norm_squared() - aparts[index].norm_squared());
             tied.lost -= taken(&impulse, &aparts[index], &now) + kept;
         }
         for (index, (press, (along, across))) in self.presses.iter().zip(&*presses).enumerate() {
             let (pushing, holding) = (press.normal * (along / h), across / h);
-            press.guests.iter().for_each(|&(guest, weight)| given[guest as usize] -= pushing * weight);
-            press.anchor.iter().for_each(|&(guest, weight)| given[guest as usize] -= holding * weight);
+            press
+                .ghost_nodes
+                .iter()
+                .for_each(|&(ghost_node, weight)| given[ghost_node as usize] -= pushing * weight);
+            press
+                .anchor
+                .iter()
+                .for_each(|&(ghost_node, weight)| given[ghost_node as usize] -= holding * weight);
             let pressed = &mut moved.presses[index];
             pressed.force += (pushing + holding) / (h * parts);
             pressed.holds = *along > 0.0;
             pressed.slides = across.norm() >= press.friction * along * (1.0 - 1e-9);
             pressed.drawn = across * (all.rate / press.stiffness);
-            let now = all.apart(press.node, &press.guests).0;
+            let now = all.apart(press.node, &press.ghost_nodes).0;
             let then = &aparts[self.ties.len() + index];
             let depth = |apart: &Vector3<f64>| (press.thickness - press.normal.dot(apart)).max(0.0);
             let kept = 0.5 * press.stiffness * (depth(&now).powi(2) - depth(then).powi(2));
             pressed.lost -= taken(&(pushing + holding), then, &now) + kept;
         }
-        let places = all.guests.iter().zip(before);
-        for ((guest, impulse), (place, was)) in moved.guests.iter_mut().zip(given).zip(places) {
-            guest.velocity = Vector3::from_fn(|axis, _| (place[axis] - was[axis]) / h);
-            guest.position = Point3::new(place[0], place[1], place[2]);
-            guest.impulse += *impulse;
-            guest.work += impulse.dot(&guest.velocity);
+        let places = all.ghost_nodes.iter().zip(before);
+        for ((ghost_node, impulse), (place, was)) in moved.ghost_nodes.iter_mut().zip(given).zip(places) {
+            ghost_node.velocity = Vector3::from_fn(|axis, _| (place[axis] - was[axis]) / h);
+            ghost_node.position = Point3::new(place[0], place[1], place[2]);
+            ghost_node.impulse += *impulse;
+            ghost_node.work += impulse.dot(&ghost_node.velocity);
         }
     }
 }

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, Path};
+use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, PredictedPath};
 
 /// Maximum number of remembered steps.
 const PAST_MAX: usize = 512;
@@ -17,7 +17,7 @@ const HALVINGS: u32 = 16;
 
 /// Why a report was rejected; the ghosts are unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum GhostsError {
+pub enum GhostNodesError {
     /// A list of the wrong length.
     #[error("{what} of {found} nodes: there are {expected} ghosts")]
     Size {
@@ -35,7 +35,7 @@ pub enum GhostsError {
 
 /// Report of the slower body after a step, for the nodes with ghosts.
 #[derive(Clone, Copy, Debug)]
-pub struct News<'a> {
+pub struct SlowBodyReport<'a> {
     /// Positions \[m\].
     pub positions: &'a [Point3<f64>],
     /// Velocities \[m/s\].
@@ -49,11 +49,11 @@ pub struct News<'a> {
     pub masses_inverse: &'a [f64],
     /// Impulses taken in the last step \[N·s\].
     pub last: &'a [Vector3<f64>],
-    /// [`Ghosts::work`] as of the last impulses taken \[J\].
+    /// [`GhostNodes::work`] as of the last impulses taken \[J\].
     pub given_work: f64,
     /// Total work of all impulses taken, on the slower body \[J\].
     pub received: f64,
-    /// [`Ghosts::steps`] as of the last impulses taken.
+    /// [`GhostNodes::steps`] as of the last impulses taken.
     pub steps: u64,
     /// Length of its steps \[s\].
     pub step: f64,
@@ -62,7 +62,7 @@ pub struct News<'a> {
 /// A step of the faster body that the slower one has not reported on yet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Past {
+struct UnreportedStep {
     /// Its length \[s\].
     dt: f64,
     /// Impulses on the ghosts \[N·s\]; zero ones omitted.
@@ -72,12 +72,12 @@ struct Past {
 /// Ghost nodes of one slower body; all quantities in one non-rotating frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Ghosts {
+pub struct GhostNodes {
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
     masses_inverse: Vec<f64>,
     /// Predicted path of each ghost, with a force \[N\], and a spring to the path \[N/m\].
-    paths: Vec<Path>,
+    paths: Vec<PredictedPath>,
     pulls: Vec<Vector3<f64>>,
     springs: Vec<f64>,
     /// Position error of each ghost, still to be corrected \[m\].
@@ -85,7 +85,7 @@ pub struct Ghosts {
     given: Vec<Vector3<f64>>,
     /// Number of steps so far, and the most recent ones, oldest first.
     steps: u64,
-    past: VecDeque<Past>,
+    past: VecDeque<UnreportedStep>,
     /// Total work on the ghosts, and the part of it whose impulses the slower body has taken \[J\].
     work: f64,
     given_work: f64,
@@ -99,12 +99,12 @@ pub struct Ghosts {
     exchanged: f64,
 }
 
-impl Ghosts {
+impl GhostNodes {
     /// For nodes at rest at these positions \[m\]; immovable until the first report.
     ///
     /// # Errors
     /// A non-finite position.
-    pub fn new(positions: &[Point3<f64>]) -> Result<Self, GhostsError> {
+    pub fn new(positions: &[Point3<f64>]) -> Result<Self, GhostNodesError> {
         let mut ghosts = Self::default();
         ghosts.more(positions)?;
         Ok(ghosts)
@@ -114,11 +114,13 @@ impl Ghosts {
     ///
     /// # Errors
     /// A non-finite position.
-    pub fn more(&mut self, positions: &[Point3<f64>]) -> Result<(), GhostsError> {
+    pub fn more(&mut self, positions: &[Point3<f64>]) -> Result<(), GhostNodesError> {
         finite("a place", positions.iter().flat_map(|at| at.iter()))?;
         self.positions.extend_from_slice(positions);
         let count = self.positions.len();
-        let still = positions.iter().map(|position| Path { position: *position, ..Path::default() });
+        let still = positions
+            .iter()
+            .map(|position| PredictedPath { position: *position, ..PredictedPath::default() });
         self.paths.extend(still);
         self.masses_inverse.resize(count, 0.0);
         self.springs.resize(count, 0.0);
@@ -179,7 +181,7 @@ impl Ghosts {
 
     /// Largest position error of any ghost \[m\].
     #[must_use]
-    pub fn furthest_behind(&self) -> f64 {
+    pub fn position_error_max(&self) -> f64 {
         self.behind.iter().map(|behind| behind.norm()).fold(0.0, f64::max)
     }
 
@@ -199,79 +201,84 @@ impl Ghosts {
     ///
     /// # Errors
     /// A list of the wrong length, or a non-finite value.
-    pub fn hear(&mut self, news: &News<'_>) -> Result<(), GhostsError> {
+    pub fn receive(&mut self, report: &SlowBodyReport<'_>) -> Result<(), GhostNodesError> {
         let expected = self.count();
         for (what, found) in [
-            ("places", news.positions.len()),
-            ("velocities", news.velocities.len()),
-            ("mobilities", news.mobilities.len()),
-            ("masses", news.masses_inverse.len()),
-            ("expected velocities", news.expected.len()),
-            ("impulses", news.last.len()),
+            ("places", report.positions.len()),
+            ("velocities", report.velocities.len()),
+            ("mobilities", report.mobilities.len()),
+            ("masses", report.masses_inverse.len()),
+            ("expected velocities", report.expected.len()),
+            ("impulses", report.last.len()),
         ] {
             if found != expected {
-                return Err(GhostsError::Size { what, found, expected });
+                return Err(GhostNodesError::Size { what, found, expected });
             }
         }
-        finite("a place", news.positions.iter().flat_map(|at| at.iter()))?;
-        finite("a velocity", news.velocities.iter().chain(news.expected).flatten())?;
-        finite("an impulse", news.last.iter().flatten())?;
-        finite("a work", [news.given_work, news.received].iter())?;
-        let mut positive = news.mobilities.iter().chain(news.masses_inverse).chain([&news.step]);
+        finite("a place", report.positions.iter().flat_map(|at| at.iter()))?;
+        finite("a velocity", report.velocities.iter().chain(report.expected).flatten())?;
+        finite("an impulse", report.last.iter().flatten())?;
+        finite("a work", [report.given_work, report.received].iter())?;
+        let mut positive = report.mobilities.iter().chain(report.masses_inverse).chain([&report.step]);
         if !positive.all(|value| *value >= 0.0 && value.is_finite()) {
-            return Err(GhostsError::Number("a time or a mobility"));
+            return Err(GhostNodesError::Number("a time or a mobility"));
         }
         // Replay the impulses that it has not taken yet, from its reported state.
-        let since = self.steps.saturating_sub(news.steps) as usize;
+        let since = self.steps.saturating_sub(report.steps) as usize;
         self.past.drain(..self.past.len().saturating_sub(since));
-        let mut guests: Vec<GhostNode> = (0..expected).map(|node| expect(news, node)).collect();
-        for Past { dt, given } in &self.past {
+        let mut ghost_nodes: Vec<GhostNode> = (0..expected).map(|node| expect(report, node)).collect();
+        for UnreportedStep { dt, given } in &self.past {
             let mut given = given.iter().peekable();
-            for (ghost, guest) in guests.iter_mut().enumerate() {
+            for (ghost, ghost_node) in ghost_nodes.iter_mut().enumerate() {
                 let impulse = given.next_if(|(of, _)| *of as usize == ghost).map(|(_, impulse)| *impulse);
-                guest.go(*dt, &impulse.unwrap_or_default());
+                ghost_node.go(*dt, &impulse.unwrap_or_default());
             }
         }
-        for (ghost, guest) in guests.into_iter().enumerate() {
-            self.behind[ghost] = guest.position - self.positions[ghost];
-            self.velocities[ghost] = guest.velocity;
-            self.masses_inverse[ghost] = guest.mobility;
-            self.pulls[ghost] = guest.pull;
-            self.springs[ghost] = guest.stiffness;
-            self.paths[ghost] = guest.path;
+        for (ghost, ghost_node) in ghost_nodes.into_iter().enumerate() {
+            self.behind[ghost] = ghost_node.position - self.positions[ghost];
+            self.velocities[ghost] = ghost_node.velocity;
+            self.masses_inverse[ghost] = ghost_node.mobility;
+            self.pulls[ghost] = ghost_node.pull;
+            self.springs[ghost] = ghost_node.stiffness;
+            self.paths[ghost] = ghost_node.path;
         }
-        (self.given_work, self.received) = (news.given_work, news.received);
+        (self.given_work, self.received) = (report.given_work, report.received);
         Ok(())
     }
 
-    /// Begins a step of the faster body: corrects the ghosts as far as the tank pays, and adds them to the guests. Ties
+    /// Begins a step of the faster body: corrects the ghosts as far as the tank pays, and adds them to the list. Ties
     /// and contacts refer to ghosts by their numbers here; `nodes` are the positions of the faster body's nodes \[m\].
-    pub fn meet(&mut self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], guests: &mut Vec<GhostNode>) {
+    pub fn begin_step(
+        &mut self,
+        external_nodes: &ExternalNodes<'_>,
+        nodes: &[Point3<f64>],
+        ghost_nodes: &mut Vec<GhostNode>,
+    ) {
         // Tank energy beyond the springs' current energy is of no use, and part of it never was kinetic: opposing
         // forces on a light node cancel in every step.
-        self.paid += (self.tank() - self.stored(company, nodes)).max(0.0);
+        self.paid += (self.tank() - self.stored(external_nodes, nodes)).max(0.0);
         let tank = self.tank().max(0.0);
         let mut share = 1.0;
-        if self.cost(company, nodes, share) > tank {
+        if self.cost(external_nodes, nodes, share) > tank {
             let mut more = 1.0;
             share = 0.0;
             for _ in 0..HALVINGS {
                 more *= 0.5;
-                if self.cost(company, nodes, share + more) <= tank {
+                if self.cost(external_nodes, nodes, share + more) <= tank {
                     share += more;
                 }
             }
         }
-        self.paid += self.cost(company, nodes, share);
+        self.paid += self.cost(external_nodes, nodes, share);
         for (position, behind) in self.positions.iter_mut().zip(&mut self.behind) {
             *position += *behind * share;
             *behind *= 1.0 - share;
         }
-        guests.extend(self.guests());
+        ghost_nodes.extend(self.ghost_nodes());
     }
 
-    /// The current ghosts, as guests.
-    pub fn guests(&self) -> impl Iterator<Item = GhostNode> {
+    /// The current ghosts, as ghost nodes.
+    pub fn ghost_nodes(&self) -> impl Iterator<Item = GhostNode> {
         (0..self.count()).map(|ghost| GhostNode {
             position: self.positions[ghost],
             velocity: self.velocities[ghost],
@@ -283,36 +290,36 @@ impl Ghosts {
     }
 
     /// Energy stored in the springs \[J\].
-    fn stored(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>]) -> f64 {
+    fn stored(&self, external_nodes: &ExternalNodes<'_>, nodes: &[Point3<f64>]) -> f64 {
         let over = |node: u32, of: &[(u32, f64)]| {
             of.iter().fold(nodes[node as usize].coords, |sum, &(ghost, weight)| {
                 sum - self.positions[ghost as usize].coords * weight
             })
         };
-        let ties = company.ties.iter();
-        let ties = ties.map(|tie| 0.5 * tie.stiffness * over(tie.node, &tie.guests).norm_squared());
-        let presses = company.presses.iter().map(|press| {
-            let depth = press.thickness - press.normal.dot(&over(press.node, &press.guests));
+        let ties = external_nodes.ties.iter();
+        let ties = ties.map(|tie| 0.5 * tie.stiffness * over(tie.node, &tie.ghost_nodes).norm_squared());
+        let presses = external_nodes.presses.iter().map(|press| {
+            let depth = press.thickness - press.normal.dot(&over(press.node, &press.ghost_nodes));
             0.5 * press.stiffness * depth.max(0.0).powi(2)
         });
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
     /// Increase of the springs' energy when a fraction of the position error is corrected \[J\].
-    fn cost(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
+    fn cost(&self, external_nodes: &ExternalNodes<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
         let place = |of: &[(u32, f64)]| -> [Vector3<f64>; 2] {
             of.iter().fold([Vector3::zeros(); 2], |[at, behind], &(ghost, weight)| {
                 let ghost = ghost as usize;
                 [at + self.positions[ghost].coords * weight, behind + self.behind[ghost] * weight]
             })
         };
-        let ties = company.ties.iter().map(|tie| {
-            let [at, behind] = place(&tie.guests);
+        let ties = external_nodes.ties.iter().map(|tie| {
+            let [at, behind] = place(&tie.ghost_nodes);
             let apart = nodes[tie.node as usize].coords - at;
             tie.stiffness * share * (0.5 * share * behind.norm_squared() - apart.dot(&behind))
         });
-        let presses = company.presses.iter().map(|press| {
-            let [at, behind] = place(&press.guests);
+        let presses = external_nodes.presses.iter().map(|press| {
+            let [at, behind] = place(&press.ghost_nodes);
             let depth = press.thickness - press.normal.dot(&(nodes[press.node as usize].coords - at));
             let then = depth + share * press.normal.dot(&behind);
             0.5 * press.stiffness * (then.max(0.0).powi(2) - depth.max(0.0).powi(2))
@@ -320,16 +327,19 @@ impl Ghosts {
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
-    /// Ends a step of the faster body of `dt` seconds, with the guests' results and the energy that ties and contacts
-    /// dissipated \[J\].
-    pub fn met(&mut self, dt: f64, guests: &[GhostMoved], lost: f64) {
+    /// Ends a step of the faster body of `dt` seconds, with the ghost nodes' results and the energy that ties and
+    /// contacts dissipated \[J\].
+    pub fn end_step(&mut self, dt: f64, ghost_nodes: &[GhostMoved], lost: f64) {
         if self.past.len() == PAST_MAX {
             self.past.pop_front();
         }
-        let given = guests.iter().zip(0..).filter(|(after, _)| after.impulse != Vector3::zeros());
-        self.past.push_back(Past { dt, given: given.map(|(after, ghost)| (ghost, after.impulse)).collect() });
+        let given = ghost_nodes.iter().zip(0..).filter(|(after, _)| after.impulse != Vector3::zeros());
+        self.past.push_back(UnreportedStep {
+            dt,
+            given: given.map(|(after, ghost)| (ghost, after.impulse)).collect(),
+        });
         self.steps += 1;
-        for (ghost, after) in guests.iter().enumerate().take(self.count()) {
+        for (ghost, after) in ghost_nodes.iter().enumerate().take(self.count()) {
             self.positions[ghost] = after.position;
             self.velocities[ghost] = after.velocity;
             self.paths[ghost] = after.path;
@@ -361,32 +371,32 @@ impl Ghosts {
 }
 
 /// A node with the motion that the slower body predicts from the time of its report.
-fn expect(news: &News<'_>, node: usize) -> GhostNode {
-    let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
-    let mobility = news.mobilities[node].min(mass_inverse);
+fn expect(report: &SlowBodyReport<'_>, node: usize) -> GhostNode {
+    let (mass_inverse, velocity) = (report.masses_inverse[node], report.velocities[node]);
+    let mobility = report.mobilities[node].min(mass_inverse);
     // A node whose mass nothing restrains continues its motion. A restrained node is at the equilibrium of its forces:
     // it takes its predicted velocity at once.
     let loose = if mass_inverse > 0.0 { mobility / mass_inverse } else { 1.0 };
-    let change = news.expected[node] - velocity;
-    let per_step = if news.step > 0.0 { news.step.recip() } else { 0.0 };
+    let change = report.expected[node] - velocity;
+    let per_step = if report.step > 0.0 { report.step.recip() } else { 0.0 };
     let begin = velocity + change * (1.0 - loose);
     let held = if mobility > 0.0 { mobility.recip() - mass_inverse.recip() } else { 0.0 };
     GhostNode {
-        position: news.positions[node],
+        position: report.positions[node],
         velocity: begin,
         mobility: if mobility > 0.0 { mass_inverse } else { 0.0 },
         // Balance of the last step's impulse: in equilibrium nothing moves.
-        pull: news.last[node] * -per_step,
-        path: Path {
-            position: news.positions[node],
+        pull: report.last[node] * -per_step,
+        path: PredictedPath {
+            position: report.positions[node],
             velocity: begin,
             acceleration: change * (loose * per_step),
-            lasts: news.step,
+            lasts: report.step,
         },
         stiffness: held.max(0.0) * per_step * per_step,
     }
 }
 
-fn finite<'a>(what: &'static str, values: impl IntoIterator<Item = &'a f64>) -> Result<(), GhostsError> {
-    values.into_iter().all(|x| x.is_finite()).then_some(()).ok_or(GhostsError::Number(what))
+fn finite<'a>(what: &'static str, values: impl IntoIterator<Item = &'a f64>) -> Result<(), GhostNodesError> {
+    values.into_iter().all(|x| x.is_finite()).then_some(()).ok_or(GhostNodesError::Number(what))
 }

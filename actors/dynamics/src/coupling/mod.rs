@@ -1,7 +1,7 @@
 //! Co-simulation coupling of bodies with different methods and rates: a membrane grown onto an organ, a band around
 //! one.
 //!
-//! The faster body is stepped with [`Ghosts`] of the slower one's nodes: mass points with the effective mass that a
+//! The faster body is stepped with [`GhostNodes`] of the slower one's nodes: mass points with the effective mass that a
 //! node shows in one of the slower body's steps. Ties and contacts between the two are part of the faster body's solver
 //! ([`ExternalNodes`](external_nodes::ExternalNodes)). The impulses on the ghosts accumulate, and the slower body takes
 //! the sum at its next step. Action and reaction are the same numbers, so momentum is exchanged to rounding, for any
@@ -22,5 +22,5 @@ pub mod external_nodes;
 pub(crate) mod ghost_nodes;
 pub(crate) mod surface_contact;
 
-pub use ghost_nodes::{Ghosts, GhostsError, News};
-pub use surface_contact::{Anchor, Lying, LyingRule};
+pub use ghost_nodes::{GhostNodes, GhostNodesError, SlowBodyReport};
+pub use surface_contact::{StickPoint, SurfaceContactParams, SurfaceContacts};

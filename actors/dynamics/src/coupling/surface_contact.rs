@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::moving_surface::MovingSurface;
 use trocar_collision::{Surface, pseudonormal};
 
-use super::external_nodes::{GhostMoved, Press, Pressed};
+use super::external_nodes::{GhostMoved, NodeContact, NodeContactResult};
 
 /// Nodes deeper in the body than this are ignored \[m\].
 const DEEP: f64 = 0.01;
@@ -15,7 +15,7 @@ const NEAR: f64 = 0.003;
 
 /// Contact parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LyingRule {
+pub struct SurfaceContactParams {
     /// Distance of nodes from the surface \[m\].
     pub thickness: f64,
     /// Stiffness: force per penetration depth of a node \[N/m\].
@@ -27,7 +27,7 @@ pub struct LyingRule {
 /// The point on the surface where friction makes a node stick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Anchor {
+pub struct StickPoint {
     /// A node of the faster body.
     pub node: u32,
     /// Vertices of the surface, with their weights.
@@ -36,31 +36,31 @@ pub struct Anchor {
 
 /// Nodes in contact with another solver's surface.
 #[derive(Clone, Debug)]
-pub struct Lying {
-    rule: LyingRule,
+pub struct SurfaceContacts {
+    rule: SurfaceContactParams,
     surface: MovingSurface,
     /// Ascending.
-    anchors: Vec<Anchor>,
+    anchors: Vec<StickPoint>,
 }
 
-impl Lying {
+impl SurfaceContacts {
     /// For the surface of a volume, its triangles oriented outwards.
     #[must_use]
-    pub fn new(rule: LyingRule, surface: &Surface<'_>) -> Self {
+    pub fn new(rule: SurfaceContactParams, surface: &Surface<'_>) -> Self {
         Self { rule, surface: MovingSurface::new(surface), anchors: Vec::new() }
     }
 
     /// Stick points, to continue from.
     #[must_use]
-    pub fn anchors(&self) -> &[Anchor] {
+    pub fn anchors(&self) -> &[StickPoint] {
         &self.anchors
     }
 
     /// Continues from these stick points.
-    pub fn hold(&mut self, anchors: &[Anchor]) {
+    pub fn hold(&mut self, anchors: &[StickPoint]) {
         self.anchors.clear();
         let known = self.surface.surface().vertices().len();
-        let sound = |anchor: &&Anchor| {
+        let sound = |anchor: &&StickPoint| {
             anchor.at.iter().all(|(vertex, weight)| (*vertex as usize) < known && weight.is_finite())
         };
         self.anchors.extend(anchors.iter().filter(sound));
@@ -76,11 +76,11 @@ impl Lying {
         positions: &[Point3<f64>],
         velocities: &[Vector3<f64>],
         dt: f64,
-        presses: &mut Vec<Press>,
+        presses: &mut Vec<NodeContact>,
     ) {
         presses.clear();
         self.surface.follow(surface);
-        let LyingRule { thickness, stiffness, friction } = self.rule;
+        let SurfaceContactParams { thickness, stiffness, friction } = self.rule;
         let surface = self.surface.surface();
         let Some(bounds) = self.surface.tree().bounds() else { return };
         for &node in nodes {
@@ -109,20 +109,20 @@ impl Lying {
                 continue;
             };
             let corners = surface.triangles()[nearest.triangle as usize];
-            let guests = [0, 1, 2].map(|k| (corners[k], weights[k]));
+            let ghost_nodes = [0, 1, 2].map(|k| (corners[k], weights[k]));
             let held = self.anchors.binary_search_by_key(&node, |anchor| anchor.node);
-            let anchor = held.map_or(guests, |at| self.anchors[at].at);
-            presses.push(Press { node, guests, anchor, normal, thickness, stiffness, friction });
+            let anchor = held.map_or(ghost_nodes, |at| self.anchors[at].at);
+            presses.push(NodeContact { node, ghost_nodes, anchor, normal, thickness, stiffness, friction });
         }
     }
 
     /// After the step: a contact sticks at its current point, or, while sliding, at the friction limit ahead of it.
-    /// Contacts as found, guests in the order of the surface's vertices, the faster body's nodes \[m\].
-    pub fn met(
+    /// Contacts as found, ghost nodes in the order of the surface's vertices, the faster body's nodes \[m\].
+    pub fn end_step(
         &mut self,
-        presses: &[Press],
-        moved: &[Pressed],
-        guests: &[GhostMoved],
+        presses: &[NodeContact],
+        moved: &[NodeContactResult],
+        ghost_nodes: &[GhostMoved],
         positions: &[Point3<f64>],
     ) {
         let mut held = Vec::with_capacity(presses.len());
@@ -131,18 +131,20 @@ impl Lying {
                 continue;
             }
             if !pressed.slides {
-                held.push(Anchor { node: press.node, at: press.anchor });
+                held.push(StickPoint { node: press.node, at: press.anchor });
                 continue;
             }
-            let place = |(guest, weight): (u32, f64)| guests[guest as usize].position.coords * weight;
-            let foot = press.guests.into_iter().map(place).sum::<Vector3<f64>>();
+            let place =
+                |(ghost_node, weight): (u32, f64)| ghost_nodes[ghost_node as usize].position.coords * weight;
+            let foot = press.ghost_nodes.into_iter().map(place).sum::<Vector3<f64>>();
             let over = positions[press.node as usize].coords - foot;
             let ahead = foot + (over - press.normal * press.normal.dot(&over)) + pressed.drawn;
             // In the plane of its triangle: a little beyond the edge is still the same point.
-            let [a, b, c] = press.guests.map(|(guest, _)| guests[guest as usize].position.coords);
+            let [a, b, c] =
+                press.ghost_nodes.map(|(ghost_node, _)| ghost_nodes[ghost_node as usize].position.coords);
             if let Some(at) = weights_in_plane(&[a, b, c], &ahead) {
-                let at = [0, 1, 2].map(|k| (press.guests[k].0, at[k]));
-                held.push(Anchor { node: press.node, at });
+                let at = [0, 1, 2].map(|k| (press.ghost_nodes[k].0, at[k]));
+                held.push(StickPoint { node: press.node, at });
             }
         }
         self.anchors = held;

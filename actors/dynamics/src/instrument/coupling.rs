@@ -1,5 +1,5 @@
-//! Virtual coupling between a hand and its instrument (Colgate, Stanley, Brown 1995): a critically damped spring in six
-//! degrees of freedom, discretised for a fixed step.
+//! Critically damped coupling between a hand and its instrument (Colgate, Stanley, Brown 1995): a spring and damper in
+//! six degrees of freedom, discretised for a fixed step.
 //!
 //! The spring is explicit and the damper an exact exponential decay, so the force at rest is exactly stiffness times
 //! displacement for any step length. Both are limited to what is stable with the instrument's inertia at that step, and
@@ -7,15 +7,7 @@
 
 use nalgebra::{ComplexField, Isometry3, Vector3};
 use trocar_scene::components::Velocity;
-
-/// A force and a torque about the instrument's tip, in world axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wrench {
-    /// Force \[N\].
-    pub force: Vector3<f64>,
-    /// Torque about the tip \[N·m\].
-    pub torque: Vector3<f64>,
-}
+use trocar_scene::kinematics::spatial::Wrench;
 
 /// Maximum phase advance of the spring per step \[rad\]; the explicit scheme is stable below 2, with the damper below
 /// 1.
@@ -23,7 +15,7 @@ const PHASE_MAX: f64 = 0.5;
 
 /// The coupling of one instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VirtualCoupling {
+pub struct CriticallyDampedCoupling {
     /// Linear stiffness \[N/m\].
     stiffness: f64,
     /// Linear damping, already reduced for the step \[N·s/m\].
@@ -36,7 +28,7 @@ pub struct VirtualCoupling {
     torque_max: f64,
 }
 
-impl VirtualCoupling {
+impl CriticallyDampedCoupling {
     /// A critically damped coupling for an instrument of `mass` \[kg\] with radii of `gyration` about its
     /// own x, y and z \[m\], at `stiffness` \[N/m\], for steps of `step_secs`.
     ///
@@ -67,7 +59,7 @@ impl VirtualCoupling {
         self.damping
     }
 
-    /// The wrench on the instrument at its tip that pulls `actual` towards `target` (both
+    /// The wrench on the instrument about its tip, in world axes, that pulls `actual` towards `target` (both
     /// `world_from_instrument`, with the velocities of the tip).
     pub fn wrench(
         &self,
@@ -104,12 +96,12 @@ mod tests {
 
     const STEP: f64 = 0.001;
 
-    fn coupling(stiffness: f64) -> VirtualCoupling {
-        VirtualCoupling::new(0.03, Vector3::new(0.03, 0.03, 0.008), stiffness, 20.0, STEP)
+    fn coupling(stiffness: f64) -> CriticallyDampedCoupling {
+        CriticallyDampedCoupling::new(0.03, Vector3::new(0.03, 0.03, 0.008), stiffness, 20.0, STEP)
     }
 
     /// A free point mass on the coupling, by the solver's semi-implicit Euler.
-    fn settle(coupling: &VirtualCoupling, jump: f64, steps: usize) -> (f64, f64) {
+    fn settle(coupling: &CriticallyDampedCoupling, jump: f64, steps: usize) -> (f64, f64) {
         let (mut x, mut v, mut overshoot) = (0.0, 0.0, 0.0f64);
         let target = Isometry3::translation(jump, 0.0, 0.0);
         for _ in 0..steps {

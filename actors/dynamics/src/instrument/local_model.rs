@@ -11,7 +11,7 @@ use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
 use super::contact::Contact;
-use super::coupling::VirtualCoupling;
+use super::coupling::CriticallyDampedCoupling;
 use super::state::InstrumentState;
 
 /// Planes whose normals differ by less than about 18° are merged.
@@ -33,7 +33,7 @@ pub struct Obstacle {
 /// Builds the local model of one instrument from the contacts of the step and from the predicted obstacle.
 pub fn local_contact_model(
     instrument: Entity,
-    coupling: &VirtualCoupling,
+    coupling: &CriticallyDampedCoupling,
     state: &InstrumentState,
     contacts: &[Contact],
     obstacle: Option<Obstacle>,
@@ -70,7 +70,7 @@ pub fn local_contact_model(
 
 /// The plane at which the tip stops when the instrument is `gap` away from a surface.
 fn plane_at(
-    coupling: &VirtualCoupling,
+    coupling: &CriticallyDampedCoupling,
     state: &InstrumentState,
     normal_in_world: Vector3<f64>,
     gap: f64,

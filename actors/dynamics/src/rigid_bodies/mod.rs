@@ -22,6 +22,7 @@ use trocar_scene::components::{
 };
 use trocar_scene::controller::{BuildContext, Controller, ControllerError, Tick};
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::{Revision, SimTime};
 
@@ -29,7 +30,7 @@ use crate::instrument::grasp::Hold;
 use crate::instrument::mechanism::MechanismState;
 use crate::instrument::state::{InstrumentState, JawOpening};
 use crate::instrument::target_track::TargetTrack;
-use crate::rigid_world::{World, WorldError, Wrench};
+use crate::rigid_world::{World, WorldError};
 use crate::soft_body::contact::RigidContacts;
 use access::{declared_access, declared_rows, meets_soft_bodies, moved_entities};
 use external_contact_model::{held_by, modelled_by_others};
@@ -123,7 +124,7 @@ impl<W: World> RigidBodiesController<W> {
             meets_soft_bodies: meets_soft_bodies(context.scene),
             pushed: Vec::new(),
         };
-        this.take_in(context.scene, 0.0)?;
+        this.read_changes(context.scene, 0.0)?;
         Ok(this)
     }
 
@@ -133,7 +134,7 @@ impl<W: World> RigidBodiesController<W> {
     }
 
     /// Reads the changes of the scene since the last call.
-    fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), WorldError> {
+    fn read_changes(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), WorldError> {
         self.drop_vanished(scene);
         let changed = scene.iter_changed::<RigidBody>(self.seen).map(|(entity, _)| entity);
         let changed = changed
@@ -388,7 +389,7 @@ impl<W: World> Controller for RigidBodiesController<W> {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        self.take_in(scene, tick.period.as_secs_f64())
+        self.read_changes(scene, tick.period.as_secs_f64())
             .map_err(|error| ControllerError::Scene(error.to_string()))?;
         let step_secs = self.step_secs;
         // Catch up to the tick's time; the lag determines the number of steps.

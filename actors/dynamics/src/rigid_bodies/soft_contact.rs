@@ -4,11 +4,12 @@
 use trocar_scene::commands::Commands;
 use trocar_scene::components::Motion;
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::SimTime;
 
 use super::RigidBodiesController;
-use crate::rigid_world::{World, WorldError, Wrench};
+use crate::rigid_world::{World, WorldError};
 use crate::soft_body::contact::RigidContacts;
 use crate::soft_body::contact::rigid::motion;
 use crate::soft_body::contact::tracking::answers;
@@ -91,7 +92,7 @@ impl<W: World> RigidBodiesController<W> {
             let after = motion(&told.inertia, &now.isometry(), &velocity);
             let by_push = told.inertia.change(&pose.isometry(), [push.force, push.torque]);
             let pull = [0, 1].map(|side| (after[side] - before[side]) / secs - by_push[side]);
-            known.is_told &= !told.learn(pull);
+            known.is_told &= !told.update_acceleration(pull);
         }
         self.pushed.drain(..).try_for_each(|entity| self.world.push(entity, &Wrench::default()))
     }

@@ -64,7 +64,10 @@ pub enum WorldError {
     },
     /// A step would have given some bodies a non-finite pose or velocity: they keep their previous state. The world can
     /// continue without them.
-    #[error("a step took {} to a state that is not finite", named(entities))]
+    #[error(
+        "a step took {} to a state that is not finite: take a shorter step, or check masses and forces",
+        named(entities)
+    )]
     Diverged {
         /// These bodies and instruments; empty if they are not known.
         entities: Vec<Entity>,

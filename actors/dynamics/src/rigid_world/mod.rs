@@ -2,9 +2,11 @@
 
 pub(crate) mod error;
 pub mod mass_properties;
+pub(crate) mod mobility;
+pub(crate) mod settings;
 pub(crate) mod world;
-pub(crate) mod wrench;
 
 pub use error::WorldError;
-pub use world::{FLOOR, Inertia, Scheduling, ToolView, World, check};
-pub use wrench::{Wrench, most_across};
+pub use mobility::tangential_mobility_max;
+pub use settings::{WorldSettings, check_setting};
+pub use world::{FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, check};

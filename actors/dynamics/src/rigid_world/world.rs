@@ -3,15 +3,15 @@
 
 use nalgebra::{Matrix3, Point3};
 use serde::{Deserialize, Serialize};
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
     Collision, Component, Detection, Entity, Instrument, InstrumentTarget, Pose, RigidBody, Shape, SimTime,
     Velocity,
 };
 
 use super::WorldError;
-use super::wrench::Wrench as Push;
 use crate::instrument::contact::Contact;
-use crate::instrument::coupling::{VirtualCoupling, Wrench};
+use crate::instrument::coupling::CriticallyDampedCoupling;
 use crate::instrument::grasp::Hold;
 use crate::instrument::local_model::Obstacle;
 use crate::instrument::state::InstrumentState;
@@ -19,6 +19,8 @@ use crate::instrument::target_track::TargetTrack;
 
 /// The entity under which the world's own floor reports its contacts.
 pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
+/// Half of the floor's width, depth and thickness \[m\].
+pub const FLOOR_HALF_EXTENTS: [f64; 3] = [2.0, 2.0, 0.05];
 
 /// Settings that the controller of a world needs.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,7 +53,7 @@ pub struct ToolView {
     /// Pose, velocity and jaw opening.
     pub state: InstrumentState,
     /// The virtual coupling to its hand.
-    pub coupling: VirtualCoupling,
+    pub coupling: CriticallyDampedCoupling,
     /// The body that it holds by opposing contacts of both jaws.
     pub hold: Option<Hold>,
     /// Normal force on the pads of jaw A and jaw B in the last step \[N\].
@@ -157,7 +159,7 @@ pub trait World: Send + Sized + 'static {
     ///
     /// # Errors
     /// No such body; a non-finite force.
-    fn push(&mut self, entity: Entity, push: &Push) -> Result<(), WorldError>;
+    fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), WorldError>;
     /// Mass properties of a body as seen by contacts; `None` for an immovable or unknown body.
     fn inertia(&self, entity: Entity) -> Option<Inertia>;
 

@@ -16,14 +16,14 @@ use trocar_scene::{
 
 use super::contact::SoftContacts;
 use super::contact::penalty::{self, RespondingBody};
-use super::contact::tracking::{self, Shape, Surroundings};
-use super::coupling::slow_side::Answering;
-use super::frozen::{FrozenPart, Refused};
+use super::contact::tracking::{self, AdjacencyCache, Shape};
+use super::coupling::slow_side::SlowSide;
+use super::frozen::{FrozenPart, RejectedBody};
 use super::grasp::{Grips, Holder};
 use super::instrument_rods::{Rod, rods_of_all};
 use super::jaws::is_blade;
 use super::method::{Measures, Step, StepContext, finite_vertices};
-use super::rod_contact::{COLLISIONS_MAX, Touch, collision, touches};
+use super::rod_contact::{COLLISIONS_MAX, RodContact, collision, touches};
 use super::{Deformable, SoftMethod};
 use crate::picking::{DrivenVertex, Jaws, Pick};
 
@@ -33,9 +33,9 @@ struct Body<M> {
     is_pinned: Vec<bool>,
     grips: Grips,
     /// State of the slower side of a coupling, if others are coupled with it.
-    answering: Option<Answering>,
+    slow_side: Option<SlowSide>,
     frozen: bool,
-    meets: StepInputs,
+    inputs: StepInputs,
     /// Detected contacts: their persistent state, the sum of the force magnitudes \[N\], and the number of active ones.
     contacts: SoftContacts,
     pressed: (f64, usize),
@@ -47,8 +47,8 @@ struct StepInputs {
     world_from_body: Isometry3<f64>,
     gravity: Vector3<f64>,
     rods: Vec<Rod>,
-    touches: Vec<Touch>,
-    led: Vec<DrivenVertex>,
+    touches: Vec<RodContact>,
+    driven: Vec<DrivenVertex>,
     given: Vec<(u32, Vector3<f64>)>,
     forces: Vec<Vector3<f64>>,
 }
@@ -63,7 +63,7 @@ impl StepInputs {
             rods: &self.rods,
             touches: &self.touches,
             forces: &self.given,
-            led: &self.led,
+            driven: &self.driven,
         }
     }
 }
@@ -72,8 +72,8 @@ impl StepInputs {
 pub struct SoftController<M> {
     gravity_in_world: Vector3<f64>,
     bodies: Vec<Body<M>>,
-    refused: Vec<Refused>,
-    surroundings: Surroundings,
+    refused: Vec<RejectedBody>,
+    surroundings: AdjacencyCache,
     registry: Arc<Registry>,
 }
 
@@ -88,14 +88,14 @@ impl<M: SoftMethod> SoftController<M> {
             let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
             match Body::read(kind, entity, context.scene) {
                 Ok(body) => bodies.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+                Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if bodies.is_empty() && refused.is_empty() {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
-        let (surroundings, registry) = (Surroundings::default(), context.scene.registry().clone());
+        let (surroundings, registry) = (AdjacencyCache::default(), context.scene.registry().clone());
         Ok(Self { gravity_in_world, bodies, refused, surroundings, registry })
     }
 
@@ -103,9 +103,9 @@ impl<M: SoftMethod> SoftController<M> {
     fn answer_found(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
         let mut own = Vec::new();
         for of in self.bodies.iter_mut().filter(|of| !of.frozen) {
-            let Body { body, method, meets, contacts, .. } = of;
+            let Body { body, method, inputs, contacts, .. } = of;
             let Some(terms) = method.terms() else { continue };
-            let StepInputs { given, led, world_from_body, gravity, .. } = meets;
+            let StepInputs { given, driven, world_from_body, gravity, .. } = inputs;
             own.push(RespondingBody {
                 entity: body.entity,
                 shape: Shape {
@@ -117,7 +117,7 @@ impl<M: SoftMethod> SoftController<M> {
                     motion: Velocity::default(),
                 },
                 terms,
-                led,
+                driven,
                 gravity_in_body: *gravity,
                 forces: std::mem::take(given),
                 memory: std::mem::take(contacts),
@@ -135,7 +135,7 @@ impl<M: SoftMethod> SoftController<M> {
             if changed {
                 out.put(of.body.entity, memory.clone());
             }
-            (of.meets.given, of.contacts, of.pressed) = (forces, memory, pressed);
+            (of.inputs.given, of.contacts, of.pressed) = (forces, memory, pressed);
         }
     }
 }
@@ -153,7 +153,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
-        let access = Answering::access(access, &self.registry, &bodies);
+        let access = SlowSide::access(access, &self.registry, &bodies);
         M::access(tracking::access(access, &self.registry, &bodies), &bodies)
     }
 
@@ -169,12 +169,12 @@ impl<M: SoftMethod> Controller for SoftController<M> {
         M::step_all(&mut steps);
         let done: Vec<_> = steps.into_iter().map(|step| (step.done, step.forces)).collect();
         for (body, (done, forces)) in self.bodies.iter_mut().filter(|body| !body.frozen).zip(done) {
-            body.meets.forces = forces;
+            body.inputs.forces = forces;
             if let Err(reason) = done.and_then(|()| body.is_finite()) {
                 body.freeze(&reason, tick, out);
             }
         }
-        let mut found = Found::default();
+        let mut found = TickContacts::default();
         let mut measured = Measured::default();
         for body in &mut self.bodies {
             found.pushed = 0.0;
@@ -193,7 +193,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             measures.put("frozen", f64::from(u8::from(body.frozen)));
             body.method.measure(&body.body, &mut measures);
         }
-        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
         found.collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
         found.collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions: found.collisions, penetration_max: found.depth_max });
@@ -204,7 +204,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
 
 /// Contact results of a tick.
 #[derive(Default)]
-struct Found {
+struct TickContacts {
     collisions: Vec<Collision>,
     /// Maximum penetration depth \[m\].
     depth_max: f64,
@@ -225,17 +225,17 @@ impl<M: SoftMethod> Body<M> {
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let frozen = scene.get::<Frozen>(entity).is_some();
         let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
-        let answering = if answers { Answering::new(&body, scene) } else { None };
+        let slow_side = if answers { SlowSide::new(&body, scene) } else { None };
         let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
-        let (meets, pressed) = (StepInputs::default(), (0.0, 0));
-        Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })
+        let (inputs, pressed) = (StepInputs::default(), (0.0, 0));
+        Ok(Self { body, method, is_pinned, grips, slow_side, frozen, inputs, contacts, pressed })
     }
 
     /// Checks that all values which others will read of the body are finite: the Model rejects the controller's whole
     /// batch for one non-finite value.
     fn is_finite(&self) -> Result<(), String> {
         finite_vertices(self.method.positions(), self.method.velocities())?;
-        let touches = self.meets.touches.iter().zip(&self.meets.forces);
+        let touches = self.inputs.touches.iter().zip(&self.inputs.forces);
         let bad = touches.into_iter().find(|(_, force)| !force.iter().all(|x| x.is_finite()));
         bad.map_or(Ok(()), |(touch, _)| {
             Err(format!("the force of the contact at vertex {} is no finite number", touch.nodes[0]))
@@ -251,47 +251,47 @@ impl<M: SoftMethod> Body<M> {
         out: &mut Commands,
     ) -> Result<(), String> {
         let entity = self.body.entity;
-        let mut meets = std::mem::take(&mut self.meets);
-        meets.world_from_body = scene.world_pose(entity);
-        meets.gravity = Deformable::gravity(gravity_in_world, &meets.world_from_body);
-        meets.touches.clear();
-        meets.led.clear();
-        meets.given.clear();
-        rods_of_all(scene, &meets.world_from_body, &mut meets.rods);
-        let reshaped = self.method.reshape(&mut self.body, &meets.site(scene, tick), out)?;
+        let mut inputs = std::mem::take(&mut self.inputs);
+        inputs.world_from_body = scene.world_pose(entity);
+        inputs.gravity = Deformable::gravity(gravity_in_world, &inputs.world_from_body);
+        inputs.touches.clear();
+        inputs.driven.clear();
+        inputs.given.clear();
+        rods_of_all(scene, &inputs.world_from_body, &mut inputs.rods);
+        let reshaped = self.method.reshape(&mut self.body, &inputs.site(scene, tick), out)?;
         if let Some(reshaped) = reshaped {
             self.is_pinned = self.body.stays();
-            let (site, positions) = (meets.site(scene, tick), self.method.positions());
+            let (site, positions) = (inputs.site(scene, tick), self.method.positions());
             self.grips.follow(&reshaped, &site, &self.body.holdable(), positions);
             out.put(entity, self.grips.clone());
         }
         let period = tick.period.as_secs_f64();
-        touches(&meets.rods, &self.method.skin(&self.body), period, &mut meets.touches);
-        let led = self.hold(&meets.site(scene, tick), &meets.touches, out)?;
-        meets.led = led;
+        touches(&inputs.rods, &self.method.contact_surface(&self.body), period, &mut inputs.touches);
+        let driven = self.hold(&inputs.site(scene, tick), &inputs.touches, out)?;
+        inputs.driven = driven;
         // Held and anchored vertices have prescribed positions, whatever touches them.
         let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
-        let StepInputs { rods, touches, led, .. } = &mut meets;
+        let StepInputs { rods, touches, driven, .. } = &mut inputs;
         touches.retain(|touch| {
-            let is_led = |node: &u32| led.binary_search_by_key(node, |led| led.vertex).is_ok();
+            let is_led = |node: &u32| driven.binary_search_by_key(node, |driven| driven.vertex).is_ok();
             let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
             let is_cut = cut && is_blade(scene, rods[touch.rod].instrument);
             !(stays || is_cut || touch.nodes.iter().any(is_led))
         });
-        if let Some(answering) = &mut self.answering {
-            let mut given = std::mem::take(&mut meets.given);
-            answering.take(&meets.site(scene, tick), self.method.velocities(), &mut given);
-            meets.given = given;
+        if let Some(slow_side) = &mut self.slow_side {
+            let mut given = std::mem::take(&mut inputs.given);
+            slow_side.take(&inputs.site(scene, tick), self.method.velocities(), &mut given);
+            inputs.given = given;
         }
-        self.meets = meets;
+        self.inputs = inputs;
         Ok(())
     }
 
     fn ready<'a>(&'a mut self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> Step<'a, M> {
-        let mut forces = std::mem::take(&mut self.meets.forces);
+        let mut forces = std::mem::take(&mut self.inputs.forces);
         forces.clear();
-        let Self { body, method, meets, .. } = self;
-        Step { method, body, site: meets.site(scene, tick), forces, done: Ok(()) }
+        let Self { body, method, inputs, .. } = self;
+        Step { method, body, site: inputs.site(scene, tick), forces, done: Ok(()) }
     }
 
     fn freeze(&mut self, reason: &str, tick: &Tick<'_>, out: &mut Commands) {
@@ -300,12 +300,12 @@ impl<M: SoftMethod> Body<M> {
     }
 
     /// Writes the body's state and contact forces after a step.
-    fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut Found, out: &mut Commands) {
+    fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut TickContacts, out: &mut Commands) {
         let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
-        let site = self.meets.site(scene, tick);
+        let site = self.inputs.site(scene, tick);
         self.method.publish(&self.body, &site, out);
-        for (touch, force) in site.touches.iter().zip(&self.meets.forces) {
+        for (touch, force) in site.touches.iter().zip(&self.inputs.forces) {
             // A near rod that did not touch.
             if touch.depth <= 0.0 && *force == Vector3::zeros() {
                 continue;
@@ -322,10 +322,10 @@ impl<M: SoftMethod> Body<M> {
             found.pulled += pull.norm();
             found.collisions.extend(grip(&self.body, self.method.positions(), pick, &pull, &site));
         }
-        if let Some(answering) = &mut self.answering {
+        if let Some(slow_side) = &mut self.slow_side {
             let (body, method) = (&self.body, &mut self.method);
-            answering.look(|active, outlook| method.look_ahead(body, &site, active, outlook));
-            answering.tell(&site, &self.is_pinned, method.velocities(), out);
+            slow_side.look(|active, outlook| method.look_ahead(body, &site, active, outlook));
+            slow_side.publish(&site, &self.is_pinned, method.velocities(), out);
         }
     }
 
@@ -333,7 +333,7 @@ impl<M: SoftMethod> Body<M> {
     fn hold(
         &mut self,
         site: &StepContext<'_>,
-        touched: &[Touch],
+        touched: &[RodContact],
         out: &mut Commands,
     ) -> Result<Vec<DrivenVertex>, String> {
         let parts = self.body.holdable();
@@ -350,9 +350,9 @@ impl<M: SoftMethod> Body<M> {
         if before != self.grips.picks.picks.len() || before_by != held_by(&self.grips) {
             out.put(self.body.entity, self.grips.clone());
         }
-        let mut led = self.grips.picks.led(&jaws);
-        led.retain(|led| !self.is_pinned[led.vertex as usize]);
-        Ok(led)
+        let mut driven = self.grips.picks.driven(&jaws);
+        driven.retain(|driven| !self.is_pinned[driven.vertex as usize]);
+        Ok(driven)
     }
 }
 

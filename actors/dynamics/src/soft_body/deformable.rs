@@ -213,7 +213,7 @@ impl Deformable {
     }
 
     /// Replaces the scene's line by another one, which is also its rest shape.
-    pub fn lie(&mut self, nodes: Vec<Point3<f64>>) {
+    pub fn replace_line(&mut self, nodes: Vec<Point3<f64>>) {
         self.segments = Arc::new((1..nodes.len() as u32).map(|end| [end - 1, end]).collect());
         self.velocities = Arc::new(vec![Vector3::zeros(); nodes.len()]);
         self.rest = Arc::new(nodes);

@@ -16,7 +16,7 @@ pub enum FrozenPart {
 }
 
 /// A body that is frozen because it could not be built.
-pub struct Refused {
+pub struct RejectedBody {
     /// The body.
     pub entity: Entity,
     name: String,
@@ -25,7 +25,7 @@ pub struct Refused {
     untold: Option<String>,
 }
 
-impl Refused {
+impl RejectedBody {
     /// Excludes a body that could not be rebuilt after a restart.
     ///
     /// # Errors
@@ -48,7 +48,7 @@ impl Refused {
     }
 
     /// Reports the reason to the scene once, and counts the body as frozen in every tick's measures.
-    pub fn tell(&mut self, tick: &Tick<'_>, measured: &mut Measured, out: &mut Commands) {
+    pub fn report(&mut self, tick: &Tick<'_>, measured: &mut Measured, out: &mut Commands) {
         if let Some(reason) = self.untold.take() {
             freeze(self.entity, self.still, reason, tick, out);
         }

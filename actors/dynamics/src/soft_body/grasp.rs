@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, Instrument};
 
 use super::jaws::{AT_REST, holds, is_closed, opening};
-use super::method::{Reshaped, StepContext};
-use super::rod_contact::Touch;
+use super::method::{StepContext, SurfaceChange};
+use super::rod_contact::RodContact;
 use crate::picking::{Jaws, Picks};
 
 /// The grasps on a body: saved in the scene, so that they survive a restart.
@@ -41,7 +41,7 @@ impl Grips {
     /// Updates the grasps after a change of topology.
     pub fn follow(
         &mut self,
-        reshaped: &Reshaped,
+        reshaped: &SurfaceChange,
         site: &StepContext<'_>,
         triangles: &[[u32; 3]],
         positions: &[Point3<f64>],
@@ -74,7 +74,7 @@ impl Holder {
     /// All grasping instruments, with the triangles that their jaws touch; rods as
     /// [`super::instrument_rods::rods_of_all`] lists them.
     #[must_use]
-    pub fn all(site: &StepContext<'_>, touches: &[Touch], triangles: &[[u32; 3]]) -> Vec<Self> {
+    pub fn all(site: &StepContext<'_>, touches: &[RodContact], triangles: &[[u32; 3]]) -> Vec<Self> {
         let holders = site.scene.iter::<Instrument>().filter(|(_, instrument)| holds(instrument.kind));
         holders
             .map(|(entity, _)| {
@@ -110,7 +110,7 @@ impl Holder {
 }
 
 /// The triangles that rods touch, and those at the vertices that rods touch.
-fn touched<'a>(touches: impl Iterator<Item = &'a Touch>, triangles: &[[u32; 3]]) -> Vec<u32> {
+fn touched<'a>(touches: impl Iterator<Item = &'a RodContact>, triangles: &[[u32; 3]]) -> Vec<u32> {
     let (mut touched, mut vertices) = (Vec::new(), Vec::new());
     for touch in touches {
         match touch.element {

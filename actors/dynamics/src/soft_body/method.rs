@@ -7,7 +7,7 @@ use trocar_scene::{Access, Commands, Component, Entity, Snapshot, Tick};
 
 use super::Deformable;
 use super::instrument_rods::Rod;
-use super::rod_contact::{Skin, Touch};
+use super::rod_contact::{ContactSurface, RodContact};
 use crate::picking::DrivenVertex;
 
 /// Input of a body's step; everything in the body's frame.
@@ -24,11 +24,11 @@ pub struct StepContext<'a> {
     /// The rods of all instruments.
     pub rods: &'a [Rod],
     /// Contacts of rods with the body.
-    pub touches: &'a [Touch],
+    pub touches: &'a [RodContact],
     /// External forces on vertices \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices held by jaws, with their prescribed positions at the end of the tick; ascending, without anchored ones.
-    pub led: &'a [DrivenVertex],
+    pub driven: &'a [DrivenVertex],
 }
 
 impl StepContext<'_> {
@@ -41,7 +41,7 @@ impl StepContext<'_> {
 
 /// Effect of a topology change on a body's triangles. New triangles have the highest numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Reshaped {
+pub struct SurfaceChange {
     /// New number of each old triangle, or `None` if it was removed; the list is absent when all keep their numbers.
     pub kept: Option<Vec<Option<u32>>>,
     /// The parent of each new triangle.
@@ -71,7 +71,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     /// Vertex velocities \[m/s\].
     fn velocities(&self) -> &[Vector3<f64>];
     /// Its collision geometry.
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a>;
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a>;
 
     /// Parameters for contacts that detectors find; `None`: it does not answer them.
     fn terms(&self) -> Option<ContactParams<'_>> {
@@ -84,7 +84,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     }
 
     /// Topology changes at the beginning of the tick: cuts, elements that other controllers have removed. `touches` and
-    /// `led` of `site` are empty. Updates `body` and writes its new meshes to the scene.
+    /// `driven` of `site` are empty. Updates `body` and writes its new meshes to the scene.
     ///
     /// # Errors
     /// Why the body cannot continue.
@@ -93,7 +93,7 @@ pub trait SoftMethod: Send + Sized + 'static {
         _body: &mut Deformable,
         _site: &StepContext<'_>,
         _out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
+    ) -> Result<Option<SurfaceChange>, String> {
         Ok(None)
     }
 
@@ -121,7 +121,7 @@ pub trait SoftMethod: Send + Sized + 'static {
         _body: &Deformable,
         _site: &StepContext<'_>,
         _active: &[u32],
-        _outlook: &mut Outlook,
+        _outlook: &mut StepPrediction,
     ) {
     }
 
@@ -183,7 +183,7 @@ pub struct ContactParams<'a> {
 
 /// Prediction of a body's next step.
 #[derive(Clone, Debug, Default)]
-pub struct Outlook {
+pub struct StepPrediction {
     /// Velocities of all vertices after one more step like the last \[m/s\].
     pub expected: Vec<Vector3<f64>>,
     /// Mobility of the requested vertices under equal impulses on all of them \[1/kg\].

@@ -17,7 +17,7 @@ pub const COLLISIONS_MAX: usize = 64;
 
 /// One contact of a rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Touch {
+pub struct RodContact {
     /// Index of the rod.
     pub rod: usize,
     /// Corners of the touched feature; one vertex three times for a vertex, the last twice for a segment.
@@ -38,7 +38,7 @@ pub struct Touch {
 
 /// Collision geometry of a body.
 #[derive(Clone, Copy, Debug)]
-pub struct Skin<'a> {
+pub struct ContactSurface<'a> {
     /// Vertices \[m\].
     pub positions: &'a [Point3<f64>],
     /// Surface triangles.
@@ -63,7 +63,7 @@ const ON: f64 = 1e-12;
 const THROUGH: f64 = 0.01;
 
 /// Fills `touches` with all contacts in a tick of `period` \[s\], by rod; each rod's vertices first.
-pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
+pub fn touches(rods: &[Rod], skin: &ContactSurface<'_>, period: f64, touches: &mut Vec<RodContact>) {
     touches.clear();
     for (index, rod) in rods.iter().enumerate() {
         touch_vertices(index, rod, skin, period, touches);
@@ -79,7 +79,7 @@ pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Tou
 }
 
 /// The deepest point of a rod within a volume that it does not touch from outside.
-fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
+fn deepest_within(index: usize, rod: &Rod, skin: &ContactSurface<'_>) -> Option<RodContact> {
     let mut positions = skin.positions.iter();
     let first = *positions.next()?;
     let (low, high) = positions.fold((first, first), |(low, high), point| (low.inf(point), high.sup(point)));
@@ -102,18 +102,18 @@ fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
         let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
         let nodes = skin.triangles[element];
         let element = Some(element as u32);
-        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+        Some(RodContact { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
     });
     within.max_by(|a, b| a.depth.total_cmp(&b.depth))
 }
 
 /// Where the axis of a rod outside a volume meets its surface: it ends on it, lies in it, or cuts off a corner. The
 /// distance from the axis is then zero, so only the surface gives the direction of the push.
-fn on_surface(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
-    let room = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
+fn on_surface(index: usize, rod: &Rod, skin: &ContactSurface<'_>) -> Option<RodContact> {
+    let search_box = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
     skin.triangles.iter().enumerate().find_map(|(element, &nodes)| {
         let corners = nodes.map(|node| skin.positions[node as usize]);
-        if is_apart(&corners, &room) {
+        if is_apart(&corners, &search_box) {
             return None;
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);
@@ -126,12 +126,12 @@ fn on_surface(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
         let velocity = rod.velocities[0].lerp(&rod.velocities[1], nearest.along);
         let (depth, weights) = (rod.radius + skin.thickness, nearest.weights);
         let element = Some(element as u32);
-        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+        Some(RodContact { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
     })
 }
 
 /// Whether a point is inside, by the solid angle of the surface around it (van Oosterom and Strackee 1983).
-fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
+fn is_within(point: &Point3<f64>, skin: &ContactSurface<'_>) -> bool {
     let angle: f64 = skin
         .triangles
         .iter()
@@ -146,18 +146,18 @@ fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
 }
 
 /// Whether look-ahead contacts, and contacts after a pass through, apply to this pair.
-fn looks_ahead(rod: &Rod, skin: &Skin<'_>) -> bool {
+fn looks_ahead(rod: &Rod, skin: &ContactSurface<'_>) -> bool {
     !(skin.closed || rod.is_open_jaw)
 }
 
 /// Distance from the axis of a rod within which something touches it, or may within a tick.
-fn reach(rod: &Rod, skin: &Skin<'_>) -> f64 {
+fn reach(rod: &Rod, skin: &ContactSurface<'_>) -> f64 {
     let ahead = if looks_ahead(rod, skin) { AHEAD * rod.radius } else { 0.0 };
     rod.radius + skin.thickness + ahead
 }
 
 /// Bounding box of possible contacts of a rod, including its motion in the tick.
-fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
+fn search_box(rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> [Point3<f64>; 2] {
     let period = if looks_ahead(rod, skin) { period } else { 0.0 };
     let [a, b] = rod.ends;
     let [c, d] = [a + rod.velocities[0] * period, b + rod.velocities[1] * period];
@@ -176,11 +176,11 @@ fn is_apart(corners: &[Point3<f64>; 3], [low, high]: &[Point3<f64>; 2]) -> bool 
 /// tick: `passes` returns how near the path of the axis point comes to the other.
 fn touch(
     rod: (usize, &Rod),
-    skin: &Skin<'_>,
+    skin: &ContactSurface<'_>,
     (along, on_body): (f64, Point3<f64>),
     period: f64,
     passes: impl Fn(&[Point3<f64>; 2]) -> f64,
-) -> Option<Touch> {
+) -> Option<RodContact> {
     let (index, rod) = rod;
     let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
     let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
@@ -198,12 +198,12 @@ fn touch(
     }
     let normal = away / distance;
     let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
-    Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
+    Some(RodContact { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
 }
 
 /// The contact of a rod whose axis crosses a sheet at `along` from its handle end: the sheet is to be moved to the
 /// rod's tip.
-fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Option<Touch> {
+fn through(rod: (usize, &Rod), skin: &ContactSurface<'_>, along: f64, period: f64) -> Option<RodContact> {
     let (index, rod) = rod;
     let ahead = rod.ends[1] - rod.ends[0];
     let beyond = (1.0 - along) * ahead.norm();
@@ -214,11 +214,26 @@ fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Opti
     let normal = ahead.try_normalize(1e-12)?;
     let depth = rod.radius + skin.thickness + beyond;
     let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
-    Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis: rod.ends[1], element: None })
+    Some(RodContact {
+        rod: index,
+        nodes,
+        weights,
+        normal,
+        depth,
+        velocity,
+        on_axis: rod.ends[1],
+        element: None,
+    })
 }
 
-fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
-    let [low, high] = room(rod, skin, period);
+fn touch_vertices(
+    index: usize,
+    rod: &Rod,
+    skin: &ContactSurface<'_>,
+    period: f64,
+    touches: &mut Vec<RodContact>,
+) {
+    let [low, high] = search_box(rod, skin, period);
     for (vertex, position) in skin.positions.iter().enumerate() {
         if !(0..3).all(|k| position[k] >= low[k] && position[k] <= high[k]) {
             continue;
@@ -228,22 +243,22 @@ fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64, touches
             (position - way[0].lerp(&way[1], closest_on_segment(position, way))).norm()
         };
         if let Some(touch) = touch((index, rod), skin, (along, *position), period, passes) {
-            touches.push(Touch { nodes: [vertex as u32; 3], ..touch });
+            touches.push(RodContact { nodes: [vertex as u32; 3], ..touch });
         }
     }
 }
 
-fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Option<Touch> {
-    let room = room(rod, skin, period);
-    let mut deepest: Option<Touch> = None;
-    let mut keep = |touch: Touch| {
+fn deepest_element(index: usize, rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> Option<RodContact> {
+    let search_box = search_box(rod, skin, period);
+    let mut deepest: Option<RodContact> = None;
+    let mut keep = |touch: RodContact| {
         if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
             deepest = Some(touch);
         }
     };
     for (element, nodes) in skin.triangles.iter().enumerate() {
         let corners = nodes.map(|node| skin.positions[node as usize]);
-        if is_apart(&corners, &room) {
+        if is_apart(&corners, &search_box) {
             continue;
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);
@@ -255,7 +270,12 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
             through((index, rod), skin, nearest.along, period)
         };
         if let Some(touch) = touched {
-            keep(Touch { nodes: *nodes, weights: nearest.weights, element: Some(element as u32), ..touch });
+            keep(RodContact {
+                nodes: *nodes,
+                weights: nearest.weights,
+                element: Some(element as u32),
+                ..touch
+            });
         }
     }
     for (element, &[a, b]) in skin.segments.iter().enumerate() {
@@ -266,7 +286,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
         let passes = |way: &[Point3<f64>; 2]| closest_segments(way, &ends).distance_squared.sqrt();
         if let Some(touch) = touch((index, rod), skin, (along, on_body), period, passes) {
             let weights = [1.0 - share, share, 0.0];
-            keep(Touch { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
+            keep(RodContact { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
         }
     }
     deepest
@@ -274,7 +294,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
 
 /// A rod contact as a row of the collision list: `a` is the instrument, `b` the body.
 pub fn collision(
-    touch: &Touch,
+    touch: &RodContact,
     rod: &Rod,
     body: Entity,
     force_on_body: &Vector3<f64>,
@@ -309,8 +329,8 @@ mod tests {
     const PERIOD: f64 = 1e-3;
 
     /// One triangle, without thickness.
-    fn sheet(positions: &[Point3<f64>]) -> Skin<'_> {
-        Skin { positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0, closed: false }
+    fn sheet(positions: &[Point3<f64>]) -> ContactSurface<'_> {
+        ContactSurface { positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0, closed: false }
     }
 
     fn rod(from: [f64; 3], to: [f64; 3]) -> Rod {
@@ -326,7 +346,7 @@ mod tests {
     #[test]
     fn a_rod_between_coarse_vertices_touches_the_triangle() {
         let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
-        let skin = Skin { thickness: 0.0005, ..sheet(&positions) };
+        let skin = ContactSurface { thickness: 0.0005, ..sheet(&positions) };
         let mut found = Vec::new();
         touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, PERIOD, &mut found);
         assert_eq!(found.len(), 1);
@@ -344,12 +364,18 @@ mod tests {
     fn vertices_within_a_rod_are_touched_each() {
         let positions: Vec<Point3<f64>> =
             (0..20).map(|k| Point3::new(0.001 * f64::from(k), 0.0015, 0.0)).collect();
-        let skin =
-            Skin { positions: &positions, triangles: &[], segments: &[], thickness: 0.0, closed: false };
+        let skin = ContactSurface {
+            positions: &positions,
+            triangles: &[],
+            segments: &[],
+            thickness: 0.0,
+            closed: false,
+        };
         let mut found = Vec::new();
         touches(&[rod([0.0, 0.0, 0.0], [0.01, 0.0, 0.0])], &skin, PERIOD, &mut found);
         // Eleven beside it, and one beyond its round end.
-        let (inside, near): (Vec<Touch>, Vec<Touch>) = found.iter().partition(|touch| touch.depth > 0.0);
+        let (inside, near): (Vec<RodContact>, Vec<RodContact>) =
+            found.iter().partition(|touch| touch.depth > 0.0);
         assert_eq!((inside.len(), near.len()), (12, 2));
         assert!(found.iter().all(|touch| touch.depth > -0.002 && touch.element.is_none()));
     }
@@ -407,7 +433,7 @@ mod tests {
         let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
         let triangles: Vec<[u32; 3]> =
             quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        let skin = Skin {
+        let skin = ContactSurface {
             positions: &positions,
             triangles: &triangles,
             segments: &[],
@@ -438,7 +464,7 @@ mod tests {
     #[test]
     fn a_thread_is_touched_by_its_segment() {
         let positions = [[-0.05, 0.001, 0.0], [0.05, 0.001, 0.0]].map(Point3::from);
-        let skin = Skin {
+        let skin = ContactSurface {
             positions: &positions,
             triangles: &[],
             segments: &[[0, 1]],

@@ -2,11 +2,11 @@
 
 /// Present elements at each node, ascending: triangles or tetrahedra.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Stars {
+pub struct NodeAdjacency {
     about: Vec<Vec<u32>>,
 }
 
-impl Stars {
+impl NodeAdjacency {
     /// From numbered elements, in ascending order, and the node count; a node beyond it is added.
     pub fn new<const N: usize>(nodes: usize, elements: impl Iterator<Item = (u32, [u32; N])>) -> Self {
         let mut stars = Self { about: vec![Vec::new(); nodes] };

@@ -11,7 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::topology::{Birth, FaceOf, Volume, VolumeChange, VolumeError};
+use super::topology::{NodeOrigin, TetFace, Volume, VolumeChange, VolumeError};
 use super::{Sweep, mean_ratio, shape};
 use trocar_scene::mesh::tet_faces::OPPOSITE;
 
@@ -26,7 +26,7 @@ const TETS_MAX: usize = 1 << 20;
 
 /// A node on the path of a blade.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Mark {
+pub struct PathNode {
     /// The node.
     pub node: u32,
     /// Normal of the path at the node, in the rest shape.
@@ -38,25 +38,25 @@ pub struct Mark {
 /// State of unfinished cuts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Slit {
+pub struct OpenCut {
     /// By node, ascending.
-    pub marks: Vec<Mark>,
+    pub marks: Vec<PathNode>,
     /// Shortest edge that a split may create \[m\]; 0 before the first cut.
     pub edge_min: f64,
 }
 
 /// Current node positions \[m\], and their displacements since the beginning of the sweeps \[m\].
 #[derive(Clone, Debug, Default)]
-pub struct Moving {
+pub struct NodeMotion {
     /// Current positions.
     pub positions: Vec<Point3<f64>>,
     /// Displacements since then.
     pub moved: Vec<Vector3<f64>>,
 }
 
-impl Moving {
+impl NodeMotion {
     /// Interpolates position and displacement of new nodes from their parent nodes.
-    pub fn follow(&mut self, born: &[Birth]) {
+    pub fn follow(&mut self, born: &[NodeOrigin]) {
         for birth in born {
             self.positions.push(birth.mix(&self.positions, |a, b, share| a + (b - a) * share));
             self.moved.push(birth.mix(&self.moved, |a, b, share| a + (b - a) * share));
@@ -64,13 +64,13 @@ impl Moving {
     }
 }
 
-impl Slit {
-    fn find(&self, node: u32) -> Option<&Mark> {
+impl OpenCut {
+    fn find(&self, node: u32) -> Option<&PathNode> {
         let at = self.marks.binary_search_by_key(&node, |mark| mark.node).ok()?;
         Some(&self.marks[at])
     }
 
-    fn put(&mut self, mark: Mark) {
+    fn put(&mut self, mark: PathNode) {
         match self.marks.binary_search_by_key(&mark.node, |mark| mark.node) {
             Ok(at) => self.marks[at] = mark,
             Err(at) => self.marks.insert(at, mark),
@@ -93,11 +93,11 @@ impl Volume {
     /// The mesh has reached its maximum size; nothing has changed then.
     pub fn cut(
         &mut self,
-        nodes: &mut Moving,
+        nodes: &mut NodeMotion,
         sweeps: &[Sweep],
-        slit: &mut Slit,
+        slit: &mut OpenCut,
         change: &mut VolumeChange,
-    ) -> Result<Vec<FaceOf>, VolumeError> {
+    ) -> Result<Vec<TetFace>, VolumeError> {
         if slit.edge_min <= 0.0 {
             slit.edge_min = EDGE_SHARE_MIN * self.mean_edge();
         }
@@ -161,7 +161,7 @@ impl Volume {
     }
 
     /// Edges that the blades have crossed, each in the order of its ends.
-    fn crossings(&self, nodes: &Moving, sweep: &Sweep) -> BTreeMap<[u32; 2], Crossing> {
+    fn crossings(&self, nodes: &NodeMotion, sweep: &Sweep) -> BTreeMap<[u32; 2], Crossing> {
         let reach = nodes.moved.iter().map(Vector3::norm).fold(0.0, f64::max);
         let ends = || sweep.before.iter().chain(&sweep.after);
         let corner = |pick: fn(f64, f64) -> f64, start: f64, out: f64| {
@@ -191,7 +191,7 @@ impl Volume {
         found
     }
 
-    fn crossing(&self, edge: [u32; 2], tet: u32, nodes: &Moving, sweep: &Sweep) -> Option<Crossing> {
+    fn crossing(&self, edge: [u32; 2], tet: u32, nodes: &NodeMotion, sweep: &Sweep) -> Option<Crossing> {
         let [from, to] = edge.map(|node| nodes.positions[node as usize]);
         // The blade's path relative to the tissue: the tissue's own motion is subtracted.
         let moved = edge.map(|node| nodes.moved[node as usize]);
@@ -222,7 +222,7 @@ impl Volume {
         of.fold(f64::INFINITY, f64::min)
     }
 
-    fn mark(&self, node: u32, edge: &[u32; 2], crossing: &Crossing, slit: &mut Slit) {
+    fn mark(&self, node: u32, edge: &[u32; 2], crossing: &Crossing, slit: &mut OpenCut) {
         let [a, b] = edge.map(|end| self.rest[end as usize]);
         let place = a + (b - a) * crossing.share;
         let normal_in_rest = crossing.normal_in_rest;
@@ -230,12 +230,12 @@ impl Volume {
         // Of several planes the node keeps the nearest one.
         let known = slit.find(node).filter(|mark| mark.height.abs() <= height.abs());
         if !known.is_some_and(|mark| mark.normal_in_rest.dot(&normal_in_rest).abs() > ALIGNED) {
-            slit.put(Mark { node, normal_in_rest, height });
+            slit.put(PathNode { node, normal_in_rest, height });
         }
     }
 
     /// Faces with three marked nodes, at least one of them new, whose two elements the path separates.
-    fn passed(&self, marked: &BTreeSet<u32>, slit: &Slit) -> Vec<FaceOf> {
+    fn passed(&self, marked: &BTreeSet<u32>, slit: &OpenCut) -> Vec<TetFace> {
         let about: BTreeSet<u32> =
             marked.iter().flat_map(|&node| self.around[node as usize].iter().copied()).collect();
         let mut faces = BTreeSet::new();
@@ -259,7 +259,7 @@ impl Volume {
     }
 
     /// Whether the path, by the marks of a face's nodes, separates the two elements at the face.
-    fn passes_between(&self, marks: [&Mark; 3], tet: &[u32; 4], beyond: &[u32; 4]) -> bool {
+    fn passes_between(&self, marks: [&PathNode; 3], tet: &[u32; 4], beyond: &[u32; 4]) -> bool {
         let planes = marks.map(|mark| {
             let sign = if mark.normal_in_rest.dot(&marks[0].normal_in_rest) < 0.0 { -1.0 } else { 1.0 };
             (self.rest[mark.node as usize], mark.normal_in_rest * sign, mark.height * sign)

@@ -2,7 +2,7 @@
 //! number of splits.
 
 use super::mean_ratio;
-use super::topology::{Birth, Halved, Volume, VolumeChange};
+use super::topology::{NodeOrigin, SplitTet, Volume, VolumeChange};
 
 impl Volume {
     /// The elements at an edge, ascending.
@@ -36,7 +36,7 @@ impl Volume {
         self.rest.push(self.rest[a as usize] + (self.rest[b as usize] - self.rest[a as usize]) * share);
         self.shares.push(0.0);
         self.around.push(Vec::with_capacity(2 * star.len()));
-        change.born.push(Birth { of: [a, b], share });
+        change.born.push(NodeOrigin { of: [a, b], share });
         for &tet in &star {
             let Some(nodes) = self.tets[tet as usize] else { continue };
             let child = self.tets.len() as u32;
@@ -88,7 +88,7 @@ impl Volume {
                 corners.iter().for_each(|&at| self.shares[at as usize] += 0.25 * self.volumes[half as usize]);
             }
             self.left += 1;
-            change.halved.push(Halved { tet, child, ends });
+            change.halved.push(SplitTet { tet, child, ends });
         }
         node
     }

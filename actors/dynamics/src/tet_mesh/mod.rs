@@ -15,12 +15,12 @@ pub(crate) mod topology;
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_scene::mesh::repaired_tets;
 
-pub use adjacency::Stars;
-pub use blade_cut::{Mark, Moving, Slit};
+pub use adjacency::NodeAdjacency;
+pub use blade_cut::{NodeMotion, OpenCut, PathNode};
 pub use blade_sweep::Sweep;
 pub use box_mesh::{BoxCells, box_cells};
 pub use longest_edge_bisection::{NodesAndTets, RefineError, refined};
-pub use topology::{Birth, FaceOf, Halved, Volume, VolumeChange, VolumeError};
+pub use topology::{NodeOrigin, SplitTet, TetFace, Volume, VolumeChange, VolumeError};
 pub use trocar_scene::mesh::tet_faces::surface;
 pub use trocar_scene::mesh::{BadTets as MeshError, Defect, MeshRules, Repairs, tet_defects as defects};
 pub use trocar_scene::mesh::{mean_ratio, tet_shape as shape};

@@ -12,7 +12,7 @@ use super::{MeshError, MeshRules, TetMesh};
 use trocar_scene::mesh::tet_faces::{OPPOSITE, faces};
 
 /// A face of an element: the element, and the corner opposite to the face.
-pub type FaceOf = (u32, u8);
+pub type TetFace = (u32, u8);
 
 /// Why a mesh was not changed.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
@@ -42,14 +42,14 @@ pub enum VolumeError {
 
 /// Origin of a new node: a fraction of the way between two nodes, which are equal for a duplicated node.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Birth {
+pub struct NodeOrigin {
     /// The two nodes.
     pub of: [u32; 2],
     /// The fraction, 0 to 1.
     pub share: f64,
 }
 
-impl Birth {
+impl NodeOrigin {
     /// A duplicate of a node.
     pub(super) fn copy(of: u32) -> Self {
         Self { of: [of; 2], share: 0.0 }
@@ -64,7 +64,7 @@ impl Birth {
 
 /// A split element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Halved {
+pub struct SplitTet {
     /// The element; its second end is the new node now.
     pub tet: u32,
     /// The other half, in which the first end is the new node.
@@ -73,16 +73,16 @@ pub struct Halved {
     pub ends: [u8; 2],
 }
 
-impl Halved {
+impl SplitTet {
     /// Faces that are split too: those of the element, each with its other half.
-    pub fn faces(&self) -> impl Iterator<Item = (FaceOf, FaceOf)> + '_ {
+    pub fn faces(&self) -> impl Iterator<Item = (TetFace, TetFace)> + '_ {
         let corners = (0..4_u8).filter(|corner| !self.ends.contains(corner));
         corners.map(|corner| ((self.tet, corner), (self.child, corner)))
     }
 
     /// The face that now belongs to the other half: before and after.
     #[must_use]
-    pub fn moved_face(&self) -> [FaceOf; 2] {
+    pub fn moved_face(&self) -> [TetFace; 2] {
         [(self.tet, self.ends[0]), (self.child, self.ends[0])]
     }
 }
@@ -93,13 +93,13 @@ pub struct VolumeChange {
     /// Removed elements.
     pub removed: Vec<u32>,
     /// New nodes, numbered after all others in this order.
-    pub born: Vec<Birth>,
+    pub born: Vec<NodeOrigin>,
     /// Split elements, in order.
-    pub halved: Vec<Halved>,
+    pub halved: Vec<SplitTet>,
     /// Elements with renumbered corners, ascending.
     pub renamed: Vec<u32>,
     /// Faces that have become boundary faces.
-    pub uncovered: Vec<FaceOf>,
+    pub uncovered: Vec<TetFace>,
     /// Nodes of removed elements.
     pub loosened: BTreeSet<u32>,
 }
@@ -112,7 +112,7 @@ pub struct Volume {
     /// The neighbour at the face opposite to each corner.
     pub(super) neighbours: Vec<[Option<u32>; 4]>,
     pub(super) around: Vec<Vec<u32>>,
-    pub(super) boundary: BTreeSet<FaceOf>,
+    pub(super) boundary: BTreeSet<TetFace>,
     pub(super) volumes: Vec<f64>,
     pub(super) shares: Vec<f64>,
     pub(super) left: usize,
@@ -189,13 +189,13 @@ impl Volume {
     }
 
     /// Faces of the boundary, by element.
-    pub fn boundary(&self) -> impl Iterator<Item = FaceOf> {
+    pub fn boundary(&self) -> impl Iterator<Item = TetFace> {
         self.boundary.iter().copied()
     }
 
     /// Corners of a face, counter-clockwise seen from outside its element; `None` if it does not exist.
     #[must_use]
-    pub fn face(&self, (tet, corner): FaceOf) -> Option<[u32; 3]> {
+    pub fn face(&self, (tet, corner): TetFace) -> Option<[u32; 3]> {
         let nodes = self.tet(tet)?;
         Some(OPPOSITE.get(corner as usize)?.map(|at| nodes[at]))
     }
@@ -312,7 +312,7 @@ impl Volume {
     ///
     /// # Errors
     /// An element or a corner does not exist; nothing has changed then.
-    pub fn open(&mut self, faces: &[FaceOf]) -> Result<VolumeChange, VolumeError> {
+    pub fn open(&mut self, faces: &[TetFace]) -> Result<VolumeChange, VolumeError> {
         for &(tet, corner) in faces {
             self.check(tet)?;
             if corner > 3 {
@@ -392,7 +392,7 @@ impl Volume {
         self.shares.push(share);
         self.around[node as usize].retain(|tet| !part.contains(tet));
         self.around.push(part.iter().copied().collect());
-        change.born.push(Birth::copy(node));
+        change.born.push(NodeOrigin::copy(node));
     }
 
     /// Faces that a straight edge has passed on its way from `before` to `after` \[m\]: those whose two elements'
@@ -403,7 +403,7 @@ impl Volume {
         positions: &[Point3<f64>],
         before: &[Point3<f64>; 2],
         after: &[Point3<f64>; 2],
-    ) -> Vec<FaceOf> {
+    ) -> Vec<TetFace> {
         let middle = |nodes: &[u32; 4]| {
             Point3::from(nodes.iter().map(|&n| positions[n as usize].coords).sum::<Vector3<f64>>() / 4.0)
         };
@@ -430,8 +430,8 @@ impl Volume {
         &self,
         positions: &[Point3<f64>],
         stress: impl Fn(u32) -> nalgebra::Matrix3<f64>,
-    ) -> Option<(FaceOf, f64)> {
-        let mut most: Option<(FaceOf, f64)> = None;
+    ) -> Option<(TetFace, f64)> {
+        let mut most: Option<(TetFace, f64)> = None;
         for (tet, nodes) in self.tets() {
             let own = stress(tet);
             for (corner, next) in self.neighbours[tet as usize].iter().enumerate() {

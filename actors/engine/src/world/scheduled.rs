@@ -3,16 +3,16 @@
 
 use nalgebra::Point3;
 use trocar_dynamics::instrument::contact::Contact;
-use trocar_dynamics::instrument::coupling::Wrench;
 use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
-use trocar_dynamics::rigid_world::{Inertia, Scheduling, ToolView, World, Wrench as Push};
+use trocar_dynamics::rigid_world::{Inertia, Scheduling, ToolView, World};
 use trocar_scene::components::{
     Collision, Detection, Instrument, InstrumentTarget, Pose, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::time::SimTime;
 
 use super::RigidWorld;
@@ -25,12 +25,7 @@ impl World for RigidWorld {
         Self::new(settings, now)
     }
     fn scheduling(settings: &EngineSettings) -> Scheduling {
-        Scheduling {
-            substep_secs: settings.substep_secs,
-            method: Detection::Engine,
-            claims_all_poses: settings.claims_all_poses,
-            contact_models_by_others: settings.contact_models_by_others.clone(),
-        }
+        settings.shared().scheduling(Detection::Engine)
     }
     fn now(&self) -> SimTime {
         self.now()
@@ -97,7 +92,7 @@ impl World for RigidWorld {
     fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         self.set_penalties(found);
     }
-    fn push(&mut self, entity: Entity, push: &Push) -> Result<(), EngineError> {
+    fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), EngineError> {
         self.push(entity, push)
     }
     fn inertia(&self, entity: Entity) -> Option<Inertia> {

@@ -6,12 +6,13 @@ use nalgebra::{ComplexField, Matrix3, Point3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
 use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 
-use trocar_dynamics::rigid_world::{Inertia, Wrench, mass_properties};
+use trocar_dynamics::rigid_world::{Inertia, mass_properties};
 
 use super::{Body, RigidWorld};
 use crate::conversion::{point_from_rapier, pose_to_rapier, rotation_from_rapier, vector_to_rapier};
-use crate::penalty::{self, Known, Terms, Trail};
+use crate::penalty::{self, KnownEntity, PenaltyParams, PoseHistory};
 use crate::{EngineError, shapes};
 
 impl RigidWorld {
@@ -39,7 +40,7 @@ impl RigidWorld {
             // It may rest on detected contacts, which vanish without an event; so it never sleeps.
             rigid.activation_mut().normalized_linear_threshold = -1.0;
         }
-        let mut trail = Trail::default();
+        let mut trail = PoseHistory::default();
         trail.push(self.now, pose_to_rapier(pose));
         let (motion, friction) = (body.motion, body.friction);
         let (colliders, travel, trail, push) = (Vec::new(), None, Some(trail), Wrench::default());
@@ -64,9 +65,9 @@ impl RigidWorld {
         }
         let friction = |entity: Entity| self.bodies.get(&entity).map(|body| body.friction);
         let known = |entity: Entity| match (self.bodies.get(&entity), self.graspers.get(&entity)) {
-            (Some(body), _) => Known::Body(body.handle, body.trail.as_ref()),
-            (None, Some(grasper)) => Known::Body(grasper.palm(), self.tools.get(&entity)),
-            (None, None) => Known::Fixed,
+            (Some(body), _) => KnownEntity::Body(body.handle, body.trail.as_ref()),
+            (None, Some(grasper)) => KnownEntity::Body(grasper.palm(), self.tools.get(&entity)),
+            (None, None) => KnownEntity::Fixed,
         };
         self.penalties.clear();
         for contact in &found {
@@ -77,7 +78,7 @@ impl RigidWorld {
             };
             let stiffness = self.settings.penalty_stiffness;
             let sharing = f64::from(pairs[&(contact.a, contact.b)]);
-            let terms = Terms { stiffness, friction, sharing };
+            let terms = PenaltyParams { stiffness, friction, sharing };
             self.penalties.add(contact, &self.physics.bodies, known, &terms);
         }
     }

@@ -1,9 +1,10 @@
 //! Bodies that are surfaces: they fall like what they enclose, and answer to contacts that others find.
 
 use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
-use trocar_dynamics::rigid_world::{World, WorldError, Wrench};
+use trocar_dynamics::rigid_world::{World, WorldError};
 use trocar_scene::components::{Collision, Detection, Motion, Pose, Primitive, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::time::SimTime;
 
 use super::{GIVES_WAY, W, settings};

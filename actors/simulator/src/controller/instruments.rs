@@ -63,12 +63,12 @@ pub struct InstrumentsController {
     config: InstrumentsConfig,
     instruments: Vec<Entity>,
     /// Per instrument, in order.
-    pushes: Vec<Push>,
+    pushes: Vec<ContactLoad>,
 }
 
 /// Total contact load on an instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Push {
+struct ContactLoad {
     force: Vector3<f64>,
     torque: Vector3<f64>,
     /// Sum of the force magnitudes \[N\], and the same weighted by depth \[N·m\].
@@ -94,7 +94,7 @@ impl InstrumentsController {
     /// Sums the contact forces on each instrument, in one pass over all collision lists.
     fn add_pushes(&mut self, scene: &Snapshot) {
         self.pushes.clear();
-        self.pushes.resize(self.instruments.len(), Push::default());
+        self.pushes.resize(self.instruments.len(), ContactLoad::default());
         for collision in scene.iter::<CollisionList>().flat_map(|(_, list)| &list.collisions) {
             // A collision stores the force on its second entity.
             for (entity, force) in
@@ -117,7 +117,13 @@ impl InstrumentsController {
         }
     }
 
-    fn model(&self, target: &InstrumentTarget, mass: f64, push: &Push, tick: &Tick<'_>) -> LocalContactModel {
+    fn model(
+        &self,
+        target: &InstrumentTarget,
+        mass: f64,
+        push: &ContactLoad,
+        tick: &Tick<'_>,
+    ) -> LocalContactModel {
         let mut model = LocalContactModel {
             proxy_in_world: target.tip_in_world,
             proxy_velocity: target.velocity_in_world,

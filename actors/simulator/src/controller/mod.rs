@@ -46,7 +46,7 @@ pub use suture_thread::component::{Laid, LiesOn, Suture, ThreadBody};
 pub use suture_thread::elastic_body::{Mark, TiedBody};
 pub use suture_thread::knot::{KnotState, knot_code};
 pub use suture_thread::saved_state::ThreadMemory;
-pub use thermal_damage::{Coagulated, CoagulatedElements, RemovedElements};
+pub use thermal_damage::{CoagulatedElement, CoagulatedElements, RemovedElements};
 pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 
 /// Registers the components of this crate, and those of `trocar-dynamics`.

@@ -22,7 +22,7 @@ pub struct RemovedElements {
 /// An element that heat has stiffened and shrunk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Coagulated {
+pub struct CoagulatedElement {
     /// The element.
     pub element: u32,
     /// Factor of its stiffness.
@@ -37,7 +37,7 @@ pub struct Coagulated {
 #[serde(default, deny_unknown_fields)]
 pub struct CoagulatedElements {
     /// Ascending.
-    pub elements: Arc<Vec<Coagulated>>,
+    pub elements: Arc<Vec<CoagulatedElement>>,
 }
 
 /// Reads and writes of every controller that moves divisible bodies, volumes and membranes.
@@ -51,14 +51,14 @@ pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
 
 /// Thermal damage of a body as last read by the controller that moves it.
 #[derive(Clone, Debug, Default)]
-pub struct Heated {
+pub struct ThermalDamage {
     /// Removed elements, in order of removal.
     pub removed: Arc<Vec<u32>>,
     /// Coagulated elements, ascending.
-    pub coagulated: Arc<Vec<Coagulated>>,
+    pub coagulated: Arc<Vec<CoagulatedElement>>,
 }
 
-impl Heated {
+impl ThermalDamage {
     /// The state of a controller that had removed this many elements before a restart: later ones count as new.
     #[must_use]
     pub fn known(scene: &Snapshot, entity: Entity, taken: usize) -> Self {
@@ -72,7 +72,7 @@ impl Heated {
     }
 
     /// Reads the scene: newly removed elements, and those whose coagulation has changed, since the last call.
-    pub fn news(&mut self, scene: &Snapshot, entity: Entity) -> (Vec<u32>, Vec<Coagulated>) {
+    pub fn take_changes(&mut self, scene: &Snapshot, entity: Entity) -> (Vec<u32>, Vec<CoagulatedElement>) {
         let (mut gone, mut changed) = (Vec::new(), Vec::new());
         if let Some(now) = scene.get::<RemovedElements>(entity)
             && now.elements.len() > self.removed.len()
@@ -98,7 +98,7 @@ impl Heated {
 
     /// Coagulation of an element.
     #[must_use]
-    pub fn of(&self, element: u32) -> Option<Coagulated> {
+    pub fn of(&self, element: u32) -> Option<CoagulatedElement> {
         let at = self.coagulated.binary_search_by_key(&element, |of| of.element).ok()?;
         Some(self.coagulated[at])
     }

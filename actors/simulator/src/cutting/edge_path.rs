@@ -5,7 +5,7 @@ use nalgebra::Point3;
 
 use super::Sheet;
 use super::cuttable_surface::ordered;
-use super::swept_path::{Path, in_edges};
+use super::swept_path::{SurfacePath, in_edges};
 
 /// Maximum steps of a walk per point of its path: it crosses one edge between two points, and few more where it goes
 /// astray.
@@ -25,7 +25,7 @@ struct Crossing {
 
 impl Sheet {
     /// Cuts along a path.
-    pub(super) fn follow(&mut self, mut path: Path) {
+    pub(super) fn follow(&mut self, mut path: SurfacePath) {
         let tip = match (self.tip_near(&path, 0), self.tip_near(&path, 1)) {
             (Some(tip), _) => Some(tip),
             (None, Some(tip)) => {
@@ -79,7 +79,7 @@ impl Sheet {
     }
 
     /// The nearest tip around the triangle at one end of a path from which the path can continue.
-    fn tip_near(&self, path: &Path, side: usize) -> Option<u32> {
+    fn tip_near(&self, path: &SurfacePath, side: usize) -> Option<u32> {
         let end = if side == 0 { path.points[0] } else { path.points[path.points.len() - 1] };
         let around = self.state.triangles[path.triangles[side] as usize];
         let reach = |tip: u32| {
@@ -102,7 +102,7 @@ impl Sheet {
     }
 
     /// The border edge on which one end of a path lies.
-    fn border_near(&self, path: &Path, side: usize) -> Option<([u32; 2], f64)> {
+    fn border_near(&self, path: &SurfacePath, side: usize) -> Option<([u32; 2], f64)> {
         let end = if side == 0 { path.points[0] } else { path.points[path.points.len() - 1] };
         let [a, b, c] = self.state.triangles[path.triangles[side] as usize];
         [[a, b], [b, c], [c, a]].into_iter().filter(|&edge| self.is_border(edge)).find_map(|edge| {
@@ -114,7 +114,7 @@ impl Sheet {
         })
     }
 
-    fn nearest_corner(&self, path: &Path) -> u32 {
+    fn nearest_corner(&self, path: &SurfacePath) -> u32 {
         let corners = self.state.triangles[path.triangles[0] as usize];
         let [a, b, c] = corners.map(|corner| self.apart(corner, &path.points[0]));
         if a <= b && a <= c {

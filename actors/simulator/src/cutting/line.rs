@@ -9,7 +9,7 @@ use trocar_scene::disjoint_sets::DisjointSets;
 
 /// A line after a cut.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PartedLine {
+pub struct CutLine {
     /// Nodes of each segment; their number is unchanged.
     pub segments: Vec<[u32; 2]>,
     /// Original of each new node; new nodes come after all others.
@@ -50,11 +50,11 @@ pub fn crossed(positions: &[Point3<f64>], sweeps: &[Sweep]) -> Vec<(usize, f64)>
 /// # Panics
 /// A segment with a missing node.
 #[must_use]
-pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Sweep]) -> Option<PartedLine> {
+pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Sweep]) -> Option<CutLine> {
     let mut about = vec![0_u32; positions.len()];
     segments.iter().flatten().for_each(|&node| about[node as usize] += 1);
     let whole = about.clone();
-    let mut parted = PartedLine { segments: segments.to_vec(), copies: Vec::new() };
+    let mut parted = CutLine { segments: segments.to_vec(), copies: Vec::new() };
     for sweep in sweeps {
         for (index, &ends) in segments.iter().enumerate() {
             let [a, b] = ends.map(|node| &positions[node as usize]);
@@ -86,11 +86,7 @@ pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Swe
 /// # Panics
 /// A segment with a missing node.
 #[must_use]
-pub fn tear_line(
-    [rest, now]: [&[Point3<f64>]; 2],
-    segments: &[[u32; 2]],
-    tears_at: f64,
-) -> Option<PartedLine> {
+pub fn tear_line([rest, now]: [&[Point3<f64>]; 2], segments: &[[u32; 2]], tears_at: f64) -> Option<CutLine> {
     let length = |of: &[Point3<f64>], [a, b]: [u32; 2]| (of[b as usize] - of[a as usize]).norm();
     let mut about = vec![0_u32; now.len()];
     segments.iter().flatten().for_each(|&node| about[node as usize] += 1);
@@ -100,7 +96,7 @@ pub fn tear_line(
         (stretch > tears_at).then_some((index, end, stretch))
     });
     let (index, end, _) = drawn.max_by(|a, b| a.2.total_cmp(&b.2).then(b.0.cmp(&a.0)))?;
-    let mut parted = PartedLine { segments: segments.to_vec(), copies: vec![segments[index][end]] };
+    let mut parted = CutLine { segments: segments.to_vec(), copies: vec![segments[index][end]] };
     parted.segments[index][end] = now.len() as u32;
     Some(parted)
 }

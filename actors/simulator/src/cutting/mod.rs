@@ -18,7 +18,7 @@ mod tearing;
 pub(crate) mod topology_change;
 
 pub use cuttable_surface::{Sheet, SheetState};
-pub use line::{PartedLine, crossed, part_line, pieces, tear_line};
+pub use line::{CutLine, crossed, part_line, pieces, tear_line};
 pub use topology_change::{TopologyChange, VertexChange};
 
 use nalgebra::Point3;

@@ -8,20 +8,20 @@ use super::Sheet;
 
 /// A segment within one triangle, in the rest shape.
 #[derive(Clone, Copy, Debug)]
-struct Piece {
+struct PathSegment {
     triangle: u32,
     ends: [Point3<f64>; 2],
 }
 
 /// A polyline across the surface in the rest shape.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Path {
+pub(super) struct SurfacePath {
     pub points: Vec<Point3<f64>>,
     /// Triangle of the first and of the last point, before any cut.
     pub triangles: [u32; 2],
 }
 
-impl Path {
+impl SurfacePath {
     pub fn reverse(&mut self) {
         self.points.reverse();
         self.triangles.reverse();
@@ -46,8 +46,8 @@ fn weights(point: &Point3<f64>, [a, b, c]: &Triangle) -> [f64; 3] {
 }
 
 /// All paths of a sweep, in the order of the triangles that they begin with.
-pub(super) fn paths(sheet: &Sheet, positions: &[Point3<f64>], sweep: &Sweep) -> Vec<Path> {
-    let mut pieces: Vec<Piece> = Vec::new();
+pub(super) fn paths(sheet: &Sheet, positions: &[Point3<f64>], sweep: &Sweep) -> Vec<SurfacePath> {
+    let mut pieces: Vec<PathSegment> = Vec::new();
     let [low, high] = bounds(&[sweep.before[0], sweep.before[1], sweep.after[0], sweep.after[1]]);
     for (index, corners) in sheet.triangles().iter().enumerate() {
         let placed = corners.map(|vertex| positions[vertex as usize]);
@@ -63,7 +63,7 @@ pub(super) fn paths(sheet: &Sheet, positions: &[Point3<f64>], sweep: &Sweep) -> 
         for swept in sweep.triangles() {
             if triangles_overlap(&swept, &placed) {
                 let ends = common_segment(&swept, &placed).map(|end| to_rest(&end));
-                pieces.push(Piece { triangle: index as u32, ends });
+                pieces.push(PathSegment { triangle: index as u32, ends });
             }
         }
     }
@@ -73,7 +73,7 @@ pub(super) fn paths(sheet: &Sheet, positions: &[Point3<f64>], sweep: &Sweep) -> 
 /// Distance below which two ends coincide, relative to the largest edge nearby.
 const SAME: f64 = 1e-6;
 
-fn join(sheet: &Sheet, mut pieces: Vec<Piece>) -> Vec<Path> {
+fn join(sheet: &Sheet, mut pieces: Vec<PathSegment>) -> Vec<SurfacePath> {
     let size = |triangle: u32| {
         let [a, b, c] = sheet.triangles()[triangle as usize].map(|vertex| sheet.rest()[vertex as usize]);
         (b - a).norm().max((c - b).norm()).max((a - c).norm())
@@ -87,7 +87,7 @@ fn join(sheet: &Sheet, mut pieces: Vec<Piece>) -> Vec<Path> {
     let mut paths = Vec::new();
     while !pieces.is_empty() {
         let seed = pieces.remove(0);
-        let mut path = Path { points: seed.ends.to_vec(), triangles: [seed.triangle; 2] };
+        let mut path = SurfacePath { points: seed.ends.to_vec(), triangles: [seed.triangle; 2] };
         for side in [1, 0] {
             loop {
                 let triangle = path.triangles[side];

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
-use super::swept_path::Path;
+use super::swept_path::SurfacePath;
 use super::{CutError, Sheet, TopologyChange};
 
 impl Sheet {
@@ -69,7 +69,7 @@ impl Sheet {
         if added {
             self.state.tips.push(start);
         }
-        self.follow(Path { points, triangles: [triangle; 2] });
+        self.follow(SurfacePath { points, triangles: [triangle; 2] });
         // A vertex on a border is no tip of its own.
         if added && self.on_border(start) {
             self.state.tips.retain(|tip| *tip != start);

@@ -7,7 +7,7 @@ use super::config::MassMatrix;
 use super::incremental_potential::{Mass, elements};
 use super::lbfgs::Memory;
 use super::solver::DynamicFem;
-use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky, minimum_degree};
+use crate::linear_algebra::{BlockMatrix, FactorError, SupernodalCholesky, minimum_degree};
 use crate::stiffness::{consistent_mass, pattern};
 
 impl DynamicFem {
@@ -15,7 +15,7 @@ impl DynamicFem {
     pub(super) fn analyse(
         mesh: &TetMesh,
         is_fixed: &[bool],
-    ) -> Result<(Vec<Option<u32>>, BlockMatrix, SparseCholesky), FactorError> {
+    ) -> Result<(Vec<Option<u32>>, BlockMatrix, SupernodalCholesky), FactorError> {
         let nodes = mesh.rest().len();
         let members: Vec<u32> = (0..nodes as u32).filter(|&node| !is_fixed[node as usize]).collect();
         let mut local = vec![None; nodes];
@@ -30,12 +30,12 @@ impl DynamicFem {
             numbers[members[index as usize] as usize] = Some(row as u32);
         }
         let hessian = BlockMatrix::zeros(pattern(mesh, &numbers, members.len()));
-        let factor = SparseCholesky::new(hessian.pattern(), 1)?;
+        let factor = SupernodalCholesky::new(hessian.pattern(), 1)?;
         Ok((numbers, hessian, factor))
     }
 
     /// Derives everything from the mesh except the factor.
-    pub(super) fn look_at_mesh(&mut self, fixed: &[u32]) {
+    pub(super) fn derive_from_mesh(&mut self, fixed: &[u32]) {
         let (mesh, density) = (&self.mesh, self.config.density);
         let nodes = mesh.rest().len();
         let consistent = (self.config.mass == MassMatrix::Consistent).then(|| {

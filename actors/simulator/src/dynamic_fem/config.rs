@@ -106,7 +106,7 @@ pub enum StepError {
         index: usize,
     },
     /// The step would give a non-finite result.
-    #[error("the step led node {node} to a position that is not a finite number")]
+    #[error("the step led node {node} to a position that is not a finite number: take a shorter step")]
     NotFinite {
         /// The node.
         node: u32,

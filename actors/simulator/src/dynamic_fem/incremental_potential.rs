@@ -99,7 +99,7 @@ pub(super) struct Damping {
 }
 
 /// Elastic and viscous energy and forces of the elements.
-pub(super) struct Matter<'a> {
+pub(super) struct ElementForces<'a> {
     pub elements: &'a [Element],
     pub material: Material,
     pub lame: [f64; 2],
@@ -109,7 +109,7 @@ pub(super) struct Matter<'a> {
     pub dt: f64,
 }
 
-impl Matter<'_> {
+impl ElementForces<'_> {
     /// Returns the energy \[J\] and adds its gradient \[N\].
     pub fn add(&self, positions: &[Point3<f64>], gradient: &mut [Vector3<f64>]) -> f64 {
         let mut energy = 0.0;
@@ -201,14 +201,14 @@ pub(super) fn couplings(inputs: &Inputs, positions: &[Point3<f64>], out: &mut Ve
 
 /// Adds the elastic, viscous and inertial parts of the Hessian over the numbered nodes.
 pub(super) fn add_hessian(
-    matter: &Matter,
+    element_forces: &ElementForces,
     mass: &Mass,
     positions: &[Point3<f64>],
     numbers: &[Option<u32>],
     to: &mut BlockMatrix,
 ) {
-    let dt = matter.dt;
-    let inertia = 1.0 / (dt * dt) + matter.damping.mass / dt;
+    let dt = element_forces.dt;
+    let inertia = 1.0 / (dt * dt) + element_forces.damping.mass / dt;
     for (node, number) in numbers.iter().enumerate() {
         if let Some(number) = number
             && mass.consistent.is_none()
@@ -230,10 +230,10 @@ pub(super) fn add_hessian(
         }
     }
     // Damping adds a multiple of the elastic stiffness, except for its change within a step.
-    let factor = 1.0 + matter.damping.stiffness / dt;
-    for element in matter.elements.iter().filter(|element| !element.is_gone()) {
+    let factor = 1.0 + element_forces.damping.stiffness / dt;
+    for element in element_forces.elements.iter().filter(|element| !element.is_gone()) {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
-        let stiffness = matter.material.stiffness(&f);
+        let stiffness = element_forces.material.stiffness(&f);
         let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));
         for (i, node) in element.nodes.iter().enumerate() {
             let Some(row) = numbers[*node as usize] else { continue };

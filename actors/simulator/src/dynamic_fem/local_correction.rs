@@ -7,8 +7,8 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::tet_mesh::{gradients, shape};
 
-use super::incremental_potential::{Element, Matter};
-use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SparseCholesky, minimum_degree};
+use super::incremental_potential::{Element, ElementForces};
+use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SupernodalCholesky, minimum_degree};
 
 /// Maximum number of nodes near the cut: farther ones respond alike in both.
 const NEAR_MAX: usize = 300;
@@ -22,14 +22,14 @@ pub(super) struct NearCut {
     nodes: Vec<u32>,
     /// Rows of the second problem that each node moves with.
     homes: Vec<NodeWeights>,
-    apart: SparseCholesky,
-    together: SparseCholesky,
+    apart: SupernodalCholesky,
+    together: SupernodalCholesky,
     flat: [Vec<f64>; 2],
 }
 
 /// A body around its cut.
-pub(super) struct About<'a> {
-    pub matter: Matter<'a>,
+pub(super) struct CutNeighbourhood<'a> {
+    pub element_forces: ElementForces<'a>,
     /// Masses of the nodes \[kg\].
     pub masses: &'a [f64],
     /// Fixed nodes.
@@ -41,14 +41,14 @@ pub(super) struct About<'a> {
 
 impl NearCut {
     /// Around the new nodes, at these positions \[m\].
-    pub fn new(about: &About<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
+    pub fn new(about: &CutNeighbourhood<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
         let near = about.near();
-        let elements: Vec<Near> = about
-            .matter
+        let elements: Vec<NearElement> = about
+            .element_forces
             .elements
             .iter()
             .filter(|element| !element.is_gone() && element.nodes.iter().any(|node| near[*node as usize]))
-            .map(|element| Near::new(element, &about.matter, positions))
+            .map(|element| NearElement::new(element, &about.element_forces, positions))
             .collect();
         let own: Vec<u32> = (0..near.len() as u32).filter(|&node| near[node as usize]).collect();
         let mut alone = vec![NodeWeights::new(); near.len()];
@@ -76,10 +76,10 @@ impl NearCut {
     pub fn load(&mut self, forces: &[Vector3<f64>]) {
         let [apart, together] = &mut self.flat;
         together.fill(0.0);
-        for (row, (&node, home)) in self.nodes.iter().zip(&self.homes).enumerate() {
+        for (row, (&node, node_weights)) in self.nodes.iter().zip(&self.homes).enumerate() {
             let force = forces[node as usize];
             apart[3 * row..][..3].copy_from_slice(force.as_slice());
-            for &(at, share) in home {
+            for &(at, share) in node_weights {
                 (0..3).for_each(|axis| together[3 * at as usize + axis] += force[axis] * share);
             }
         }
@@ -91,14 +91,14 @@ impl NearCut {
     pub fn add(&self, moved: &mut [Vector3<f64>]) {
         let [apart, together] = &self.flat;
         let of = |flat: &[f64], row: usize| Vector3::from_column_slice(&flat[3 * row..][..3]);
-        for (row, (&node, home)) in self.nodes.iter().zip(&self.homes).enumerate() {
-            let stays = home.iter().map(|&(at, share)| of(together, at as usize) * share);
+        for (row, (&node, node_weights)) in self.nodes.iter().zip(&self.homes).enumerate() {
+            let stays = node_weights.iter().map(|&(at, share)| of(together, at as usize) * share);
             moved[node as usize] += of(apart, row) - stays.sum::<Vector3<f64>>();
         }
     }
 }
 
-impl About<'_> {
+impl CutNeighbourhood<'_> {
     /// Free nodes near the cut: the new nodes, their parents, and layers around these.
     fn near(&self) -> Vec<bool> {
         let mut near: Vec<bool> = (0..self.masses.len()).map(|node| node >= self.known).collect();
@@ -107,7 +107,7 @@ impl About<'_> {
         let mut before = count(&near);
         while before < NEAR_MAX {
             let mut more = near.clone();
-            for element in self.matter.elements.iter().filter(|element| !element.is_gone()) {
+            for element in self.element_forces.elements.iter().filter(|element| !element.is_gone()) {
                 if element.nodes.iter().any(|node| near[*node as usize]) {
                     element.nodes.iter().for_each(|node| more[*node as usize] = true);
                 }
@@ -124,19 +124,19 @@ impl About<'_> {
 }
 
 /// An element near the cut.
-struct Near {
+struct NearElement {
     nodes: [u32; 4],
     /// Its stiffness \[N/m\], damping included, between its nodes.
     blocks: [[Matrix3<f64>; 4]; 4],
 }
 
-impl Near {
-    fn new(element: &Element, matter: &Matter<'_>, positions: &[Point3<f64>]) -> Self {
+impl NearElement {
+    fn new(element: &Element, element_forces: &ElementForces<'_>, positions: &[Point3<f64>]) -> Self {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
-        let stiffness = matter.material.stiffness(&f);
+        let stiffness = element_forces.material.stiffness(&f);
         let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));
         // As in the global Hessian.
-        let volume = element.volume * (1.0 + matter.damping.stiffness / matter.dt);
+        let volume = element.volume * (1.0 + element_forces.damping.stiffness / element_forces.dt);
         let blocks = [0, 1, 2, 3].map(|i| turned.map(|with| stiffness.block(volume, &turned[i], &with)));
         Self { nodes: element.nodes, blocks }
     }
@@ -144,11 +144,11 @@ impl Near {
 
 /// Factor of the elements over `count` unknowns with node weights, and the row of each.
 fn factored(
-    about: &About<'_>,
-    elements: &[Near],
+    about: &CutNeighbourhood<'_>,
+    elements: &[NearElement],
     count: usize,
     homes: &[NodeWeights],
-) -> Result<(Vec<u32>, SparseCholesky), FactorError> {
+) -> Result<(Vec<u32>, SupernodalCholesky), FactorError> {
     let mut pairs: Vec<(u32, u32)> = Vec::new();
     for element in elements {
         let all = || element.nodes.iter().flat_map(|node| &homes[*node as usize]).map(|(at, _)| *at);
@@ -171,19 +171,21 @@ fn factored(
             }
         }
     };
-    let dt = about.matter.dt;
-    let inertia = 1.0 / (dt * dt) + about.matter.damping.mass / dt;
-    for (home, mass) in homes.iter().zip(about.masses).filter(|(home, _)| !home.is_empty()) {
-        add(home, home, &Matrix3::from_diagonal_element(mass * inertia));
+    let dt = about.element_forces.dt;
+    let inertia = 1.0 / (dt * dt) + about.element_forces.damping.mass / dt;
+    for (node_weights, mass) in
+        homes.iter().zip(about.masses).filter(|(node_weights, _)| !node_weights.is_empty())
+    {
+        add(node_weights, node_weights, &Matrix3::from_diagonal_element(mass * inertia));
     }
-    for Near { nodes, blocks } in elements {
+    for NearElement { nodes, blocks } in elements {
         for (node, row) in nodes.iter().zip(blocks) {
             for (other, block) in nodes.iter().zip(row) {
                 add(&homes[*node as usize], &homes[*other as usize], block);
             }
         }
     }
-    let mut factor = SparseCholesky::new(matrix.pattern(), 1)?;
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), 1)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok((rows, factor))
 }

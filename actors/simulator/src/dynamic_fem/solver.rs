@@ -7,12 +7,12 @@ use trocar_dynamics::tet_mesh::TetMesh;
 use super::config::{Config, DynamicFemError, Energies, Report, StepError};
 use super::constitutive::Material;
 use super::incremental_potential::{
-    Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
-    frames,
+    Coupling, Damping, Element, ElementForces, Inputs, Mass, add_couplings, add_hessian, add_springs,
+    couplings, frames,
 };
 use super::lbfgs::{Memory, dot};
 use super::stale_factor::{self, StaleFactor};
-use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
+use crate::linear_algebra::{BlockMatrix, FactorError, SupernodalCholesky};
 
 /// Where the factor was computed: a restored body recomputes it there, bit for bit.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -52,7 +52,7 @@ pub struct DynamicFem {
     pub(super) debt: u32,
     pub(super) factored_at: FactoredAt,
     pub(super) hessian: BlockMatrix,
-    pub(super) factor: SparseCholesky,
+    pub(super) factor: SupernodalCholesky,
     /// Set while the factor is that of the former mesh.
     pub(super) lent: Option<StaleFactor>,
     /// See [`Self::analysed`].
@@ -62,12 +62,12 @@ pub struct DynamicFem {
     pub(super) rounding: f64,
     /// Rounding error of the forces \[N\], from the rounding of positions.
     pub(super) floor: f64,
-    pub(super) work: Work,
+    pub(super) work: Workspace,
 }
 
 /// Workspace kept between steps.
 #[derive(Default)]
-pub(super) struct Work {
+pub(super) struct Workspace {
     pub held: Vec<bool>,
     reactions: Vec<(u32, Vector3<f64>)>,
     before: Vec<(Matrix3<f64>, Matrix3<f64>)>,
@@ -87,7 +87,7 @@ pub(super) struct Work {
 
 /// The potential at an iterate.
 #[derive(Clone, Copy)]
-pub(super) struct Value {
+pub(super) struct PotentialValue {
     energy: f64,
     /// Sum of the magnitudes in `energy`, to which its rounding error is relative.
     magnitude: f64,
@@ -149,11 +149,11 @@ impl DynamicFem {
             memory: Memory::default(),
             rounding: 0.0,
             floor: 0.0,
-            work: Work::default(),
+            work: Workspace::default(),
             mesh,
             config: *config,
         };
-        body.look_at_mesh(fixed);
+        body.derive_from_mesh(fixed);
         body.work.flat.resize(body.factor.rows(), 0.0);
         Ok(body)
     }
@@ -194,13 +194,24 @@ impl DynamicFem {
         let mut product = vec![Vector3::zeros(); self.velocities.len()];
         self.mass.multiply(&self.velocities, &mut product);
         let mut forces = vec![Vector3::zeros(); self.velocities.len()];
-        let elastic = self.matter(1.0, &[]).add(&self.positions, &mut forces);
+        let elastic = self.element_forces(1.0, &[]).add(&self.positions, &mut forces);
         Energies { kinetic: 0.5 * dot(&self.velocities, &product), elastic }
     }
 
-    pub(super) fn matter<'a>(&'a self, dt: f64, before: &'a [(Matrix3<f64>, Matrix3<f64>)]) -> Matter<'a> {
+    pub(super) fn element_forces<'a>(
+        &'a self,
+        dt: f64,
+        before: &'a [(Matrix3<f64>, Matrix3<f64>)],
+    ) -> ElementForces<'a> {
         let damping = Damping { mass: self.config.mass_damping, stiffness: self.config.stiffness_damping };
-        Matter { elements: &self.elements, material: self.material, lame: self.lame, damping, before, dt }
+        ElementForces {
+            elements: &self.elements,
+            material: self.material,
+            lame: self.lame,
+            damping,
+            before,
+            dt,
+        }
     }
 
     /// Whether a node is neither fixed nor without elements.
@@ -223,7 +234,7 @@ impl DynamicFem {
         done
     }
 
-    fn checked_step(&mut self, dt: f64, inputs: &Inputs, work: &mut Work) -> Result<Report, StepError> {
+    fn checked_step(&mut self, dt: f64, inputs: &Inputs, work: &mut Workspace) -> Result<Report, StepError> {
         self.check(inputs, work)?;
         self.begin(dt, inputs, work);
         let mut report = Report {
@@ -274,7 +285,7 @@ impl DynamicFem {
     }
 
     /// Validates the inputs, and marks held nodes.
-    fn check(&self, inputs: &Inputs, work: &mut Work) -> Result<(), StepError> {
+    fn check(&self, inputs: &Inputs, work: &mut Workspace) -> Result<(), StepError> {
         let nodes = self.positions.len();
         let number = |what, index, fits: bool| {
             if fits { Ok(()) } else { Err(StepError::Number { what, index }) }
@@ -317,7 +328,7 @@ impl DynamicFem {
     }
 
     /// Inertial target positions, external forces, and the initial guess: constant acceleration.
-    pub(super) fn begin(&self, dt: f64, inputs: &Inputs, work: &mut Work) {
+    pub(super) fn begin(&self, dt: f64, inputs: &Inputs, work: &mut Workspace) {
         let nodes = self.positions.len();
         work.aim.clear();
         work.now.clear();
@@ -353,14 +364,20 @@ impl DynamicFem {
         }
         let mut hessian = std::mem::replace(&mut self.hessian, BlockMatrix::zeros(Default::default()));
         hessian.values_mut().fill(0.0);
-        add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
+        add_hessian(&self.element_forces(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
         add_couplings(&at.couplings, &self.numbers, &mut hessian);
         let mut done = self.factor.factor(hessian.pattern(), hessian.values());
         if done.is_err() {
             // Too distorted to factorise: the rest shape always works, though with slower convergence.
             at = FactoredAt { positions: self.mesh.rest().to_vec(), dt: at.dt, couplings: Vec::new() };
             hessian.values_mut().fill(0.0);
-            add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
+            add_hessian(
+                &self.element_forces(at.dt, &[]),
+                &self.mass,
+                &at.positions,
+                &self.numbers,
+                &mut hessian,
+            );
             done = self.factor.factor(hessian.pattern(), hessian.values());
         }
         self.hessian = hessian;
@@ -374,13 +391,13 @@ impl DynamicFem {
         &self,
         dt: f64,
         inputs: &Inputs,
-        work: &mut Work,
-        at: impl Fn(&Work) -> &Vec<Point3<f64>>,
-    ) -> Value {
+        work: &mut Workspace,
+        at: impl Fn(&Workspace) -> &Vec<Point3<f64>>,
+    ) -> PotentialValue {
         let mut gradient = std::mem::take(&mut work.next);
         gradient.fill(Vector3::zeros());
         let place = at(work);
-        let inner = self.matter(dt, &work.before).add(place, &mut gradient)
+        let inner = self.element_forces(dt, &work.before).add(place, &mut gradient)
             + add_springs(inputs, place, &mut gradient);
         let inner_norm = dot(&gradient, &gradient).sqrt();
         let mut apart = std::mem::take(&mut work.apart);
@@ -417,7 +434,7 @@ impl DynamicFem {
         let residual = dot(&gradient, &gradient).sqrt();
         (work.next, work.apart) = (gradient, apart);
         let magnitude = inner.abs() + inertia + drag + work_done.abs();
-        Value { energy: inner + inertia + drag - work_done, magnitude, scale, residual }
+        PotentialValue { energy: inner + inertia + drag - work_done, magnitude, scale, residual }
     }
 
     /// Quasi-Newton iterations, starting from `work.now` and ending there.
@@ -425,9 +442,9 @@ impl DynamicFem {
         &mut self,
         dt: f64,
         inputs: &Inputs,
-        work: &mut Work,
+        work: &mut Workspace,
         report: &mut Report,
-    ) -> Result<Value, StepError> {
+    ) -> Result<PotentialValue, StepError> {
         self.memory.forget();
         work.refused = false;
         let mut value = self.evaluate(dt, inputs, work, |work| &work.now);
@@ -478,7 +495,7 @@ impl DynamicFem {
 
     /// Moves an unsupported body by the resultant force, however large the internal residual: its momentum is conserved
     /// independently of the tolerance.
-    fn balance(&self, dt: f64, work: &mut Work) {
+    fn balance(&self, dt: f64, work: &mut Workspace) {
         let mass: f64 = self.mass.lumped.iter().sum();
         let resists = mass * (1.0 / dt + self.config.mass_damping) / dt;
         let apart = work.gradient.iter().sum::<Vector3<f64>>() / resists;
@@ -491,10 +508,10 @@ impl DynamicFem {
         &self,
         dt: f64,
         inputs: &Inputs,
-        work: &mut Work,
+        work: &mut Workspace,
         report: &mut Report,
-        value: Value,
-    ) -> Value {
+        value: PotentialValue,
+    ) -> PotentialValue {
         let mut best = value;
         for moving in [true, false] {
             for node in 0..work.trial.len() {
@@ -516,12 +533,12 @@ impl DynamicFem {
     }
 
     /// Whether the residual is within the tolerance, allowing for rounding.
-    fn solved(&self, value: &Value) -> bool {
+    fn solved(&self, value: &PotentialValue) -> bool {
         value.residual <= self.config.tolerance * value.scale + self.floor
     }
 
     /// The descent direction: minus the approximate inverse Hessian times the gradient.
-    pub(super) fn descend(&mut self, work: &mut Work) {
+    pub(super) fn descend(&mut self, work: &mut Workspace) {
         work.direction.clone_from(&work.gradient);
         let (factor, numbers, lent) = (&mut self.factor, &self.numbers, &mut self.lent);
         let (flat, held) = (&mut work.flat, &work.held);
@@ -538,11 +555,11 @@ impl DynamicFem {
         &self,
         dt: f64,
         inputs: &Inputs,
-        work: &mut Work,
+        work: &mut Workspace,
         report: &mut Report,
-        value: &Value,
+        value: &PotentialValue,
         slope: f64,
-    ) -> Option<(f64, Value)> {
+    ) -> Option<(f64, PotentialValue)> {
         let mut length = 1.0;
         for _ in 0..HALVINGS_MAX {
             for node in 0..work.now.len() {

@@ -6,34 +6,34 @@
 //! nothing jumps when it arrives.
 
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::tet_mesh::{Birth, TetMesh};
+use trocar_dynamics::tet_mesh::{NodeOrigin, TetMesh};
 
 use super::config::DynamicFemError;
 use super::incremental_potential::{Coupling, Inputs};
-use super::local_correction::{About, NearCut};
+use super::local_correction::{CutNeighbourhood, NearCut};
 use super::solver::{DynamicFem, FactoredAt};
 use super::state::DynamicFemState;
-use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
+use crate::linear_algebra::{BlockMatrix, FactorError, SupernodalCholesky};
 
 /// A factor with its node numbering.
 pub struct Analysis {
     /// Row of each node in elimination order; `None` for fixed ones.
     numbers: Vec<Option<u32>>,
     hessian: BlockMatrix,
-    factor: SparseCholesky,
+    factor: SupernodalCholesky,
     factored_at: FactoredAt,
 }
 
 /// How nodes unknown to the factor move with its nodes.
 pub(super) struct StaleFactor {
-    births: Vec<Birth>,
+    births: Vec<NodeOrigin>,
     /// The factor's nodes that each new node moves with, and their weights.
     parents: Vec<Vec<(u32, f64)>>,
     near: NearCut,
 }
 
 /// The original nodes that each new one moves with.
-fn parents(known: usize, births: &[Birth]) -> Vec<Vec<(u32, f64)>> {
+fn parents(known: usize, births: &[NodeOrigin]) -> Vec<Vec<(u32, f64)>> {
     let mut parents: Vec<Vec<(u32, f64)>> = Vec::with_capacity(births.len());
     for birth in births {
         let mut own: Vec<(u32, f64)> = Vec::new();
@@ -57,7 +57,7 @@ fn parents(known: usize, births: &[Birth]) -> Vec<Vec<(u32, f64)>> {
 impl DynamicFem {
     /// Whether it still uses the factor of its former mesh.
     #[must_use]
-    pub fn is_lent(&self) -> bool {
+    pub fn has_stale_factor(&self) -> bool {
         self.lent.is_some()
     }
 
@@ -102,11 +102,11 @@ impl DynamicFem {
     ///
     /// # Errors
     /// Not enough memory for a symbolic factorisation, which is needed at once where there is no former factor.
-    pub fn come_apart(
+    pub fn split_nodes(
         &mut self,
         mesh: TetMesh,
         fixed: &[u32],
-        born: &[Birth],
+        born: &[NodeOrigin],
         change: impl FnOnce(&mut Self),
     ) -> Result<(), FactorError> {
         let lends = self.has_factor();
@@ -121,25 +121,25 @@ impl DynamicFem {
         births.extend_from_slice(born);
         let known = mesh.rest().len() - births.len();
         self.mesh = mesh;
-        self.look_at_mesh(fixed);
+        self.derive_from_mesh(fixed);
         change(self);
         if !lends {
             return self.settle();
         }
         self.factored_at = factored_at;
         self.numbers.truncate(known);
-        self.lend(births)
+        self.reuse_factor(births)
     }
 
     /// Continues from a state whose factor is the current or the reused one.
-    pub fn go_on(&mut self, state: &DynamicFemState) {
+    pub fn resume(&mut self, state: &DynamicFemState) {
         self.positions.clone_from(&state.positions);
         self.velocities.clone_from(&state.velocities);
         self.accelerations.clone_from(&state.accelerations);
         self.debt = state.debt;
     }
 
-    fn lend(&mut self, births: Vec<Birth>) -> Result<(), FactorError> {
+    fn reuse_factor(&mut self, births: Vec<NodeOrigin>) -> Result<(), FactorError> {
         let known = self.numbers.len();
         self.numbers.resize(self.positions.len(), None);
         self.work.flat.clear();
@@ -153,8 +153,8 @@ impl DynamicFem {
         for birth in &births {
             places.push(birth.mix(&places, |a, b, share| a + (b - a) * share));
         }
-        let about = About {
-            matter: self.matter(self.factored_at.dt, &[]),
+        let about = CutNeighbourhood {
+            element_forces: self.element_forces(self.factored_at.dt, &[]),
             masses: &self.mass.lumped,
             is_fixed: &self.fixed,
             known,
@@ -173,11 +173,11 @@ impl DynamicFem {
     ///
     /// # Errors
     /// Not enough memory.
-    pub fn take_over(&mut self, analysis: Analysis, births: &[Birth]) -> Result<(), FactorError> {
+    pub fn take_over(&mut self, analysis: Analysis, births: &[NodeOrigin]) -> Result<(), FactorError> {
         let Analysis { numbers, hessian, factor, factored_at } = analysis;
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
         (self.factored_at, self.debt, self.lent) = (factored_at, 0, None);
-        self.lend(births.to_vec())
+        self.reuse_factor(births.to_vec())
     }
 
     /// Does the symbolic factorisation of the current mesh at once; the factor is still to be computed.
@@ -189,13 +189,13 @@ impl DynamicFem {
         (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
         (self.factored_at, self.lent) = (FactoredAt::default(), None);
         self.analysed += 1;
-        self.lend(Vec::new())
+        self.reuse_factor(Vec::new())
     }
 }
 
 /// Applies the approximate inverse Hessian to vectors of the nodes.
 pub(super) fn solve(
-    factor: &mut SparseCholesky,
+    factor: &mut SupernodalCholesky,
     numbers: &[Option<u32>],
     lent: Option<&mut StaleFactor>,
     flat: &mut [f64],

@@ -7,7 +7,7 @@
 
 use super::error::HeatStepError;
 use super::material::{BODY, ThermalMaterial};
-use super::voxelisation::{Site, Tissue};
+use super::voxelisation::{CellLocation, Tissue};
 
 /// Tolerance of the fluxes, as a fraction of the temperatures \[K\].
 const RESIDUAL: f64 = 1e-8;
@@ -168,7 +168,7 @@ impl OrganHeat {
     }
 
     /// Adds heat \[J\] to the vertices around a cell. Heat into vertices with prescribed temperature is lost.
-    pub(super) fn deposit(&mut self, site: &Site, joules: f64) -> f64 {
+    pub(super) fn deposit(&mut self, site: &CellLocation, joules: f64) -> f64 {
         let mut lost = 0.0;
         for (node, weight) in site.nodes.iter().zip(site.weights()) {
             let node = *node as usize;
@@ -182,7 +182,7 @@ impl OrganHeat {
     }
 
     /// Removes heat capacity \[J/K\] together with its heat, which is returned \[J\].
-    pub(super) fn shrink(&mut self, site: &Site, capacity: f64) -> f64 {
+    pub(super) fn shrink(&mut self, site: &CellLocation, capacity: f64) -> f64 {
         let mut gone = 0.0;
         for (node, weight) in site.nodes.iter().zip(site.weights()) {
             let node = *node as usize;
@@ -195,7 +195,7 @@ impl OrganHeat {
     }
 
     /// Removes the perfusion at a cell \[W/K\].
-    pub(super) fn stop_perfusion(&mut self, site: &Site, loss: f64) {
+    pub(super) fn stop_perfusion(&mut self, site: &CellLocation, loss: f64) {
         for (node, weight) in site.nodes.iter().zip(site.weights()) {
             let perfusion = &mut self.perfusion[*node as usize];
             *perfusion = (*perfusion - loss * weight).max(0.0);

@@ -7,7 +7,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::tet_mesh::NodeOrigin;
 
 use super::bioheat_fem::{OrganHeat, element_conduction};
 use super::error::ElectrosurgeryError;
@@ -17,16 +17,16 @@ use super::{Electrosurgery, ElectrosurgeryState};
 
 /// Tissue after cutting.
 #[derive(Clone, Copy, Debug)]
-pub struct Parted<'a> {
+pub struct CutTissue<'a> {
     /// All vertices at rest \[m\], original ones first, and all elements, including removed ones.
     pub tissue: Tissue<'a>,
     /// The original element that each element is a part of.
     pub of: &'a [u32],
     /// Parents of the added vertices, in order; if there are more births than added vertices, the last ones apply.
-    pub births: &'a [Birth],
+    pub births: &'a [NodeOrigin],
 }
 
-impl Parted<'_> {
+impl CutTissue<'_> {
     fn check(&self, vertices: usize, elements: usize) -> Result<(), ElectrosurgeryError> {
         let wrong = |what: String| Err(ElectrosurgeryError::Parted(what));
         let (all, count) = (self.tissue.positions().len(), self.tissue.element_count());
@@ -58,7 +58,7 @@ impl Parted<'_> {
     }
 
     /// Births of the vertices after the first `count`.
-    fn births_from(&self, count: usize) -> &[Birth] {
+    fn births_from(&self, count: usize) -> &[NodeOrigin] {
         let first = self.tissue.positions().len() - self.births.len();
         &self.births[count.saturating_sub(first).min(self.births.len())..]
     }
@@ -66,7 +66,7 @@ impl Parted<'_> {
 
 /// Quantities at an organ's vertices.
 #[derive(Clone, Debug)]
-pub(super) struct Nodal {
+pub(super) struct NodalQuantities {
     pub celsius: Vec<f64>,
     pub damage: Vec<f64>,
     pub capacity: Vec<f64>,
@@ -76,14 +76,14 @@ pub(super) struct Nodal {
     pub whole: Vec<f64>,
 }
 
-impl Nodal {
+impl NodalQuantities {
     fn stored(&self) -> f64 {
         self.capacity.iter().zip(&self.celsius).map(|(capacity, celsius)| capacity * (celsius - BODY)).sum()
     }
 
     /// Transfers to the vertices of `organ`, the last of which are new. Heat is conserved: a vertex between two others
     /// gets the temperature of a linear field, which is exact except where part of the capacity has been removed.
-    fn grow(&mut self, births: &[Birth], organ: &OrganHeat) {
+    fn grow(&mut self, births: &[NodeOrigin], organ: &OrganHeat) {
         let before = self.stored();
         let mut shares: Vec<[f64; 2]> = (0..self.whole.len())
             .map(|vertex| {
@@ -123,13 +123,13 @@ impl Electrosurgery {
     ///
     /// # Errors
     /// Cuts that do not fit the original mesh; nothing has changed then.
-    pub fn part(&mut self, parted: &Parted<'_>) -> Result<(), ElectrosurgeryError> {
+    pub fn part(&mut self, parted: &CutTissue<'_>) -> Result<(), ElectrosurgeryError> {
         let nodal = self.nodal();
         self.part_from(parted, nodal)
     }
 
-    pub(super) fn nodal(&self) -> Nodal {
-        Nodal {
+    pub(super) fn nodal(&self) -> NodalQuantities {
+        NodalQuantities {
             celsius: self.organ.celsius.clone(),
             damage: self.organ_damage.clone(),
             capacity: self.organ.capacity.clone(),
@@ -139,7 +139,11 @@ impl Electrosurgery {
         }
     }
 
-    fn part_from(&mut self, parted: &Parted<'_>, mut nodal: Nodal) -> Result<(), ElectrosurgeryError> {
+    fn part_from(
+        &mut self,
+        parted: &CutTissue<'_>,
+        mut nodal: NodalQuantities,
+    ) -> Result<(), ElectrosurgeryError> {
         parted.check(self.organ.celsius.len(), self.burns.is_removed.len())?;
         let lattice = TissueLattice::new(&parted.tissue, self.grid.spacing)?
             .parted(parted.of, &cuts(&parted.tissue, &self.rim));
@@ -183,9 +187,9 @@ impl Electrosurgery {
     pub(super) fn restore_nodes(
         &mut self,
         state: &ElectrosurgeryState,
-        parted: Option<&Parted<'_>>,
+        parted: Option<&CutTissue<'_>>,
     ) -> Result<(), ElectrosurgeryError> {
-        let nodal = Nodal {
+        let nodal = NodalQuantities {
             celsius: state.celsius.clone(),
             damage: state.damage.clone(),
             capacity: state.capacity.clone(),
@@ -209,9 +213,9 @@ impl Electrosurgery {
 }
 
 /// A position bit for bit, to find coincident points.
-type Place = [u64; 3];
+type PointBits = [u64; 3];
 
-fn place_of(point: &Point3<f64>) -> Place {
+fn place_of(point: &Point3<f64>) -> PointBits {
     // Makes −0 equal to 0.
     [point.x, point.y, point.z].map(|x| (x + 0.0).to_bits())
 }
@@ -219,11 +223,11 @@ fn place_of(point: &Point3<f64>) -> Place {
 /// Boundary of the original mesh: facets, as the positions of their corners, and for a membrane the segments of its
 /// rim.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Rim {
+pub(super) struct OriginalBoundary {
     facets: Vec<Vec<Point3<f64>>>,
 }
 
-impl Rim {
+impl OriginalBoundary {
     pub(super) fn of(tissue: &Tissue<'_>) -> Self {
         let positions = tissue.positions();
         let facets = open_facets(tissue);
@@ -275,9 +279,9 @@ fn open_facets(tissue: &Tissue<'_>) -> Vec<Vec<u32>> {
 }
 
 /// The triangles of cuts, which separate tissue; for a membrane, those across its thickness.
-fn cuts(tissue: &Tissue<'_>, rim: &Rim) -> Vec<[Point3<f64>; 3]> {
+fn cuts(tissue: &Tissue<'_>, rim: &OriginalBoundary) -> Vec<[Point3<f64>; 3]> {
     let positions = tissue.positions();
-    let mut twins: BTreeMap<Place, u32> = BTreeMap::new();
+    let mut twins: BTreeMap<PointBits, u32> = BTreeMap::new();
     positions.iter().for_each(|point| *twins.entry(place_of(point)).or_default() += 1);
     let is_twin = |vertex: &u32| twins[&place_of(&positions[*vertex as usize])] > 1;
     let mut cuts = Vec::new();

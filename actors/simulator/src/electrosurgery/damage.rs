@@ -7,7 +7,7 @@
 //! due, the one with the largest lost fraction is removed.
 
 use super::error::ElectrosurgeryError;
-use super::voxelisation::{EDGE, Site, Tissue};
+use super::voxelisation::{CellLocation, EDGE, Tissue};
 
 /// Removed fraction at which an element is due.
 const GONE: f64 = 0.5;
@@ -90,7 +90,7 @@ impl ElementBurns {
     }
 
     /// Records an event of a cell of this volume \[m³\], distributed over its elements.
-    pub(super) fn book(&mut self, number: [i32; 3], site: &Site, volume: f64, event: CellEvent) {
+    pub(super) fn book(&mut self, number: [i32; 3], site: &CellLocation, volume: f64, event: CellEvent) {
         if matches!(event, CellEvent::Removed { .. }) {
             self.owed += volume;
         }

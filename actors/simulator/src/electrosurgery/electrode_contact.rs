@@ -38,7 +38,7 @@ fn direction(facet: usize) -> Vector3<f64> {
 
 /// A tissue cell that metal may face.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Facing {
+pub(super) struct FacedCell {
     /// Centre \[m\].
     pub middle: Point3<f64>,
     /// Remaining water fraction.
@@ -53,7 +53,7 @@ impl Contact {
     pub(super) fn with_cells(
         electrode: &Electrode,
         edge: f64,
-        cells: impl Iterator<Item = Facing> + Clone,
+        cells: impl Iterator<Item = FacedCell> + Clone,
     ) -> Self {
         let radius = electrode.contact_radius();
         let tip = electrode.tip_in_rest;
@@ -141,7 +141,7 @@ mod tests {
 
     fn wet_plate(tip: &Electrode, is_left: fn(&Point3<f64>) -> bool, water: f64) -> Contact {
         let cells = plate(is_left);
-        Contact::with_cells(tip, EDGE, cells.iter().map(|middle| Facing { middle: *middle, water }))
+        Contact::with_cells(tip, EDGE, cells.iter().map(|middle| FacedCell { middle: *middle, water }))
     }
 
     fn at_plate(z: f64, is_left: fn(&Point3<f64>) -> bool) -> Contact {

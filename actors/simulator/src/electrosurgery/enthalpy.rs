@@ -25,7 +25,7 @@ pub(super) struct Enthalpy {
 
 /// Heat given off by a cell, per volume \[J/m³\].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Boiled {
+pub(super) struct ReleasedHeat {
     /// Vaporised fraction of the cell's water.
     pub water: f64,
     /// Latent heat.
@@ -74,16 +74,16 @@ impl Enthalpy {
     /// temperature. With H the heat above boiling, H = C(w) (T − Tb) before; vaporisation removes the latent heat L and
     /// the water's capacity, at Tb. Only a dry cell can be hotter.
     #[inline]
-    pub(super) fn boil(&self, celsius: f64, water: f64) -> (Boiled, f64) {
+    pub(super) fn boil(&self, celsius: f64, water: f64) -> (ReleasedHeat, f64) {
         let above = self.capacity(water) * (celsius - self.boiling);
         let need = self.latent * water;
         if above < need {
             let gone = above / self.latent;
             let capacity = (self.wet - self.dry) * gone;
-            (Boiled { water: gone, latent: above, capacity }, self.boiling)
+            (ReleasedHeat { water: gone, latent: above, capacity }, self.boiling)
         } else {
             let capacity = (self.wet - self.dry) * water;
-            (Boiled { water, latent: need, capacity }, self.boiling + (above - need) / self.dry)
+            (ReleasedHeat { water, latent: need, capacity }, self.boiling + (above - need) / self.dry)
         }
     }
 }

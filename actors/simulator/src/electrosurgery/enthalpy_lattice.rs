@@ -15,7 +15,7 @@ use super::lattice_block::{
     xyz,
 };
 use super::material::ThermalMaterial;
-use super::voxelisation::{EDGE, PADDED, Site, TissueLattice};
+use super::voxelisation::{CellLocation, EDGE, PADDED, TissueLattice};
 
 /// Excess at a side that activates the neighbouring block \[K\].
 const ARRIVES: f64 = 1.0;
@@ -153,7 +153,12 @@ impl ThermalGrid {
             let Some(raster) = self.lattice.raster(block.key) else { continue };
             for (site, now) in block.raster.sites.iter_mut().zip(raster.sites.iter()) {
                 if now.nodes != [0; 4] {
-                    *site = Site { element: site.element, other: site.other, others: site.others, ..*now };
+                    *site = CellLocation {
+                        element: site.element,
+                        other: site.other,
+                        others: site.others,
+                        ..*now
+                    };
                 }
             }
             block.raster.cut = raster.cut;
@@ -161,9 +166,9 @@ impl ThermalGrid {
     }
 
     /// Conduction and perfusion for a stable step.
-    pub(super) fn diffuse(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
+    pub(super) fn diffuse(&mut self, dt: f64, outputs: &mut LatticeOutputs<'_>) {
         let volume = self.cell_volume();
-        let blood = dt * books.material.perfusion_loss();
+        let blood = dt * outputs.material.perfusion_loss();
         let mut used = 0;
         for index in 0..self.blocks.len() {
             if !self.blocks[index].is_active {
@@ -211,14 +216,14 @@ impl ThermalGrid {
                 }
                 next[cell] = own + gain / capacity;
             }
-            books.ledger.perfusion += lost * volume;
+            outputs.ledger.perfusion += lost * volume;
             // Heat that leaves the active blocks enters the mesh.
             for (side, _) in SIDES.iter().zip(is_rim).filter(|(_, is_rim)| *is_rim) {
                 for (cell, halo, _) in side_cells(*side).filter(|at| !block.is_cut_off(at.0, *side)) {
                     let flow = conduction[padded(cell)].min(conduction[halo]) * excess[padded(cell)];
                     if flow != 0.0 {
                         let joules = scale * flow * volume;
-                        books.ledger.held += books.organ.deposit(block.site(cell), joules);
+                        outputs.ledger.held += outputs.organ.deposit(block.site(cell), joules);
                     }
                 }
             }
@@ -277,7 +282,7 @@ impl ThermalGrid {
     }
 
     /// Boiling, damage and removal after conduction for `dt`; activates and deactivates blocks.
-    pub(super) fn settle(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
+    pub(super) fn settle(&mut self, dt: f64, outputs: &mut LatticeOutputs<'_>) {
         for index in 0..self.blocks.len() {
             if !self.blocks[index].is_active {
                 continue;
@@ -287,30 +292,30 @@ impl ThermalGrid {
                 if !self.blocks[index].is_tissue(cell) {
                     continue;
                 }
-                let celsius = self.settle_cell(index, cell, books);
+                let celsius = self.settle_cell(index, cell, outputs);
                 let block = &mut self.blocks[index];
                 let has_boiled = block.water[cell] > 0.0 && block.water[cell] < 1.0;
                 let boils = has_boiled && celsius > self.enthalpy.boiling - BOILS;
                 block.flags[cell] = (block.flags[cell] & !BOILING) | if boils { BOILING } else { 0 };
-                books.report.hottest = books.report.hottest.max(celsius);
-                if celsius >= books.material.damage.threshold && block.is_tissue(cell) {
-                    block.damage[cell] += dt * books.material.damage.rate(celsius);
+                outputs.report.hottest = outputs.report.hottest.max(celsius);
+                if celsius >= outputs.material.damage.threshold && block.is_tissue(cell) {
+                    block.damage[cell] += dt * outputs.material.damage.rate(celsius);
                     if block.damage[cell] >= super::arrhenius::COAGULATED {
-                        self.coagulate(index, cell, books);
+                        self.coagulate(index, cell, outputs);
                     }
                 }
                 peak = peak.max(self.blocks[index].excess[cell].abs());
             }
             self.blocks[index].peak = peak;
         }
-        self.spread(books);
+        self.spread(outputs);
     }
 
     /// Boils excess heat in a cell and removes it where due; returns its temperature \[°C\].
-    pub(super) fn settle_cell(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) -> f64 {
+    pub(super) fn settle_cell(&mut self, index: usize, cell: usize, outputs: &mut LatticeOutputs<'_>) -> f64 {
         let volume = self.cell_volume();
         let block = &mut self.blocks[index];
-        let below = block.site(cell).interpolate(&books.organ.celsius);
+        let below = block.site(cell).interpolate(&outputs.organ.celsius);
         let mut celsius = below + block.excess[cell];
         if celsius <= self.enthalpy.boiling {
             return celsius;
@@ -321,24 +326,25 @@ impl ThermalGrid {
             block.water[cell] = (block.water[cell] - boiled.water).max(0.0);
             celsius = after;
             block.excess[cell] = celsius - below;
-            books.ledger.latent += boiled.latent * volume;
-            let with_mesh = books.organ.shrink(block.site(cell), boiled.capacity * volume);
-            books.ledger.steam += boiled.capacity * volume * (self.enthalpy.boiling - below) + with_mesh;
-            books.report.steam_rate += boiled.water * books.material.water * books.material.density * volume;
+            outputs.ledger.latent += boiled.latent * volume;
+            let with_mesh = outputs.organ.shrink(block.site(cell), boiled.capacity * volume);
+            outputs.ledger.steam += boiled.capacity * volume * (self.enthalpy.boiling - below) + with_mesh;
+            outputs.report.steam_rate +=
+                boiled.water * outputs.material.water * outputs.material.density * volume;
         }
         let is_dry = block.water[cell] == 0.0;
-        if is_dry && celsius >= books.material.charring && block.flags[cell] & CHARRED == 0 {
+        if is_dry && celsius >= outputs.material.charring && block.flags[cell] & CHARRED == 0 {
             block.flags[cell] |= CHARRED;
             let number = cell_number(block.key, cell);
-            books.burns.book(number, block.site(cell), volume, CellEvent::Charred);
+            outputs.burns.book(number, block.site(cell), volume, CellEvent::Charred);
         }
-        if is_dry && (books.bursts || celsius >= books.material.ablation) {
-            self.remove(index, cell, books);
+        if is_dry && (outputs.bursts || celsius >= outputs.material.ablation) {
+            self.remove(index, cell, outputs);
         }
         celsius
     }
 
-    fn coagulate(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) {
+    fn coagulate(&mut self, index: usize, cell: usize, outputs: &mut LatticeOutputs<'_>) {
         let cell_volume = self.cell_volume();
         let block = &mut self.blocks[index];
         if block.flags[cell] & COAGULATED != 0 {
@@ -347,11 +353,11 @@ impl ThermalGrid {
         block.flags[cell] |= COAGULATED;
         let volume = cell_volume * block.share(cell);
         let site = block.site(cell);
-        books.organ.stop_perfusion(site, volume * books.material.perfusion_loss());
-        books.burns.book(cell_number(block.key, cell), site, volume, CellEvent::Coagulated);
+        outputs.organ.stop_perfusion(site, volume * outputs.material.perfusion_loss());
+        outputs.burns.book(cell_number(block.key, cell), site, volume, CellEvent::Coagulated);
     }
 
-    fn remove(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) {
+    fn remove(&mut self, index: usize, cell: usize, outputs: &mut LatticeOutputs<'_>) {
         let cell_volume = self.cell_volume();
         let block = &mut self.blocks[index];
         let volume = cell_volume * block.share(cell);
@@ -360,25 +366,25 @@ impl ThermalGrid {
             (block.flags[cell] & COAGULATED != 0, block.flags[cell] & CHARRED != 0);
         let site = *block.site(cell);
         if !was_coagulated {
-            books.organ.stop_perfusion(&site, volume * books.material.perfusion_loss());
+            outputs.organ.stop_perfusion(&site, volume * outputs.material.perfusion_loss());
         }
-        books.ledger.removed += capacity * block.excess[cell] + books.organ.shrink(&site, capacity);
+        outputs.ledger.removed += capacity * block.excess[cell] + outputs.organ.shrink(&site, capacity);
         block.excess[cell] = 0.0;
-        block.flags[cell] |= REMOVED | if books.bursts { BURST } else { 0 };
+        block.flags[cell] |= REMOVED | if outputs.bursts { BURST } else { 0 };
         // Vaporised tissue is always coagulated.
         block.damage[cell] = block.damage[cell].max(super::arrhenius::COAGULATED);
         let number = cell_number(block.key, cell);
-        books.burns.book(number, &site, volume, CellEvent::Removed { was_coagulated, was_charred });
-        let dry = books.material.density * (1.0 - books.material.water) * volume;
-        books.report.smoke_rate += dry * books.material.smoke;
-        books.report.removed_cells += 1;
-        books.report.removed_volume += volume;
+        outputs.burns.book(number, &site, volume, CellEvent::Removed { was_coagulated, was_charred });
+        let dry = outputs.material.density * (1.0 - outputs.material.water) * volume;
+        outputs.report.smoke_rate += dry * outputs.material.smoke;
+        outputs.report.removed_cells += 1;
+        outputs.report.removed_volume += volume;
         let [x, y, z] = number.map(|index| (f64::from(index) + 0.5) * self.spacing * volume);
-        *books.plume += nalgebra::Vector4::new(x, y, z, volume);
+        *outputs.plume += nalgebra::Vector4::new(x, y, z, volume);
     }
 
     /// Activates blocks that heat reaches and deactivates those that have cooled.
-    fn spread(&mut self, books: &mut LatticeOutputs<'_>) {
+    fn spread(&mut self, outputs: &mut LatticeOutputs<'_>) {
         let (mut wanted, mut kept) = (std::mem::take(&mut self.wanted), std::mem::take(&mut self.kept));
         wanted.clear();
         kept.clear();
@@ -398,7 +404,7 @@ impl ThermalGrid {
         }
         for key in &wanted {
             if !self.find(*key).is_ok_and(|at| self.blocks[at].is_active) {
-                self.activate(*key, books.report);
+                self.activate(*key, outputs.report);
             }
         }
         kept.sort_unstable();
@@ -412,7 +418,7 @@ impl ThermalGrid {
                 if block.is_tissue(cell) && block.excess[cell] != 0.0 {
                     let capacity = self.enthalpy.capacity(block.water[cell]) * block.share(cell) * volume;
                     let joules = capacity * block.excess[cell];
-                    books.ledger.held += books.organ.deposit(block.site(cell), joules);
+                    outputs.ledger.held += outputs.organ.deposit(block.site(cell), joules);
                 }
                 block.excess[cell] = 0.0;
             }

@@ -2,7 +2,7 @@
 //! overshoot of a vaporising cell is negligible.
 
 use super::electrode::{Electrode, Mode, REACH, profile};
-use super::electrode_contact::{Contact, Facing};
+use super::electrode_contact::{Contact, FacedCell};
 use super::energy_balance::HeatReport;
 use super::enthalpy_lattice::{LatticeOutputs, ThermalGrid};
 use super::error::HeatStepError;
@@ -16,7 +16,7 @@ const PARTS_MAX: u32 = 4096;
 
 /// A cell within an electrode's heated region.
 #[derive(Clone, Copy, Debug)]
-struct Near {
+struct NearCell {
     block: usize,
     cell: usize,
     /// Distance from the tip \[m\].
@@ -27,29 +27,29 @@ struct Near {
 
 /// The cells around an electrode; reused buffer.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Source {
-    near: Vec<Near>,
+pub(super) struct HeatedCells {
+    near: Vec<NearCell>,
     /// Their number when the contact was computed.
     faced: usize,
     /// Contact area facing them \[m²\].
     pub area: f64,
 }
 
-impl Source {
+impl HeatedCells {
     /// Activates the blocks around the electrode; an error where a step needs too many substeps.
     pub(super) fn prepare(
         &mut self,
         grid: &mut ThermalGrid,
         electrode: &Electrode,
         dt: f64,
-        books: &mut LatticeOutputs<'_>,
+        outputs: &mut LatticeOutputs<'_>,
     ) -> Result<f64, HeatStepError> {
         self.near.clear();
         if electrode.power == 0.0 {
             return Ok(f64::INFINITY);
         }
-        self.gather(grid, electrode, books.report);
-        let gap = self.aim(grid, electrode, books.material.dry_current);
+        self.gather(grid, electrode, outputs.report);
+        let gap = self.aim(grid, electrode, outputs.material.dry_current);
         let energy = electrode.power * electrode.efficiency(gap) * dt;
         let density = self.density(grid);
         let parts = energy * density / (PART * grid.enthalpy.vaporisation());
@@ -73,7 +73,7 @@ impl Source {
     fn facing(&self, grid: &ThermalGrid, electrode: &Electrode) -> Contact {
         let cells = self.near.iter().map(|near| {
             let block = &grid.blocks[near.block];
-            Facing { middle: grid.centre(block, near.cell), water: block.water[near.cell] }
+            FacedCell { middle: grid.centre(block, near.cell), water: block.water[near.cell] }
         });
         Contact::with_cells(electrode, grid.spacing, cells)
     }
@@ -105,7 +105,7 @@ impl Source {
             for cell in (0..CELLS).filter(|cell| block.is_tissue(*cell)) {
                 let distance = (grid.centre(block, cell) - tip).norm();
                 if distance <= reach {
-                    self.near.push(Near { block: index, cell, distance, share: 0.0 });
+                    self.near.push(NearCell { block: index, cell, distance, share: 0.0 });
                 }
             }
         }
@@ -114,7 +114,7 @@ impl Source {
     /// Heat density at the hottest cell per joule in total \[1/m³\].
     fn density(&self, grid: &ThermalGrid) -> f64 {
         let volume = grid.cell_volume();
-        let of = |near: &Near| near.share / (volume * grid.blocks[near.block].share(near.cell));
+        let of = |near: &NearCell| near.share / (volume * grid.blocks[near.block].share(near.cell));
         self.near.iter().map(of).fold(0.0, f64::max)
     }
 
@@ -131,7 +131,7 @@ impl Source {
         // From the metal, a sphere with the contact's radius, to about the face of the nearest cell. A burned surface
         // recedes cell by cell, each of which vaporises when its centre reaches the temperature: the true surface
         // passes through the nearest remaining centres, and anything that protrudes is an artefact of the lattice.
-        let is_bared = |near: &Near| grid.is_bared_by_fire(&grid.blocks[near.block], near.cell);
+        let is_bared = |near: &NearCell| grid.is_bared_by_fire(&grid.blocks[near.block], near.cell);
         let is_wall = electrode.mode == Mode::Coagulate && first.is_some_and(is_bared);
         let gap = nearest - electrode.contact_radius() - if is_wall { 0.0 } else { grid.spacing / 2.0 };
         let reach = REACH * radius;
@@ -163,32 +163,32 @@ impl Source {
         grid: &mut ThermalGrid,
         electrode: &Electrode,
         dt: f64,
-        books: &mut LatticeOutputs<'_>,
+        outputs: &mut LatticeOutputs<'_>,
     ) -> f64 {
         let volume = grid.cell_volume();
         let limit = PART * grid.enthalpy.vaporisation();
         let (mut left, mut arrived) = (dt, 0.0);
         for _ in 0..4 * PARTS_MAX {
-            let gap = self.aim(grid, electrode, books.material.dry_current);
+            let gap = self.aim(grid, electrode, outputs.material.dry_current);
             let power = electrode.power * electrode.efficiency(gap);
             if left <= 0.0 || self.near.is_empty() || power == 0.0 {
                 break;
             }
             let part = left.min(limit / (power * self.density(grid)));
             for index in 0..self.near.len() {
-                let Near { block, cell, share, .. } = self.near[index];
+                let NearCell { block, cell, share, .. } = self.near[index];
                 if share == 0.0 {
                     continue;
                 }
                 let at = &mut grid.blocks[block];
                 let capacity = grid.enthalpy.capacity(at.water[cell]) * at.share(cell) * volume;
                 at.excess[cell] += power * part * share / capacity;
-                grid.settle_cell(block, cell, books);
+                grid.settle_cell(block, cell, outputs);
             }
             arrived += power * part;
             left -= part;
         }
-        books.ledger.supplied += arrived;
+        outputs.ledger.supplied += arrived;
         arrived
     }
 }

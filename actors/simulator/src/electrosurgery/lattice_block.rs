@@ -1,6 +1,6 @@
 //! A block of the thermal lattice: 8 × 8 × 8 cells.
 
-use super::voxelisation::{EDGE, PADDED, Raster, Site};
+use super::voxelisation::{CellLocation, EDGE, PADDED, Raster};
 
 /// Cells of a block.
 pub(super) const CELLS: usize = EDGE * EDGE * EDGE;
@@ -103,7 +103,7 @@ impl Block {
     }
 
     #[inline]
-    pub(super) fn site(&self, cell: usize) -> &Site {
+    pub(super) fn site(&self, cell: usize) -> &CellLocation {
         &self.raster.sites[cell]
     }
 

@@ -34,7 +34,7 @@ pub(crate) mod voxelisation;
 use nalgebra::{Point3, Vector4};
 
 pub use arrhenius::Arrhenius;
-pub use cut_barrier::Parted;
+pub use cut_barrier::CutTissue;
 pub use electrode::{Electrode, Mode};
 pub use electrode_contact::{Contact, shares};
 pub use energy_balance::{HeatLedger, HeatReport};
@@ -44,10 +44,10 @@ pub use state::{BlockState, ElectrosurgeryState};
 pub use voxelisation::Tissue;
 
 use bioheat_fem::OrganHeat;
-use cut_barrier::Rim;
+use cut_barrier::OriginalBoundary;
 use damage::ElementBurns;
 use enthalpy_lattice::{LatticeOutputs, ThermalGrid};
-use heat_source::Source;
+use heat_source::HeatedCells;
 use lattice_block::{Block, CELLS, CHARRED};
 use voxelisation::TissueLattice;
 
@@ -116,14 +116,14 @@ pub struct Electrosurgery {
     /// Original elements with the present elements that are parts of them, sorted.
     parts: Vec<(u32, u32)>,
     /// Boundary of the original mesh.
-    rim: Rim,
+    rim: OriginalBoundary,
     corners: usize,
     organ: OrganHeat,
     organ_damage: Vec<f64>,
     grid: ThermalGrid,
     burns: ElementBurns,
     ledger: HeatLedger,
-    source: Source,
+    source: HeatedCells,
     plume_in_rest: Option<Point3<f64>>,
 }
 
@@ -154,7 +154,7 @@ impl Electrosurgery {
             material,
             positions: tissue.positions().to_vec(),
             parts: (0..elements.len() as u32).map(|element| (element, element)).collect(),
-            rim: Rim::of(tissue),
+            rim: OriginalBoundary::of(tissue),
             elements,
             corners: tissue.corners(0).len(),
             organ: OrganHeat::new(tissue, &material),
@@ -162,7 +162,7 @@ impl Electrosurgery {
             grid: ThermalGrid::new(cells, lattice.spacing, lattice.blocks_max, &material),
             burns: ElementBurns::new(tissue, lattice.spacing)?,
             ledger: HeatLedger::default(),
-            source: Source::default(),
+            source: HeatedCells::default(),
             plume_in_rest: None,
         })
     }
@@ -181,7 +181,7 @@ impl Electrosurgery {
         let mut report = HeatReport { gap: f64::INFINITY, ..HeatReport::default() };
         let mut plume = Vector4::zeros();
         self.burns.gone.clear();
-        let mut books = LatticeOutputs {
+        let mut outputs = LatticeOutputs {
             material: &self.material,
             organ: &mut self.organ,
             burns: &mut self.burns,
@@ -193,28 +193,28 @@ impl Electrosurgery {
         let active = || electrodes.iter().filter(|electrode| electrode.power > 0.0);
         // All that can fail comes first.
         for electrode in active() {
-            let gap = self.source.prepare(&mut self.grid, electrode, dt, &mut books)?;
-            books.report.gap = books.report.gap.min(gap);
-            books.report.contact_area += self.source.area;
+            let gap = self.source.prepare(&mut self.grid, electrode, dt, &mut outputs)?;
+            outputs.report.gap = outputs.report.gap.min(gap);
+            outputs.report.contact_area += self.source.area;
         }
-        let organ = books.organ.step(dt)?;
-        books.ledger.perfusion += organ.perfusion;
-        books.ledger.held += organ.held;
+        let organ = outputs.organ.step(dt)?;
+        outputs.ledger.perfusion += organ.perfusion;
+        outputs.ledger.held += organ.held;
         // Heating and conduction alternate, so that no long step accumulates heat at the tip.
         let longest = if active().next().is_some() { TURN } else { f64::INFINITY };
         let parts = (dt / self.grid.step_max().min(longest)).ceil().max(1.0);
         for _ in 0..parts as u32 {
             for electrode in active() {
-                self.source.gather(&mut self.grid, electrode, books.report);
-                books.bursts = electrode.mode == Mode::Cut;
-                let joules = self.source.heat(&mut self.grid, electrode, dt / parts, &mut books);
-                books.report.absorbed += joules / dt;
+                self.source.gather(&mut self.grid, electrode, outputs.report);
+                outputs.bursts = electrode.mode == Mode::Cut;
+                let joules = self.source.heat(&mut self.grid, electrode, dt / parts, &mut outputs);
+                outputs.report.absorbed += joules / dt;
             }
-            books.bursts = active().any(|electrode| electrode.mode == Mode::Cut);
-            self.grid.diffuse(dt / parts, &mut books);
-            self.grid.settle(dt / parts, &mut books);
+            outputs.bursts = active().any(|electrode| electrode.mode == Mode::Cut);
+            self.grid.diffuse(dt / parts, &mut outputs);
+            self.grid.settle(dt / parts, &mut outputs);
         }
-        books.burns.settle();
+        outputs.burns.settle();
         for (damage, celsius) in self.organ_damage.iter_mut().zip(&self.organ.celsius) {
             *damage += dt * self.material.damage.rate(*celsius);
         }

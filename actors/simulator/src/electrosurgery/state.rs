@@ -8,7 +8,7 @@ use super::damage::ElementBurns;
 use super::energy_balance::HeatLedger;
 use super::error::ElectrosurgeryError;
 use super::lattice_block::{Block, CELLS};
-use super::{Electrosurgery, LatticeConfig, Parted, ThermalMaterial, Tissue};
+use super::{CutTissue, Electrosurgery, LatticeConfig, ThermalMaterial, Tissue};
 
 /// A block of the lattice; cells in the order x, y, z, x fastest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -162,7 +162,7 @@ impl Electrosurgery {
     /// As [`Electrosurgery::restore`]; cuts that do not fit the original mesh.
     pub fn restore_parted(
         tissue: &Tissue<'_>,
-        parted: Option<&Parted<'_>>,
+        parted: Option<&CutTissue<'_>>,
         material: ThermalMaterial,
         lattice: LatticeConfig,
         state: &ElectrosurgeryState,

@@ -210,7 +210,7 @@ impl Piece {
 
 /// Location of a lattice cell in the mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Site {
+pub(super) struct CellLocation {
     /// The element with the largest share of it.
     pub element: u32,
     /// The element with the second largest, and its share of the two; 0 where there is none.
@@ -221,7 +221,7 @@ pub(super) struct Site {
     pub weights: [f32; 3],
 }
 
-impl Site {
+impl CellLocation {
     #[inline]
     pub(super) fn weights(&self) -> [f64; 4] {
         let [a, b, c] = self.weights.map(f64::from);
@@ -241,7 +241,7 @@ impl Site {
 pub(super) struct Raster {
     /// Tissue fraction of each cell, including the halo.
     pub share: Box<[f32; PADDED * PADDED * PADDED]>,
-    pub sites: Box<[Site; EDGE * EDGE * EDGE]>,
+    pub sites: Box<[CellLocation; EDGE * EDGE * EDGE]>,
     /// Of each cell, including the halo: one bit per axis where a cut separates it from the next cell. Empty without
     /// cuts.
     pub cut: Vec<u8>,
@@ -374,7 +374,7 @@ impl TissueLattice {
         let mut taken = vec![0_u64; PADDED * PADDED * PADDED];
         let mut best = vec![0_u32; EDGE * EDGE * EDGE];
         let mut of_elements: Vec<Samples> = vec![Default::default(); EDGE * EDGE * EDGE];
-        let mut sites = Box::new([Site::default(); EDGE * EDGE * EDGE]);
+        let mut sites = Box::new([CellLocation::default(); EDGE * EDGE * EDGE]);
         for piece in found {
             self.fill(
                 &self.pieces[piece as usize],
@@ -405,7 +405,7 @@ impl TissueLattice {
         first: [i32; 3],
         taken: &mut [u64],
         (best, of_elements): (&mut [u32], &mut [Samples]),
-        sites: &mut [Site; EDGE * EDGE * EDGE],
+        sites: &mut [CellLocation; EDGE * EDGE * EDGE],
     ) {
         let (low, high) = (cell_of(&piece.min, self.spacing), cell_of(&piece.max, self.spacing));
         let range = |axis: usize| {
@@ -459,7 +459,7 @@ impl TissueLattice {
                 best[cell] = count;
                 let mean = sum / f64::from(count);
                 let others = [1.0 - mean.sum(), mean.x, mean.y].map(|weight| weight as f32);
-                sites[cell] = Site { nodes: piece.nodes, weights: others, ..Site::default() };
+                sites[cell] = CellLocation { nodes: piece.nodes, weights: others, ..CellLocation::default() };
             }
         }
     }

@@ -24,7 +24,7 @@ pub struct Hole {
 /// State of an emitter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Spout {
+pub struct Emitter {
     /// Cumulative volume received \[m³\].
     pub given: f64,
     /// Part of it too small for a particle \[m³\].
@@ -35,7 +35,7 @@ pub struct Spout {
     pub unseen: f64,
 }
 
-impl Spout {
+impl Emitter {
     /// Validates the state.
     ///
     /// # Errors
@@ -48,7 +48,7 @@ impl Spout {
     }
 
     /// Emits the increase of the cumulative volume `given` \[m³\], over the last `dt` \[s\], into the liquid.
-    pub fn pour(&mut self, given: f64, dt: f64, hole: &Hole, fluid: &mut Fluid) {
+    pub fn emit(&mut self, given: f64, dt: f64, hole: &Hole, fluid: &mut Fluid) {
         if !given.is_finite() || dt.is_nan() || dt <= 0.0 {
             return;
         }
@@ -88,28 +88,28 @@ mod tests {
     fn what_is_given_is_what_is_emitted_however_often_one_listens() {
         let mut fluid = Fluid::new(FluidConfig::default()).expect("a liquid");
         let hole = Hole { place: Point3::origin(), outwards: Vector3::x(), area: 2e-6 };
-        let mut spout = Spout::default();
+        let mut emitter = Emitter::default();
         for step in 1..=200_u32 {
             // 5 ml/s; now and then an update is lost or repeated.
             let given = f64::from(step) * 5e-6 * 0.005;
             for _ in 0..step % 3 {
-                spout.pour(given, 0.005, &hole, &mut fluid);
+                emitter.emit(given, 0.005, &hole, &mut fluid);
             }
             fluid.step(0.005).expect("a step");
         }
         let volume = fluid.particle_volume();
-        let all = spout.emitted as f64 * volume + spout.waiting;
-        assert!((all - 5e-6).abs() < 1e-15 && spout.waiting < volume, "{spout:?}");
-        assert!((spout.emitted as f64 * volume / 5e-6 - 1.0).abs() < 0.02);
-        assert_eq!(fluid.state().numbers.len() as u64 + fluid.state().absorbed, spout.emitted);
+        let all = emitter.emitted as f64 * volume + emitter.waiting;
+        assert!((all - 5e-6).abs() < 1e-15 && emitter.waiting < volume, "{emitter:?}");
+        assert!((emitter.emitted as f64 * volume / 5e-6 - 1.0).abs() < 0.02);
+        assert_eq!(fluid.state().numbers.len() as u64 + fluid.state().absorbed, emitter.emitted);
         // Outside of the box nothing is emitted, but counted.
         let far = Hole { place: Point3::new(9.0, 0.0, 0.0), ..hole };
-        spout.pour(6e-6, 0.1, &far, &mut fluid);
-        assert!((spout.unseen + spout.waiting - 1e-6).abs() < volume);
-        spout.pour(f64::NAN, 0.1, &hole, &mut fluid);
-        spout.pour(1e-6, 0.1, &hole, &mut fluid);
-        assert_eq!(spout.given, 6e-6, "less than before is nothing new");
-        spout.check().expect("a state");
-        assert!(Spout { waiting: -1.0, ..spout }.check().is_err());
+        emitter.emit(6e-6, 0.1, &far, &mut fluid);
+        assert!((emitter.unseen + emitter.waiting - 1e-6).abs() < volume);
+        emitter.emit(f64::NAN, 0.1, &hole, &mut fluid);
+        emitter.emit(1e-6, 0.1, &hole, &mut fluid);
+        assert_eq!(emitter.given, 6e-6, "less than before is nothing new");
+        emitter.check().expect("a state");
+        assert!(Emitter { waiting: -1.0, ..emitter }.check().is_err());
     }
 }

@@ -50,7 +50,7 @@ pub enum FluidStepError {
         most: u32,
     },
     /// A particle with a non-finite position.
-    #[error("particle {number} came to be nowhere")]
+    #[error("particle {number} has a position that is not finite: take a shorter step")]
     NotFinite {
         /// Its number.
         number: u64,

@@ -30,7 +30,7 @@ pub mod vital_signs;
 use nalgebra::Vector3;
 
 pub use config::{FluidConfig, FluidReport, FluidState};
-pub use emitter::{Hole, Spout};
+pub use emitter::{Emitter, Hole};
 pub use error::{FluidError, FluidStepError};
 pub use sph::Fluid;
 

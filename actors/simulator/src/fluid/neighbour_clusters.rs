@@ -101,12 +101,12 @@ pub(super) trait Sweep<T> {
 
 /// Pressure forces times `scale`: the sum of both pressures times the gradient. In double precision, so that action and
 /// reaction cancel: each term is identical from both sides except for its sign, and sums are accurate enough.
-pub(super) struct Push<'a> {
+pub(super) struct PressureForces<'a> {
     pub pressures: &'a [f32],
     pub scale: f64,
 }
 
-impl Sweep<Vector3<f64>> for Push<'_> {
+impl Sweep<Vector3<f64>> for PressureForces<'_> {
     #[inline(always)]
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
         let (own, place) = (eight.load(&eight_of(self.pressures, links.row)), links.own(eight));
@@ -123,13 +123,13 @@ impl Sweep<Vector3<f64>> for Push<'_> {
 
 /// Viscous velocity change times `scale`: the sum over particles of the approach velocity along the connecting vector
 /// (Monaghan, *Smoothed particle hydrodynamics*, 2005), except for ten times the viscosity \[1/s/m²\].
-pub(super) struct Drag<'a> {
+pub(super) struct ViscousForces<'a> {
     pub velocities: &'a [[f32; 4]],
     pub support: f32,
     pub scale: f64,
 }
 
-impl Sweep<Vector3<f64>> for Drag<'_> {
+impl Sweep<Vector3<f64>> for ViscousForces<'_> {
     #[inline(always)]
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
         let soft = eight.all(SOFT * self.support * self.support);
@@ -147,9 +147,9 @@ impl Sweep<Vector3<f64>> for Drag<'_> {
 }
 
 /// Compression rate of the rows by velocities \[1/s\].
-struct Rate<'a>(&'a [[f32; 4]]);
+struct CompressionRate<'a>(&'a [[f32; 4]]);
 
-impl Sweep<f32> for Rate<'_> {
+impl Sweep<f32> for CompressionRate<'_> {
     #[inline(always)]
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [f32]) {
         let (own, place) = (three(links.of_own(eight, self.0)), links.own(eight));
@@ -228,7 +228,7 @@ impl Rows {
         image: &mut [f32],
     ) {
         let Self { centred, lifted, .. } = &mut *self;
-        with_eight(Lift { centred, lifted, pressures: [of, scale] });
+        with_eight(WeightedPositions { centred, lifted, pressures: [of, scale] });
         let rows = &*self;
         rows.each(&mut velocities[..rows.particles], &Gradient { rows, lifted: &rows.lifted });
         velocities[rows.particles..].fill([0.0; 4]);
@@ -237,18 +237,18 @@ impl Rows {
 
     /// Compression rate of each row by velocities \[1/s\].
     pub(super) fn compression_rate(&self, velocities: &[[f32; 4]], out: &mut [f32]) {
-        self.each(out, &Rate(velocities));
+        self.each(out, &CompressionRate(velocities));
     }
 }
 
 /// Computes positions times pressures of rows; the pressures are themselves products.
-struct Lift<'a> {
+struct WeightedPositions<'a> {
     centred: &'a [[Lanes; 3]],
     lifted: &'a mut Vec<[f32; 4]>,
     pressures: [&'a [f32]; 2],
 }
 
-impl ForEight for Lift<'_> {
+impl ForEight for WeightedPositions<'_> {
     type Output = ();
 
     #[inline(always)]

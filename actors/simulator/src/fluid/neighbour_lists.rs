@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::cell_grid::{CellGrid, CellStarts};
 use super::kernel::Kernel;
 use super::neighbour_clusters::{Links, Sweep};
-use super::neighbour_search::{DRY, FAR, LANES, Lanes, Near, Packed, Sorted, Sums};
+use super::neighbour_search::{DRY, FAR, LANES, Lanes, NeighbourRows, Packed, Sorted, Sums};
 use crate::simd::f32x8::{Eight, ForEight, with_eight};
 
 /// Number of rows per parallel block.
@@ -53,7 +53,7 @@ pub(super) struct WallLink {
 /// unused rows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rows {
-    blocks: Vec<Block>,
+    blocks: Vec<ClusterBlock>,
     /// Particle positions sorted by cell, relative to the corner of the box \[m\], and volumes \[m³\].
     pub liquid: Vec<[f32; 4]>,
     /// Row of each particle, increasing with its index.
@@ -92,7 +92,7 @@ pub(super) struct Rows {
 
 /// Some consecutive clusters.
 #[derive(Clone, Debug, Default)]
-struct Block {
+struct ClusterBlock {
     /// Start of each cluster's list, and its number of particles, which come first.
     starts: Vec<(u32, u32)>,
     /// Row of each neighbour: particles first, then walls.
@@ -100,11 +100,11 @@ struct Block {
     factors: Vec<Packed>,
     sums: Vec<Sums>,
     wall_links: Vec<WallLink>,
-    near: Near,
+    near: NeighbourRows,
 }
 
 /// Inputs for building rows.
-struct Parts<'a> {
+struct RowInputs<'a> {
     grid: &'a CellGrid,
     kernel: &'a Kernel,
     liquid: Sorted<'a>,
@@ -120,13 +120,13 @@ struct Parts<'a> {
 }
 
 /// Outputs of building rows.
-struct Filling<'a> {
-    parts: &'a Parts<'a>,
-    block: &'a mut Block,
+struct RowFill<'a> {
+    parts: &'a RowInputs<'a>,
+    block: &'a mut ClusterBlock,
     clusters: Range<usize>,
 }
 
-impl ForEight for Filling<'_> {
+impl ForEight for RowFill<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -135,11 +135,11 @@ impl ForEight for Filling<'_> {
     }
 }
 
-impl Parts<'_> {
+impl RowInputs<'_> {
     #[inline(always)]
-    fn fill<E: Eight>(&self, eight: E, block: &mut Block, clusters: Range<usize>) {
+    fn fill<E: Eight>(&self, eight: E, block: &mut ClusterBlock, clusters: Range<usize>) {
         let square = (self.kernel.support * self.kernel.support) as f32;
-        let Block { starts, others, factors, sums, wall_links, near } = block;
+        let ClusterBlock { starts, others, factors, sums, wall_links, near } = block;
         starts.clear();
         others.clear();
         factors.clear();
@@ -207,7 +207,7 @@ impl Rows {
         // From the largest possible factor.
         let largest = walls.places.iter().map(|place| place[3]).fold(volume, f32::max);
         self.unit = (kernel.steepest() / UNITS) as f32 * largest;
-        let parts = Parts {
+        let parts = RowInputs {
             grid,
             kernel,
             liquid: Sorted { cells, places: &self.liquid, rows: &self.row_of },
@@ -223,12 +223,12 @@ impl Rows {
         };
         let blocks = self.places.len().div_ceil(BLOCK);
         if self.blocks.len() < blocks {
-            self.blocks.resize_with(blocks, Block::default);
+            self.blocks.resize_with(blocks, ClusterBlock::default);
         }
         let each = BLOCK / LANES;
-        let fill = |(index, block): (usize, &mut Block)| {
+        let fill = |(index, block): (usize, &mut ClusterBlock)| {
             let clusters = index * each..clusters.min((index + 1) * each);
-            with_eight(Filling { parts: &parts, block, clusters });
+            with_eight(RowFill { parts: &parts, block, clusters });
         };
         if self.places.len() >= PARALLEL && rayon::current_num_threads() > 1 {
             self.blocks[..blocks].par_iter_mut().enumerate().for_each(fill);
@@ -260,14 +260,14 @@ impl Rows {
         self.row_of.clear();
         for particle in 0..self.liquid.len() {
             let place = self.liquid[particle];
-            let row = self.give_row(grid, apart, place, particle as u32);
+            let row = self.next_row(grid, apart, place, particle as u32);
             self.row_of.push(row);
         }
         self.end_cluster();
         self.particles = self.places.len();
         for at in 0..self.wet.len() {
             let wall = self.wet[at];
-            let row = self.give_row(grid, apart, walls.places[wall as usize], wall);
+            let row = self.next_row(grid, apart, walls.places[wall as usize], wall);
             self.row_of_wall[wall as usize] = row;
         }
         self.end_cluster();
@@ -292,7 +292,7 @@ impl Rows {
     }
 
     /// The next row, in the last cluster if near enough.
-    fn give_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
+    fn next_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
         let cell = grid.cell_of(&place);
         let begun = self.places.len() % LANES;
         if begun > 0
@@ -340,19 +340,19 @@ impl Rows {
     /// Computes a value for each of the first rows, eight at a time, from their links.
     #[inline]
     pub(super) fn each<T: Send>(&self, out: &mut [T], sweep: &(impl Sweep<T> + Sync)) {
-        in_blocks(out, |index, out| with_eight(Sweeping { rows: self, index, out, sweep }));
+        in_blocks(out, |index, out| with_eight(RowSweep { rows: self, index, out, sweep }));
     }
 }
 
 /// Context of computing a block's rows.
-struct Sweeping<'a, T, S> {
+struct RowSweep<'a, T, S> {
     rows: &'a Rows,
     index: usize,
     out: &'a mut [T],
     sweep: &'a S,
 }
 
-impl<T, S: Sweep<T>> ForEight for Sweeping<'_, T, S> {
+impl<T, S: Sweep<T>> ForEight for RowSweep<'_, T, S> {
     type Output = ();
 
     #[inline(always)]

@@ -32,7 +32,7 @@ pub(super) struct Sorted<'a> {
 
 /// Neighbours of some rows.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Near {
+pub(super) struct NeighbourRows {
     /// Their rows, truncated to the number found: particles first.
     rows: Vec<u32>,
     places: Vec<[f32; 4]>,
@@ -54,7 +54,7 @@ pub(super) struct Sums {
     pub count: Lanes,
 }
 
-impl Near {
+impl NeighbourRows {
     /// Rows of the neighbours: particles first.
     pub(super) fn rows(&self) -> &[u32] {
         &self.rows[..self.found]

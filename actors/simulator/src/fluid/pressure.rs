@@ -75,7 +75,7 @@ impl Solver {
     }
 
     /// Recomputes the gradient at the iterate, and the direction of the free rows.
-    fn renew_slope(&mut self, rows: &mut Rows, dt: f32) -> Left {
+    fn renew_slope(&mut self, rows: &mut Rows, dt: f32) -> ResidualNorms {
         self.apply(rows, dt, false);
         for ((slope, image), (wanted, scale)) in
             self.slope.iter_mut().zip(&self.image).zip(self.wanted.iter().zip(&self.scale))
@@ -125,7 +125,7 @@ impl Solver {
                 since += 1;
                 iterations += 1;
                 let further = match left.bound > left.free {
-                    true => self.leave_bounds(rows, dt),
+                    true => self.release_bounds(rows, dt),
                     false => self.advance(rows, dt),
                 };
                 let Some(further) = further else { break };
@@ -139,7 +139,7 @@ impl Solver {
     }
 
     /// Releases rows from their bounds; returns the residual, or `None` where there is no descent.
-    fn leave_bounds(&mut self, rows: &mut Rows, dt: f32) -> Option<Left> {
+    fn release_bounds(&mut self, rows: &mut Rows, dt: f32) -> Option<ResidualNorms> {
         for ((direction, slope), (value, scale)) in
             self.direction.iter_mut().zip(&self.slope).zip(self.scaled.iter().zip(&self.scale))
         {
@@ -156,7 +156,7 @@ impl Solver {
 
     /// A conjugate gradient step, or one to the first bound and beyond; returns the residual, or `None` where there is
     /// no descent.
-    fn advance(&mut self, rows: &mut Rows, dt: f32) -> Option<Left> {
+    fn advance(&mut self, rows: &mut Rows, dt: f32) -> Option<ResidualNorms> {
         self.apply(rows, dt, true);
         let (curvature, descent) = self.along();
         (curvature > 0.0).then(|| {
@@ -168,15 +168,15 @@ impl Solver {
 
     /// The direction times its image, and times the gradient.
     fn along(&self) -> (f64, f64) {
-        with_eight(Along { slope: &self.slope, direction: &self.direction, image: &self.image })
+        with_eight(DirectionProducts { slope: &self.slope, direction: &self.direction, image: &self.image })
     }
 
     /// Moves against the direction by this length, and returns the residual.
     ///
     /// Rows beyond their bound are clamped to it. The effect on others is small, and included when the gradient is next
     /// recomputed: at the latest when it might matter.
-    fn go(&mut self, length: f32) -> Left {
-        let left = with_eight(Go {
+    fn go(&mut self, length: f32) -> ResidualNorms {
+        let left = with_eight(DirectionStep {
             scaled: &mut self.scaled,
             slope: &mut self.slope,
             direction: &self.direction,
@@ -190,13 +190,18 @@ impl Solver {
 
     /// The next direction: the gradient of the free rows minus this multiple of the last direction.
     fn turn(&mut self, share: f32) {
-        with_eight(Turn { scaled: &self.scaled, slope: &self.slope, direction: &mut self.direction, share });
+        with_eight(DirectionUpdate {
+            scaled: &self.scaled,
+            slope: &self.slope,
+            direction: &mut self.direction,
+            share,
+        });
     }
 }
 
 /// Residual norms.
 #[derive(Clone, Copy)]
-struct Left {
+struct ResidualNorms {
     /// Sum over all rows, as a fraction.
     sum: f64,
     /// Squared gradient of the free rows, and of those about to leave their bounds.
@@ -220,13 +225,13 @@ fn eights_mut(list: &mut [f32]) -> &mut [[f32; LANES]] {
 }
 
 /// Dot products of a direction.
-struct Along<'a> {
+struct DirectionProducts<'a> {
     slope: &'a [f32],
     direction: &'a [f32],
     image: &'a [f32],
 }
 
-impl ForEight for Along<'_> {
+impl ForEight for DirectionProducts<'_> {
     type Output = (f64, f64);
 
     #[inline(always)]
@@ -243,7 +248,7 @@ impl ForEight for Along<'_> {
 }
 
 /// A step along a direction.
-struct Go<'a> {
+struct DirectionStep<'a> {
     scaled: &'a mut [f32],
     slope: &'a mut [f32],
     direction: &'a [f32],
@@ -252,11 +257,11 @@ struct Go<'a> {
     length: f32,
 }
 
-impl ForEight for Go<'_> {
-    type Output = Left;
+impl ForEight for DirectionStep<'_> {
+    type Output = ResidualNorms;
 
     #[inline(always)]
-    fn run<E: Eight>(self, eight: E) -> Left {
+    fn run<E: Eight>(self, eight: E) -> ResidualNorms {
         let [mut sum, mut free, mut bound, mut along, mut past] = [eight.nothing(); 5];
         let (zero, length) = (eight.all(0.0), eight.all(self.length));
         let state = eights_mut(self.scaled).iter_mut().zip(eights_mut(self.slope));
@@ -280,19 +285,19 @@ impl ForEight for Go<'_> {
         }
         let [sum, free, bound, along, past] =
             [sum, free, bound, along, past].map(|sums| eight.sums(sums).iter().sum());
-        Left { sum, free, bound, along, past }
+        ResidualNorms { sum, free, bound, along, past }
     }
 }
 
 /// A conjugate direction.
-struct Turn<'a> {
+struct DirectionUpdate<'a> {
     scaled: &'a [f32],
     slope: &'a [f32],
     direction: &'a mut [f32],
     share: f32,
 }
 
-impl ForEight for Turn<'_> {
+impl ForEight for DirectionUpdate<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -312,7 +317,7 @@ mod tests {
     use super::*;
     use crate::fluid::cell_grid::{CellGrid, CellStarts};
     use crate::fluid::kernel::Kernel;
-    use crate::fluid::neighbour_clusters::Push;
+    use crate::fluid::neighbour_clusters::PressureForces;
     use crate::fluid::neighbour_lists::Walls;
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
@@ -387,7 +392,7 @@ mod tests {
         let mut random = rand_pcg::Pcg64::seed_from_u64(9);
         let pressures: Vec<f32> = (0..rows.count()).map(|_| random.random_range(0.0..1.0)).collect();
         let mut pushes = vec![Vector3::zeros(); rows.count()];
-        rows.each(&mut pushes, &Push { pressures: &pressures, scale: 1.0 });
+        rows.each(&mut pushes, &PressureForces { pressures: &pressures, scale: 1.0 });
         let gradients: Vec<[f32; 4]> =
             pushes.iter().map(|push| [push.x as f32, push.y as f32, push.z as f32, 0.0]).collect();
         let (mut expected, mut rates) = (vec![0.0; rows.count()], vec![0.0; rows.count()]);

@@ -19,7 +19,7 @@ use super::cell_grid::{CellGrid, CellStarts};
 use super::config::{FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
-use super::neighbour_clusters::{Drag, Push};
+use super::neighbour_clusters::{PressureForces, ViscousForces};
 use super::neighbour_lists::{Rows, WallLink, Walls};
 use super::pressure::Solver;
 
@@ -268,7 +268,7 @@ impl Fluid {
 
     /// Removes at most this many particles within a ball, the nearest first, as a suction device does; returns how
     /// many.
-    pub fn suck(&mut self, centre: &Point3<f64>, radius: f64, most: u64) -> u64 {
+    pub fn remove_within(&mut self, centre: &Point3<f64>, radius: f64, most: u64) -> u64 {
         if most == 0 {
             return 0;
         }
@@ -429,7 +429,7 @@ impl Fluid {
             solver.set_velocities(rows, &state.velocities);
             let (velocities, support) = (&solver.velocities, self.kernel.support as f32);
             sized(change, rows.particles);
-            rows.each(change, &Drag { velocities, support, scale });
+            rows.each(change, &ViscousForces { velocities, support, scale });
             for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
                 *velocity += gravity + change[*row as usize];
             }
@@ -484,7 +484,7 @@ impl Fluid {
                 pressures[rows.row_of_wall[*wall as usize] as usize];
         }
         sized(change, particles);
-        rows.each(change, &Push { pressures, scale: -dt });
+        rows.each(change, &PressureForces { pressures, scale: -dt });
         for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
             *velocity += change[*row as usize];
         }

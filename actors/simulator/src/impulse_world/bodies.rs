@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
 
 use super::aabb::Bounds;
@@ -52,9 +52,9 @@ impl Solid {
 
 /// Past poses of a body.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Trail(VecDeque<(SimTime, Isometry3<f64>)>);
+pub(super) struct PoseHistory(VecDeque<(SimTime, Isometry3<f64>)>);
 
-impl Trail {
+impl PoseHistory {
     pub fn push(&mut self, now: SimTime, pose: Isometry3<f64>) {
         if self.0.len() == TRAIL_STEPS {
             self.0.pop_front();
@@ -71,7 +71,7 @@ impl Trail {
 
 /// Prescribed motion of a kinematic body.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Travel {
+pub(super) struct KinematicMove {
     pub to: Isometry3<f64>,
     /// Remaining steps.
     pub steps: u32,
@@ -90,9 +90,9 @@ pub(super) struct Body {
     pub pose: Isometry3<f64>,
     /// Velocity of its origin.
     pub velocity: Velocity,
-    pub travel: Option<Travel>,
+    pub travel: Option<KinematicMove>,
     /// Its past poses, if external detectors report its contacts.
-    pub trail: Option<Trail>,
+    pub trail: Option<PoseHistory>,
     /// How long it has been at rest \[s\].
     pub still_secs: f64,
     pub sleeps: bool,

@@ -12,15 +12,15 @@ const EDGE_HANDICAP: f64 = 1e-5;
 const CORNERS_MAX: usize = 8;
 
 #[derive(Clone, Copy)]
-struct Best {
+struct LeastPenetration {
     depth: f64,
     /// From the first to the second, in world.
     normal: Vector3<f64>,
-    of: Of,
+    of: SeparatingAxis,
 }
 
 #[derive(Clone, Copy)]
-enum Of {
+enum SeparatingAxis {
     Face { second: bool, axis: usize },
     Edges([usize; 2]),
 }
@@ -36,46 +36,48 @@ pub(super) fn box_box(a: Side<'_>, b: Side<'_>, skins: [f64; 2], margin: f64, ou
     let reach = |half: &Vector3<f64>, axes: &[Vector3<f64>; 3], along: &Vector3<f64>| {
         (0..3).map(|axis| half[axis] * axes[axis].dot(along).abs()).sum::<f64>()
     };
-    let mut best: Option<Best> = None;
+    let mut best: Option<LeastPenetration> = None;
     // Whether no axis separates them by more than the margin.
-    let mut consider = |axis: &Vector3<f64>, of: Of, handicap: f64| {
+    let mut consider = |axis: &Vector3<f64>, of: SeparatingAxis, handicap: f64| {
         let along = apart.dot(axis);
         let normal = if along < 0.0 { -axis } else { *axis };
         let depth = reach(a.0, &axes[0], &normal) + reach(b.0, &axes[1], &normal) + skin - along.abs();
         if best.is_none_or(|best| depth + handicap < best.depth) {
-            best = Some(Best { depth, normal, of });
+            best = Some(LeastPenetration { depth, normal, of });
         }
         depth > -margin
     };
     for (axis, along) in axes[0].iter().enumerate() {
-        if !consider(along, Of::Face { second: false, axis }, 0.0) {
+        if !consider(along, SeparatingAxis::Face { second: false, axis }, 0.0) {
             return;
         }
     }
     for (axis, along) in axes[1].iter().enumerate() {
-        if !consider(along, Of::Face { second: true, axis }, 1e-9) {
+        if !consider(along, SeparatingAxis::Face { second: true, axis }, 1e-9) {
             return;
         }
     }
     for i in 0..3 {
         for j in 0..3 {
             let Some(axis) = axes[0][i].cross(&axes[1][j]).try_normalize(1e-3) else { continue };
-            if !consider(&axis, Of::Edges([i, j]), EDGE_HANDICAP) {
+            if !consider(&axis, SeparatingAxis::Edges([i, j]), EDGE_HANDICAP) {
                 return;
             }
         }
     }
     let Some(best) = best else { return };
     match best.of {
-        Of::Face { second: false, axis } => faces(a, b, &axes, axis, &best.normal, skins, margin, out),
-        Of::Face { second: true, axis } => {
+        SeparatingAxis::Face { second: false, axis } => {
+            faces(a, b, &axes, axis, &best.normal, skins, margin, out)
+        }
+        SeparatingAxis::Face { second: true, axis } => {
             let begin = out.len();
             faces(b, a, &[axes[1], axes[0]], axis, &-best.normal, [skins[1], skins[0]], margin, out);
             out[begin..].iter_mut().for_each(|point| {
                 *point = TouchPoint { feature: point.feature + CORNERS_MAX as u32, ..point.swapped() };
             });
         }
-        Of::Edges([i, j]) => {
+        SeparatingAxis::Edges([i, j]) => {
             // The edges along those axes that are furthest towards each other.
             let middle =
                 |(half, pose): Side<'_>, axes: &[Vector3<f64>; 3], along: usize, normal: &Vector3<f64>| {

@@ -5,30 +5,30 @@ use trocar_dynamics::instrument::contact::Contact;
 use super::narrow_phase::ContactPoint;
 
 /// Contacts in canonical order; those between the same two named parts are merged.
-pub(super) fn told(meetings: &[ContactPoint], step_secs: f64, contacts: &mut Vec<Contact>) {
+pub(super) fn report_contacts(contact_points: &[ContactPoint], step_secs: f64, contacts: &mut Vec<Contact>) {
     contacts.clear();
-    for meeting in meetings.iter().filter(|meeting| !meeting.by_others) {
-        let contact = contact_of(meeting, step_secs);
+    for contact_point in contact_points.iter().filter(|contact_point| !contact_point.by_others) {
+        let contact = contact_of(contact_point, step_secs);
         contacts.push(if contact.key() > contact.swapped().key() { contact.swapped() } else { contact });
     }
     contacts.sort_by_key(Contact::key);
     merge(contacts);
 }
 
-fn contact_of(meeting: &ContactPoint, step_secs: f64) -> Contact {
-    let [a, b] = &meeting.sides;
-    let normal = meeting.point.normal;
-    let force = meeting.impulse / step_secs;
+fn contact_of(contact_point: &ContactPoint, step_secs: f64) -> Contact {
+    let [a, b] = &contact_point.sides;
+    let normal = contact_point.point.normal;
+    let force = contact_point.impulse / step_secs;
     let normal_force = force.dot(&normal);
     Contact {
         a: (a.entity, a.name),
         b: (b.entity, b.name),
-        point_in_world: nalgebra::center(&meeting.point.points[0], &meeting.point.points[1]),
+        point_in_world: nalgebra::center(&contact_point.point.points[0], &contact_point.point.points[1]),
         normal_in_world: normal,
-        depth: meeting.point.depth,
+        depth: contact_point.point.depth,
         normal_force,
         friction_in_world: force - normal * normal_force,
-        friction_coefficient: meeting.friction,
+        friction_coefficient: contact_point.friction,
         a_is_fixed: a.is_fixed,
         b_is_fixed: b.is_fixed,
     }

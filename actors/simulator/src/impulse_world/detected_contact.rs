@@ -10,7 +10,7 @@ pub(super) const FOUND_MAX: usize = 512;
 
 /// A detected contact, fixed to its bodies.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Found {
+pub(super) struct DetectedContact {
     pub entities: [Entity; 2],
     /// Points in the frames of the two bodies; in world without a body \[m\].
     points: [Point3<f64>; 2],
@@ -20,7 +20,7 @@ pub(super) struct Found {
     is_known: [bool; 2],
 }
 
-impl Found {
+impl DetectedContact {
     /// Fixes a collision to the poses that its bodies had then, `None` for a body outside of this world. Returns `None`
     /// for a detection that is too old or invalid.
     pub fn new(collision: &Collision, then: [Option<Option<Isometry3<f64>>>; 2]) -> Option<Self> {

@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::instrument::grasp::{PadContact, carry_on, opposed_body};
-use trocar_dynamics::rigid_world::Wrench;
 use trocar_scene::Entity;
+use trocar_scene::kinematics::spatial::Wrench;
 
 use super::instrument::Tool;
 use super::narrow_phase::ContactPoint;
@@ -19,22 +19,22 @@ const ASSIST_LEVER: f64 = 0.004;
 pub(super) fn update(
     tool: &mut Tool,
     entity: Entity,
-    meetings: &[ContactPoint],
+    contact_points: &[ContactPoint],
     step_secs: f64,
     pads: &mut Vec<PadContact>,
     body: impl Fn(Entity) -> Option<Isometry3<f64>>,
 ) {
     pads.clear();
     let instrument_from_world = tool.state.tip_in_world.inverse();
-    for meeting in meetings.iter().filter(|meeting| !meeting.by_others) {
+    for contact_point in contact_points.iter().filter(|contact_point| !contact_point.by_others) {
         for (own, other, sign) in [(0, 1, 1.0), (1, 0, -1.0)] {
-            if meeting.sides[own].entity != entity {
+            if contact_point.sides[own].entity != entity {
                 continue;
             }
-            let Some(jaw) = tool.jaw_of[meeting.sides[own].part] else { continue };
-            let along = meeting.impulse.dot(&meeting.point.normal) / step_secs;
-            let force = instrument_from_world * (meeting.point.normal * (sign * along));
-            let held = meeting.sides[other].entity;
+            let Some(jaw) = tool.jaw_of[contact_point.sides[own].part] else { continue };
+            let along = contact_point.impulse.dot(&contact_point.point.normal) / step_secs;
+            let force = instrument_from_world * (contact_point.point.normal * (sign * along));
+            let held = contact_point.sides[other].entity;
             match pads.iter_mut().find(|pad| pad.jaw == jaw && pad.body == held) {
                 Some(pad) => pad.normal_force_in_instrument += force,
                 None => pads.push(PadContact { jaw, body: held, normal_force_in_instrument: force }),
@@ -55,7 +55,7 @@ pub(super) fn update(
 
 /// Forms, keeps or releases the grasp constraint.
 fn assist(tool: &mut Tool, body: &impl Fn(Entity) -> Option<Isometry3<f64>>) {
-    let squeezes = tool.squeezes();
+    let squeezes = tool.is_closing();
     let Some(hold) = &mut tool.hold else { return };
     let Some(pose) = body(hold.held).filter(|_| squeezes) else {
         hold.assisted = false;

@@ -5,7 +5,7 @@
 //! closed tip, +z distal, jaws opening along x.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_dynamics::instrument::coupling::{VirtualCoupling, Wrench};
+use trocar_dynamics::instrument::coupling::CriticallyDampedCoupling;
 use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::jaw::{
     JAW_MASS_SHARE, SATURATION_ANGLE, TURNING_MOMENT, blade, drive_reference, instrument_from_jaw, jaw_count,
@@ -14,10 +14,11 @@ use trocar_dynamics::instrument::jaw::{
 use trocar_dynamics::instrument::set_point::SetPoint;
 use trocar_dynamics::instrument::state::{InstrumentState, JawOpening};
 use trocar_dynamics::instrument::target_track::TargetTrack;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::shapes::working_end;
 use trocar_scene::{Instrument, Primitive, SimTime, Velocity};
 
-use super::bodies::{Solid, Trail, origin, state_of};
+use super::bodies::{PoseHistory, Solid, origin, state_of};
 use super::convex_parts::Part;
 use super::settings::RigidSettings;
 use crate::rigid::{Arm, Joint, RigidMass, RigidState};
@@ -31,7 +32,7 @@ const SHAFT_REACH: f64 = 0.1;
 #[derive(Clone, Debug)]
 pub(super) struct Tool {
     pub instrument: Instrument,
-    pub coupling: VirtualCoupling,
+    pub coupling: CriticallyDampedCoupling,
     /// Index of its body in the solver.
     pub slot: usize,
     pub mass: RigidMass,
@@ -46,7 +47,7 @@ pub(super) struct Tool {
     pub set_point: SetPoint,
     pub hold: Option<Hold>,
     pub pad_force: [f64; 2],
-    pub trail: Trail,
+    pub trail: PoseHistory,
     /// Wrench of the coupling in this step, about the tip.
     pub wrench: Wrench,
     wrench_sum: Wrench,
@@ -82,7 +83,7 @@ impl Tool {
             jaw_of.push(Some(jaw));
         }
         let mut tool = Self {
-            coupling: VirtualCoupling::new(
+            coupling: CriticallyDampedCoupling::new(
                 instrument.mass,
                 gyration,
                 instrument.coupling_stiffness,
@@ -103,7 +104,7 @@ impl Tool {
             set_point: SetPoint::default(),
             hold,
             pad_force: [0.0; 2],
-            trail: Trail::default(),
+            trail: PoseHistory::default(),
             wrench: Wrench::default(),
             wrench_sum: Wrench::default(),
             wrench_steps: 0,
@@ -183,7 +184,7 @@ impl Tool {
     }
 
     /// Whether its drive squeezes.
-    pub fn squeezes(&self) -> bool {
+    pub fn is_closing(&self) -> bool {
         self.joint.is_some_and(|joint| joint.angle > self.state.drive_reference)
     }
 

@@ -8,7 +8,7 @@ use trocar_scene::{Entity, Primitive};
 
 use super::bodies::{Body, Solid};
 use super::closest_features::{TouchPoint, touch};
-use super::detected_contact::Found;
+use super::detected_contact::DetectedContact;
 use super::instrument::Tool;
 
 /// Contact margin: contacts exist before there is any penetration \[m\].
@@ -74,13 +74,13 @@ pub(super) enum Collider {
 pub(super) struct WorldView<'a> {
     pub bodies: &'a mut BTreeMap<Entity, Body>,
     pub tools: &'a BTreeMap<Entity, Tool>,
-    pub found: &'a [Found],
+    pub found: &'a [DetectedContact],
     pub step_secs: f64,
 }
 
 /// Buffers of a step.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Meetings {
+pub(super) struct NarrowPhase {
     pub all: Vec<ContactPoint>,
     order: Vec<(f64, f64, Collider)>,
     points: Vec<TouchPoint>,
@@ -89,16 +89,16 @@ pub(super) struct Meetings {
 }
 
 impl WorldView<'_> {
-    fn solid(&self, thing: Collider) -> Option<&Solid> {
-        match thing {
+    fn solid(&self, collider: Collider) -> Option<&Solid> {
+        match collider {
             Collider::Body(entity) => self.bodies.get(&entity).map(|body| &body.solid),
             Collider::Tool(entity) => self.tools.get(&entity).map(|tool| &tool.solid),
         }
     }
 
     /// Whether it may be moving now.
-    fn is_awake(&self, thing: Collider) -> bool {
-        match thing {
+    fn is_awake(&self, collider: Collider) -> bool {
+        match collider {
             Collider::Body(entity) => self
                 .bodies
                 .get(&entity)
@@ -107,16 +107,16 @@ impl WorldView<'_> {
         }
     }
 
-    fn gives_way(&self, thing: Collider) -> bool {
-        match thing {
+    fn gives_way(&self, collider: Collider) -> bool {
+        match collider {
             Collider::Body(entity) => self.bodies.get(&entity).is_some_and(Body::is_dynamic),
             Collider::Tool(_) => true,
         }
     }
 
     /// Rough upper bound of its velocity \[m/s\].
-    fn speed(&self, thing: Collider) -> f64 {
-        let (velocity, size) = match thing {
+    fn speed(&self, collider: Collider) -> f64 {
+        let (velocity, size) = match collider {
             Collider::Body(entity) => self.bodies.get(&entity).map(|body| (body.velocity, &body.solid)),
             Collider::Tool(entity) => self.tools.get(&entity).map(|tool| (tool.state.velocity, &tool.solid)),
         }
@@ -129,11 +129,11 @@ impl WorldView<'_> {
         body.or_else(|| self.tools.get(&entity).map(|tool| tool.state.tip_in_world))
     }
 
-    fn party(&self, thing: Collider, part: usize, point: &Point3<f64>) -> Option<ContactSide> {
-        let solid = self.solid(thing)?;
+    fn contact_side(&self, collider: Collider, part: usize, point: &Point3<f64>) -> Option<ContactSide> {
+        let solid = self.solid(collider)?;
         let local = solid.placed.get(part)?.inverse_transform_point(point);
         let name = *solid.names.get(part)?;
-        Some(match thing {
+        Some(match collider {
             Collider::Body(entity) => {
                 let body = self.bodies.get(&entity)?;
                 ContactSide {
@@ -166,35 +166,35 @@ impl WorldView<'_> {
     }
 }
 
-impl Meetings {
+impl NarrowPhase {
     /// Finds all contacts.
-    pub fn meet(&mut self, mut everything: WorldView<'_>) {
+    pub fn detect(&mut self, mut world_view: WorldView<'_>) {
         self.all.clear();
         self.order.clear();
-        let bodies = everything.bodies.iter().map(|(entity, body)| (Collider::Body(*entity), &body.solid));
-        let tools = everything.tools.iter().map(|(entity, tool)| (Collider::Tool(*entity), &tool.solid));
+        let bodies = world_view.bodies.iter().map(|(entity, body)| (Collider::Body(*entity), &body.solid));
+        let tools = world_view.tools.iter().map(|(entity, tool)| (Collider::Tool(*entity), &tool.solid));
         let solids = bodies.chain(tools).filter(|(_, solid)| !solid.parts.is_empty());
-        self.order.extend(solids.map(|(thing, solid)| (solid.all.min.x, solid.all.max.x, thing)));
+        self.order.extend(solids.map(|(collider, solid)| (solid.all.min.x, solid.all.max.x, collider)));
         self.order.sort_by(|a, b| a.0.total_cmp(&b.0));
         let order = std::mem::take(&mut self.order);
         for (index, (_, until, first)) in order.iter().enumerate() {
-            let fast = everything.speed(*first) * everything.step_secs;
+            let fast = world_view.speed(*first) * world_view.step_secs;
             for (from, _, second) in &order[index + 1..] {
                 if *from > until + MARGIN + 2.0 * fast + 1e-2 {
                     break;
                 }
-                if !everything.gives_way(*first) && !everything.gives_way(*second) {
+                if !world_view.gives_way(*first) && !world_view.gives_way(*second) {
                     continue;
                 }
-                if !everything.is_awake(*first) && !everything.is_awake(*second) {
+                if !world_view.is_awake(*first) && !world_view.is_awake(*second) {
                     continue;
                 }
-                let margin = MARGIN + fast + everything.speed(*second) * everything.step_secs;
-                self.pair(&mut everything, *first, *second, margin);
+                let margin = MARGIN + fast + world_view.speed(*second) * world_view.step_secs;
+                self.pair(&mut world_view, *first, *second, margin);
             }
         }
         self.order = order;
-        self.others(&everything);
+        self.others(&world_view);
         if self.all.len() > MEETINGS_MAX {
             self.all.sort_by(|a, b| b.point.depth.total_cmp(&a.point.depth));
             self.all.truncate(MEETINGS_MAX);
@@ -202,13 +202,13 @@ impl Meetings {
         self.all.sort_by_key(ContactPoint::key);
     }
 
-    fn pair(&mut self, everything: &mut WorldView<'_>, first: Collider, second: Collider, margin: f64) {
+    fn pair(&mut self, world_view: &mut WorldView<'_>, first: Collider, second: Collider, margin: f64) {
         // Canonical: names of parts do not depend on position.
-        let rank = |thing: Collider| match thing {
+        let rank = |collider: Collider| match collider {
             Collider::Body(entity) | Collider::Tool(entity) => entity,
         };
         let (first, second) = if rank(first) <= rank(second) { (first, second) } else { (second, first) };
-        let (Some(a), Some(b)) = (everything.solid(first), everything.solid(second)) else { return };
+        let (Some(a), Some(b)) = (world_view.solid(first), world_view.solid(second)) else { return };
         if a.all.is_apart(&b.all, margin) {
             return;
         }
@@ -230,11 +230,11 @@ impl Meetings {
             }
         }
         for &(i, j, point) in &near {
-            let is_same = |meeting: &ContactPoint| {
-                (meeting.point.points[0] - point.points[0]).norm_squared() < SAME_POINT * SAME_POINT
-                    && meeting.point.normal.dot(&point.normal) > SAME_DIRECTION
+            let is_same = |contact_point: &ContactPoint| {
+                (contact_point.point.points[0] - point.points[0]).norm_squared() < SAME_POINT * SAME_POINT
+                    && contact_point.point.normal.dot(&point.normal) > SAME_DIRECTION
             };
-            if let Some(same) = self.all[begin..].iter_mut().find(|meeting| is_same(meeting)) {
+            if let Some(same) = self.all[begin..].iter_mut().find(|contact_point| is_same(contact_point)) {
                 if point.depth <= same.point.depth {
                     continue;
                 }
@@ -242,8 +242,10 @@ impl Meetings {
                 same.point.depth = point.depth;
                 continue;
             }
-            let sides =
-                [everything.party(first, i, &point.points[0]), everything.party(second, j, &point.points[1])];
+            let sides = [
+                world_view.contact_side(first, i, &point.points[0]),
+                world_view.contact_side(second, j, &point.points[1]),
+            ];
             let [Some(one), Some(other)] = sides else { continue };
             wakes |= point.depth > -WAKING_GAP;
             self.all.push(ContactPoint {
@@ -257,41 +259,41 @@ impl Meetings {
         }
         self.near = near;
         if wakes {
-            self.wake(everything, [first, second], begin);
+            self.wake(world_view, [first, second], begin);
         }
     }
 
     /// Wakes a sleeping body that something moving touches.
-    fn wake(&mut self, everything: &mut WorldView<'_>, things: [Collider; 2], begin: usize) {
+    fn wake(&mut self, world_view: &mut WorldView<'_>, things: [Collider; 2], begin: usize) {
         for (side, other) in [(0, 1), (1, 0)] {
             let Collider::Body(entity) = things[side] else { continue };
             let is_pushed = match things[other] {
                 Collider::Tool(_) => true,
-                thing @ Collider::Body(_) => everything.speed(thing) > WAKING_SPEED,
+                collider @ Collider::Body(_) => world_view.speed(collider) > WAKING_SPEED,
             };
-            let Some(body) = everything.bodies.get_mut(&entity) else { continue };
+            let Some(body) = world_view.bodies.get_mut(&entity) else { continue };
             if body.sleeps && is_pushed {
                 body.sleeps = false;
                 body.still_secs = 0.0;
-                for meeting in &mut self.all[begin..] {
-                    meeting.sides[side].slot = body.slot;
+                for contact_point in &mut self.all[begin..] {
+                    contact_point.sides[side].slot = body.slot;
                 }
             }
         }
     }
 
     /// Adds externally detected contacts at their present position.
-    fn others(&mut self, everything: &WorldView<'_>) {
-        for (index, found) in everything.found.iter().enumerate() {
-            let pose = |entity: Entity| everything.pose(entity).unwrap_or_else(Isometry3::identity);
+    fn others(&mut self, world_view: &WorldView<'_>) {
+        for (index, found) in world_view.found.iter().enumerate() {
+            let pose = |entity: Entity| world_view.pose(entity).unwrap_or_else(Isometry3::identity);
             let (points, normal, depth) = found.now(found.entities.map(pose));
             if depth < -MARGIN {
                 continue;
             }
-            let party = |side: usize| {
+            let contact_side = |side: usize| {
                 let entity = found.entities[side];
-                let body = everything.bodies.get(&entity);
-                let tool = everything.tools.get(&entity);
+                let body = world_view.bodies.get(&entity);
+                let tool = world_view.tools.get(&entity);
                 ContactSide {
                     entity,
                     name: Primitive::Shape(index as u32),
@@ -304,7 +306,7 @@ impl Meetings {
                     restitution: body.map_or(0.0, |body| body.component.restitution),
                 }
             };
-            let sides = [party(0), party(1)];
+            let sides = [contact_side(0), contact_side(1)];
             let friction = match sides.map(|side| side.friction) {
                 [a, b] if a.is_nan() => {
                     if b.is_nan() {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::rigid_world::WorldError;
+use trocar_dynamics::rigid_world::{WorldError, WorldSettings, check_setting};
 
 use crate::rigid::{ContactConfig, Integrator};
 
@@ -37,18 +37,19 @@ pub struct RigidSettings {
 
 impl Default for RigidSettings {
     fn default() -> Self {
+        let shared = WorldSettings::default();
         Self {
-            substep_secs: 0.001,
+            substep_secs: shared.substep_secs,
             integrator: Integrator::Symplectic,
             iterations: 120,
             tolerance: 1e-6,
-            gravity_in_world: Vector3::new(0.0, 0.0, -9.81),
-            floor_height: Some(-0.05),
-            coupling_force_max: 20.0,
-            jaw_rate_max: 6.0,
-            extrapolation_secs_max: 0.02,
-            claims_all_poses: false,
-            contact_models_by_others: Vec::new(),
+            gravity_in_world: shared.gravity_in_world,
+            floor_height: shared.floor_height,
+            coupling_force_max: shared.coupling_force_max,
+            jaw_rate_max: shared.jaw_rate_max,
+            extrapolation_secs_max: shared.extrapolation_secs_max,
+            claims_all_poses: shared.claims_all_poses,
+            contact_models_by_others: shared.contact_models_by_others,
         }
     }
 }
@@ -59,26 +60,23 @@ impl RigidSettings {
     /// # Errors
     /// [`WorldError::InvalidSetting`] names the first setting that is out of range.
     pub fn check(&self) -> Result<(), WorldError> {
-        let within = |field, value: f64, low: f64, high: f64, valid| {
-            // Written so that a NaN fails.
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(WorldError::InvalidSetting { field, value, valid })
-            }
-        };
-        within("substep_secs", self.substep_secs, 1e-5, 0.005, "1e-5 to 0.005 s")?;
-        within("iterations", f64::from(self.iterations), 1.0, 1000.0, "1 to 1000")?;
-        within("tolerance", self.tolerance, 0.0, 1.0, "0 to 1 m/s")?;
-        for axis in self.gravity_in_world.iter() {
-            within("gravity_in_world", *axis, -100.0, 100.0, "-100 to 100 m/s²")?;
+        self.shared().check()?;
+        check_setting("iterations", f64::from(self.iterations), 1.0..=1000.0, "1 to 1000")?;
+        check_setting("tolerance", self.tolerance, 0.0..=1.0, "0 to 1 m/s")
+    }
+
+    /// Those of them that every world has.
+    pub(crate) fn shared(&self) -> WorldSettings {
+        WorldSettings {
+            substep_secs: self.substep_secs,
+            gravity_in_world: self.gravity_in_world,
+            floor_height: self.floor_height,
+            coupling_force_max: self.coupling_force_max,
+            jaw_rate_max: self.jaw_rate_max,
+            extrapolation_secs_max: self.extrapolation_secs_max,
+            claims_all_poses: self.claims_all_poses,
+            contact_models_by_others: self.contact_models_by_others.clone(),
         }
-        if let Some(height) = self.floor_height {
-            within("floor_height", height, -100.0, 100.0, "-100 to 100 m")?;
-        }
-        within("coupling_force_max", self.coupling_force_max, 0.1, 200.0, "0.1 to 200 N")?;
-        within("jaw_rate_max", self.jaw_rate_max, 0.01, 100.0, "0.01 to 100 rad/s")?;
-        within("extrapolation_secs_max", self.extrapolation_secs_max, 0.0, 0.1, "0 to 0.1 s")
     }
 
     pub(super) fn contacts(&self) -> ContactConfig {

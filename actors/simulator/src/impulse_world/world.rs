@@ -7,13 +7,14 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::instrument::contact::Contact;
 use trocar_dynamics::instrument::grasp::PadContact;
-use trocar_dynamics::rigid_world::{World, WorldError, Wrench, check};
+use trocar_dynamics::rigid_world::{World, WorldError, check};
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 
-use super::bodies::{Body, Solid, Trail, state_of};
-use super::detected_contact::Found;
+use super::bodies::{Body, PoseHistory, Solid, state_of};
+use super::detected_contact::DetectedContact;
 use super::instrument::Tool;
-use super::narrow_phase::{Key, Meetings, WorldView};
+use super::narrow_phase::{Key, NarrowPhase, WorldView};
 use super::{RigidSettings, grasp_detection};
 use crate::rigid::{
     Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
@@ -34,8 +35,8 @@ pub struct ImpulseWorld {
     pub(super) bodies: BTreeMap<Entity, Body>,
     pub(super) tools: BTreeMap<Entity, Tool>,
     pub(super) now: SimTime,
-    pub(super) found: Vec<Found>,
-    pub(super) meetings: Meetings,
+    pub(super) found: Vec<DetectedContact>,
+    pub(super) narrow_phase: NarrowPhase,
     /// Contact impulses of the last step, by key.
     pub(super) former: Vec<(Key, Vector3<f64>)>,
     pub(super) penetration_max: f64,
@@ -76,7 +77,7 @@ impl ImpulseWorld {
             tools: BTreeMap::new(),
             now,
             found: Vec::new(),
-            meetings: Meetings::default(),
+            narrow_phase: NarrowPhase::default(),
             former: Vec::new(),
             penetration_max: 0.0,
             contacts: Vec::new(),
@@ -140,7 +141,7 @@ impl ImpulseWorld {
             }
             _ => None,
         };
-        let mut trail = by_others.then(Trail::default);
+        let mut trail = by_others.then(PoseHistory::default);
         if let Some(trail) = &mut trail {
             trail.push(self.now, pose);
         }
@@ -200,34 +201,35 @@ impl ImpulseWorld {
         joints.clear();
         joints.extend(self.tools.values().filter_map(|tool| tool.joint));
         let (bodies, tools) = (&self.bodies, &self.tools);
-        for (index, meeting) in self.meetings.all.iter().enumerate() {
-            let [a, b] = &meeting.sides;
+        for (index, contact_point) in self.narrow_phase.all.iter().enumerate() {
+            let [a, b] = &contact_point.sides;
             let (gives, other, sign) = match (a.slot, b.slot) {
                 (_, Some(_)) => (b, a, 1.0),
                 (Some(_), None) => (a, b, -1.0),
                 (None, None) => continue,
             };
             let Some(slot) = gives.slot else { continue };
-            let point = nalgebra::center(&meeting.point.points[0], &meeting.point.points[1]);
+            let point = nalgebra::center(&contact_point.point.points[0], &contact_point.point.points[1]);
             let surface = if other.slot.is_some() { None } else { bodies.get(&other.entity) };
             rows.push(RigidContact {
                 body: slot as u32,
                 other: other.slot.map(|slot| slot as u32),
                 point_in_world: point,
-                normal_in_world: meeting.point.normal * sign,
-                depth: meeting.point.depth,
-                friction: meeting.friction,
-                restitution: meeting.restitution.min(1.0),
+                normal_in_world: contact_point.point.normal * sign,
+                depth: contact_point.point.depth,
+                friction: contact_point.friction,
+                restitution: contact_point.restitution.min(1.0),
                 surface_velocity: surface.map_or_else(Vector3::zeros, |body| body.velocity_at(&point)),
             });
-            let arm = |party: &super::narrow_phase::ContactSide| {
-                let tool = tools.get(&party.entity).filter(|_| !meeting.by_others)?;
+            let arm = |contact_side: &super::narrow_phase::ContactSide| {
+                let tool = tools.get(&contact_side.entity).filter(|_| !contact_point.by_others)?;
                 // Joints are in the order of their tools.
-                let before = tools.range(..party.entity).filter(|(_, tool)| tool.joint.is_some()).count();
-                tool.arm(party.part, &point, before as u32)
+                let before =
+                    tools.range(..contact_side.entity).filter(|(_, tool)| tool.joint.is_some()).count();
+                tool.arm(contact_side.part, &point, before as u32)
             };
             arms.push([arm(gives), arm(other)]);
-            let key = meeting.key();
+            let key = contact_point.key();
             let known = self.former.binary_search_by(|(former, _)| former.cmp(&key));
             let impulse = known.map_or_else(|_| Vector3::zeros(), |at| self.former[at].1 * sign);
             begin.push(ContactImpulse { impulse });
@@ -280,11 +282,11 @@ impl ImpulseWorld {
     fn take_over(&mut self) {
         let step_secs = self.settings.substep_secs;
         let Scratch { of, joints, .. } = &mut self.scratch;
-        for meeting in &mut self.meetings.all {
-            meeting.impulse = Vector3::zeros();
+        for contact_point in &mut self.narrow_phase.all {
+            contact_point.impulse = Vector3::zeros();
         }
         for ((index, sign), impulse) in of.iter().zip(self.solver.impulses()) {
-            self.meetings.all[*index].impulse = impulse.impulse * *sign;
+            self.narrow_phase.all[*index].impulse = impulse.impulse * *sign;
         }
         let (masses, states) = (self.solver.masses(), self.solver.states());
         for body in self.bodies.values_mut() {
@@ -315,10 +317,12 @@ impl ImpulseWorld {
         for (entity, tool) in &mut self.tools {
             let lifted =
                 |held: Entity| bodies.get(&held).filter(|body| body.is_dynamic()).map(|body| body.pose);
-            grasp_detection::update(tool, *entity, &self.meetings.all, step_secs, pads, lifted);
+            grasp_detection::update(tool, *entity, &self.narrow_phase.all, step_secs, pads, lifted);
         }
         self.former.clear();
-        self.former.extend(self.meetings.all.iter().map(|meeting| (meeting.key(), meeting.impulse)));
+        self.former.extend(
+            self.narrow_phase.all.iter().map(|contact_point| (contact_point.key(), contact_point.impulse)),
+        );
         self.former.sort_by_key(|(key, _)| *key);
         self.rest(step_secs);
         if self.has_surfaces() {
@@ -336,28 +340,33 @@ impl ImpulseWorld {
 
     /// Depths after the step.
     fn measure(&mut self) {
-        for meeting in self.meetings.all.iter_mut().filter(|meeting| !meeting.by_others) {
+        for contact_point in self.narrow_phase.all.iter_mut().filter(|contact_point| !contact_point.by_others)
+        {
             let place = |side: usize| {
-                let party = &meeting.sides[side];
-                let body = self.bodies.get(&party.entity).map(|body| &body.solid);
-                let solid = body.or_else(|| self.tools.get(&party.entity).map(|tool| &tool.solid));
-                solid.map_or(meeting.point.points[side], |solid| solid.placed[party.part] * party.local)
+                let contact_side = &contact_point.sides[side];
+                let body = self.bodies.get(&contact_side.entity).map(|body| &body.solid);
+                let solid = body.or_else(|| self.tools.get(&contact_side.entity).map(|tool| &tool.solid));
+                solid.map_or(contact_point.point.points[side], |solid| {
+                    solid.placed[contact_side.part] * contact_side.local
+                })
             };
             let points = [place(0), place(1)];
-            meeting.point.points = points;
-            meeting.point.depth = (points[0] - points[1]).dot(&meeting.point.normal);
-            self.penetration_max = self.penetration_max.max(meeting.point.depth);
+            contact_point.point.points = points;
+            contact_point.point.depth = (points[0] - points[1]).dot(&contact_point.point.normal);
+            self.penetration_max = self.penetration_max.max(contact_point.point.depth);
         }
     }
 
     fn rest(&mut self, step_secs: f64) {
-        let (meetings, tools) = (&self.meetings.all, &self.tools);
+        let (narrow_phase, tools) = (&self.narrow_phase.all, &self.tools);
         let is_touched = |entity: Entity| {
-            meetings.iter().filter(|meeting| meeting.sides.iter().any(|side| side.entity == entity)).any(
-                |meeting| {
-                    meeting.by_others || meeting.sides.iter().any(|side| tools.contains_key(&side.entity))
-                },
-            )
+            narrow_phase
+                .iter()
+                .filter(|contact_point| contact_point.sides.iter().any(|side| side.entity == entity))
+                .any(|contact_point| {
+                    contact_point.by_others
+                        || contact_point.sides.iter().any(|side| tools.contains_key(&side.entity))
+                })
         };
         for (entity, body) in &mut self.bodies {
             let Some(slot) = body.slot.filter(|_| !body.sleeps) else { continue };
@@ -391,7 +400,7 @@ impl ImpulseWorld {
     pub(super) fn step(&mut self) -> Result<(), WorldError> {
         let step_secs = self.settings.substep_secs;
         self.prepare();
-        self.meetings.meet(WorldView {
+        self.narrow_phase.detect(WorldView {
             bodies: &mut self.bodies,
             tools: &self.tools,
             found: &self.found,

@@ -2,24 +2,24 @@
 
 use nalgebra::{Matrix3, Point3};
 use trocar_dynamics::instrument::contact::Contact;
-use trocar_dynamics::instrument::coupling::Wrench;
 use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 use trocar_dynamics::rigid_world::{
-    FLOOR, Inertia, Scheduling, ToolView, World, WorldError, Wrench as Push, check, mass_properties,
+    FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, WorldError, check, mass_properties,
 };
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
     Collision, Detection, Entity, Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape,
     SimTime, Velocity,
 };
 
 use super::RigidSettings;
-use super::bodies::{Solid, Travel, state_of};
-use super::contact_report::told;
+use super::bodies::{KinematicMove, Solid, state_of};
+use super::contact_report::report_contacts;
 use super::convex_parts::{mass_of, mass_of_solid, parts_of};
-use super::detected_contact::{FOUND_MAX, Found};
+use super::detected_contact::{DetectedContact, FOUND_MAX};
 use super::instrument::Tool;
 use super::obstacle_prediction::first_obstacle;
 use super::world::{ImpulseWorld, TOOLS_MAX};
@@ -40,9 +40,8 @@ impl World for ImpulseWorld {
         })?;
         let mut world = Self::empty(settings, solver, now);
         if let Some(height) = world.settings.floor_height {
-            let half = 0.05;
-            let floor = Shape::Box { half_extents: [2.0, 2.0, half] };
-            let pose = Pose::at(0.0, 0.0, height - half);
+            let floor = Shape::Box { half_extents: FLOOR_HALF_EXTENTS };
+            let pose = Pose::at(0.0, 0.0, height - FLOOR_HALF_EXTENTS[2]);
             let body = RigidBody { motion: Motion::Static, ..RigidBody::default() };
             world.insert_body(FLOOR, &body, &floor, &pose, &Velocity::default())?;
         }
@@ -50,12 +49,7 @@ impl World for ImpulseWorld {
     }
 
     fn scheduling(settings: &RigidSettings) -> Scheduling {
-        Scheduling {
-            substep_secs: settings.substep_secs,
-            method: Detection::Simulator,
-            claims_all_poses: settings.claims_all_poses,
-            contact_models_by_others: settings.contact_models_by_others.clone(),
-        }
+        settings.shared().scheduling(Detection::Simulator)
     }
 
     fn now(&self) -> SimTime {
@@ -163,7 +157,7 @@ impl World for ImpulseWorld {
         let pose = pose.isometry();
         if body.component.motion == Motion::Kinematic {
             let steps = (travel_secs / self.settings.substep_secs).round().clamp(1.0, 1000.0) as u32;
-            body.travel = Some(Travel { to: pose, steps });
+            body.travel = Some(KinematicMove { to: pose, steps });
             return Ok(());
         }
         body.pose = pose;
@@ -223,17 +217,17 @@ impl World for ImpulseWorld {
                 (None, Some(tool)) => tool.trail.at(collision.detected_at).map(Some),
                 (None, None) => Some(None),
             };
-            self.found.extend(Found::new(collision, [then(collision.a), then(collision.b)]));
+            self.found.extend(DetectedContact::new(collision, [then(collision.a), then(collision.b)]));
         }
     }
 
-    fn push(&mut self, entity: Entity, push: &Push) -> Result<(), WorldError> {
+    fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), WorldError> {
         let body = self.bodies.get_mut(&entity).ok_or(WorldError::Unknown { entity })?;
         if !push.force.iter().chain(push.torque.iter()).all(|x| x.is_finite()) {
             return Err(WorldError::Diverged { entities: vec![entity] });
         }
         body.push = *push;
-        if *push != Push::default() {
+        if *push != Wrench::default() {
             body.sleeps = false;
             body.still_secs = 0.0;
         }
@@ -286,7 +280,7 @@ impl World for ImpulseWorld {
     }
 
     fn contacts(&mut self) -> &[Contact] {
-        told(&self.meetings.all, self.settings.substep_secs, &mut self.contacts);
+        report_contacts(&self.narrow_phase.all, self.settings.substep_secs, &mut self.contacts);
         &self.contacts
     }
 

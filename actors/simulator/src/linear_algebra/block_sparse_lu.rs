@@ -19,7 +19,7 @@ use crate::simd::dispatch::wide;
 
 /// Position of a block: its slot, and whether its block row is eliminated after its block column.
 #[derive(Clone, Copy, Debug, Default)]
-struct Place {
+struct BlockPosition {
     slot: u32,
     below: bool,
 }
@@ -39,9 +39,9 @@ pub(crate) struct BlockSparse {
     /// For every column and every pair of its neighbours, the slot of their block.
     targets: Vec<u32>,
     /// Positions of the blocks left of the diagonal, and of the next ones.
-    band: Vec<[Place; 2]>,
+    band: Vec<[BlockPosition; 2]>,
     /// Positions of the blocks of two edges: either node of the first with either of the second.
-    far: Vec<[Place; 4]>,
+    far: Vec<[BlockPosition; 4]>,
     /// Pivots, then their inverses, in elimination order.
     pivots: Vec<Columns>,
     /// Below the diagonal, divided by the pivot, and above it.
@@ -154,7 +154,9 @@ impl BlockSparse {
         let (mut band, mut far) = (std::mem::take(&mut self.band), std::mem::take(&mut self.far));
         band.clear();
         band.extend((0..self.rows).map(|row| {
-            [1, 2].map(|back| row.checked_sub(back).map_or(Place::default(), |other| self.place(row, other)))
+            [1, 2].map(|back| {
+                row.checked_sub(back).map_or(BlockPosition::default(), |other| self.place(row, other))
+            })
         }));
         far.clear();
         far.extend(self.couples.iter().map(|&[a, b]| {
@@ -169,11 +171,11 @@ impl BlockSparse {
     }
 
     /// Position of an off-diagonal block.
-    fn place(&self, row: usize, column: usize) -> Place {
+    fn place(&self, row: usize, column: usize) -> BlockPosition {
         let [row, column] = [row, column].map(|of| self.places[of]);
         let range = self.column(row.min(column) as usize);
         let within = self.below[range.clone()].partition_point(|of| *of < row.max(column));
-        Place { slot: (range.start + within) as u32, below: row > column }
+        BlockPosition { slot: (range.start + within) as u32, below: row > column }
     }
 
     /// Loads the values near the diagonal and those added to them, without far contacts.
@@ -204,7 +206,7 @@ impl BlockSparse {
     }
 
     /// Adds a block and its transpose partner.
-    fn put_pair(&mut self, place: Place, [block, across]: &[Block; 2]) {
+    fn put_pair(&mut self, place: BlockPosition, [block, across]: &[Block; 2]) {
         let slot = place.slot as usize;
         let (below, above) = if place.below { (block, across) } else { (across, block) };
         sum(&mut self.lower[slot], below);

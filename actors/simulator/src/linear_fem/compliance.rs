@@ -10,7 +10,7 @@ use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_scene::disjoint_sets::DisjointSets;
 
 use super::bounds::BATCH;
-use crate::linear_algebra::{FactorError, SparseCholesky, nested_dissection};
+use crate::linear_algebra::{FactorError, SupernodalCholesky, nested_dissection};
 use crate::stiffness::{Bonds, bound_stiffness};
 
 /// Limits of a precomputation.
@@ -251,7 +251,7 @@ impl Compliance {
     pub(super) fn from_factor(
         fingerprint: u64,
         boundary: &Boundary,
-        factor: &SparseCholesky,
+        factor: &SupernodalCholesky,
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, PrecomputeError> {
         let rows = 3 * boundary.surface.len();
@@ -301,7 +301,7 @@ pub(super) fn factor(
     bonds: &Bonds<'_>,
     boundary: &Boundary,
     limits: &Limits,
-) -> Result<SparseCholesky, PrecomputeError> {
+) -> Result<SupernodalCholesky, PrecomputeError> {
     let nodes = mesh.rest().len();
     if nodes > limits.nodes_max {
         return Err(PrecomputeError::TooManyNodes { nodes, nodes_max: limits.nodes_max });
@@ -312,7 +312,7 @@ pub(super) fn factor(
         return Err(PrecomputeError::TooLarge { surface_nodes, bytes, bytes_max: limits.bytes_max });
     }
     let matrix = bound_stiffness(mesh, material, weights, bonds, &boundary.numbers, boundary.free());
-    let mut factor = SparseCholesky::new(matrix.pattern(), BATCH)?;
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), BATCH)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok(factor)
 }

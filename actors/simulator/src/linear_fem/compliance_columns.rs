@@ -9,13 +9,13 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::compliance::{Boundary, Limits, PrecomputeError, factor};
-use crate::linear_algebra::SparseCholesky;
+use crate::linear_algebra::SupernodalCholesky;
 use crate::stiffness::Bonds;
 
 /// Columns of the inverse, computed on demand.
 pub struct Columns {
     boundary: Boundary,
-    factor: SparseCholesky,
+    factor: SupernodalCholesky,
     /// Start of the three columns of each node, if computed.
     of: Vec<Option<u32>>,
     values: Vec<f64>,

@@ -89,7 +89,9 @@ pub enum LinearFemError {
         tet: u32,
     },
     /// The active set did not converge.
-    #[error("which of the one-sided constraints act was not found in {0} rounds")]
+    #[error(
+        "the active set of the one-sided constraints did not converge in {0} rounds: move the instruments less per step, or hold fewer places"
+    )]
     NotSettled(usize),
     /// A state that does not belong to this solver.
     #[error("the state does not fit this body: {0}")]

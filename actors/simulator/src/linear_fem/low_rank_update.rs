@@ -22,7 +22,7 @@ use super::active_set::{ActiveSet, Packed};
 use super::bounds::{BATCH, RANK, REMNANT, UNKNOWNS_MAX};
 use super::compliance::Boundary;
 use super::element_removal::root_of_stiffness;
-use crate::linear_algebra::SparseCholesky;
+use crate::linear_algebra::SupernodalCholesky;
 use crate::stiffness::stiffness_block;
 
 /// Least pivot of T as a fraction of its diagonal: below, it is dominated by rounding.
@@ -79,17 +79,17 @@ pub(super) struct Correction {
 /// A force in terms of the correction: p − Yᵀ f, and T⁻¹ times that. The correction of the compliance between two
 /// forces is the product of the first of one and the second of the other.
 #[derive(Clone, Debug)]
-pub(super) struct Through {
+pub(super) struct CorrectedForce {
     pub parts: DVector<f64>,
     pub shares: DVector<f64>,
 }
 
 /// Inputs of a correction.
-pub(super) struct Serving<'a> {
+pub(super) struct CorrectionInputs<'a> {
     pub mesh: &'a TetMesh,
     pub material: &'a Elastic,
     pub boundary: &'a Boundary,
-    pub factor: &'a mut SparseCholesky,
+    pub factor: &'a mut SupernodalCholesky,
 }
 
 impl Correction {
@@ -127,7 +127,7 @@ impl Correction {
     /// Adds split nodes, which move with their originals until they are released.
     pub fn bear(&mut self, parents: &[u32]) {
         for &parent in parents {
-            self.homes.push(self.home(parent).to_vec());
+            self.homes.push(self.first_unknowns(parent).to_vec());
             self.parents.push(parent);
         }
     }
@@ -141,18 +141,21 @@ impl Correction {
     }
 
     /// First unknowns that a node's displacement adds to that of the factor.
-    fn home(&self, node: u32) -> &[usize] {
+    fn first_unknowns(&self, node: u32) -> &[usize] {
         (node as usize).checked_sub(self.known).map_or(&[], |born| &self.homes[born])
     }
 
     /// The unknowns' contribution to a node's displacement \[m\].
     pub fn own(&self, node: u32, unknowns: &[f64]) -> Vector3<f64> {
-        self.home(node).iter().map(|&first| Vector3::from_column_slice(&unknowns[first..first + 3])).sum()
+        self.first_unknowns(node)
+            .iter()
+            .map(|&first| Vector3::from_column_slice(&unknowns[first..first + 3]))
+            .sum()
     }
 
     /// Removes elements, up to [`BATCH`] unknowns at once; returns how many: all before one that makes the correction
     /// singular.
-    pub fn take(&mut self, tets: &[u32], of: &mut Serving<'_>) -> usize {
+    pub fn take(&mut self, tets: &[u32], of: &mut CorrectionInputs<'_>) -> usize {
         let mut borders = Vec::new();
         for (&tet, first) in tets.iter().zip((self.unknowns()..).step_by(RANK)) {
             let root = root_of_stiffness(of.mesh, of.material, tet as usize) * self.weight(tet).sqrt();
@@ -163,7 +166,7 @@ impl Correction {
                 if let Some(row) = of.boundary.numbers[node as usize] {
                     g.push((row, block));
                 }
-                self.home(node).iter().for_each(|&first| h.add(first, &block));
+                self.first_unknowns(node).iter().for_each(|&first| h.add(first, &block));
             }
             h.add_identity(1.0);
             let border = Border { change: Change::Gone(tet), first, count: RANK, root: Some(root), g };
@@ -176,7 +179,7 @@ impl Correction {
 
     /// Releases the next split nodes, each with its later copies, at most `most` and up to [`BATCH`] unknowns at once;
     /// returns how many. Fewer where there are no more, no room, or a singular pivot.
-    pub fn release(&mut self, most: usize, bond: f64, of: &mut Serving<'_>) -> usize {
+    pub fn release(&mut self, most: usize, bond: f64, of: &mut CorrectionInputs<'_>) -> usize {
         let (before, mut next) = (self.released, self.unknowns());
         let mut borders = Vec::new();
         // Index among all released nodes, for each that moves.
@@ -190,7 +193,7 @@ impl Correction {
             if next + 3 > UNKNOWNS_MAX || borders.len() == BATCH / 3 {
                 break;
             }
-            self.leave_home(born, next);
+            self.add_unknowns(born, next);
             borders.push(self.border(node, next, bond, of));
             going.push((born, next));
             next += 3;
@@ -199,7 +202,7 @@ impl Correction {
         let done = self.append(borders, of.factor);
         if done < wanted {
             let least = going[done].1;
-            self.homes.iter_mut().for_each(|home| home.retain(|at| *at < least));
+            self.homes.iter_mut().for_each(|first_unknowns| first_unknowns.retain(|at| *at < least));
         }
         // Fixed copies are released together with the ones before them.
         let stays = |born: &usize| of.boundary.numbers[self.known + born].is_none();
@@ -212,7 +215,7 @@ impl Correction {
     }
 
     /// Adds three unknowns to a node and its later copies.
-    fn leave_home(&mut self, first_born: usize, unknown: usize) {
+    fn add_unknowns(&mut self, first_born: usize, unknown: usize) {
         let mut descends = vec![false; self.parents.len()];
         for born in first_born..self.parents.len() {
             let parent = (self.parents[born] as usize).checked_sub(self.known);
@@ -229,10 +232,10 @@ impl Correction {
     }
 
     /// G and H for releasing a node, from the elements attached to it and to copies still moving with it.
-    fn border(&self, node: u32, first: usize, bond: f64, of: &Serving<'_>) -> (Border, Rows) {
+    fn border(&self, node: u32, first: usize, bond: f64, of: &CorrectionInputs<'_>) -> (Border, Rows) {
         let mut g: Vec<(u32, Block)> = Vec::new();
         let mut h = Rows::new(first, 3);
-        let goes = |other: u32| other >= node && self.home(other).contains(&first);
+        let goes = |other: u32| other >= node && self.first_unknowns(other).contains(&first);
         for (tet, nodes) in of.mesh.tets().iter().enumerate() {
             if !nodes.iter().any(|&other| goes(other)) {
                 continue;
@@ -250,7 +253,7 @@ impl Correction {
                             None => g.push((row, block)),
                         }
                     }
-                    self.home(other).iter().for_each(|&at| h.add(at, &block));
+                    self.first_unknowns(other).iter().for_each(|&at| h.add(at, &block));
                 }
             }
         }
@@ -268,7 +271,7 @@ impl Correction {
 
     /// Adds the unknowns of changes, solving for all columns at once; returns how many: all before one with a singular
     /// pivot.
-    fn append(&mut self, borders: Vec<(Border, Rows)>, factor: &mut SparseCholesky) -> usize {
+    fn append(&mut self, borders: Vec<(Border, Rows)>, factor: &mut SupernodalCholesky) -> usize {
         let rows = factor.rows();
         let columns: usize = borders.iter().map(|(border, _)| border.count).sum();
         if columns == 0 || rows == 0 {
@@ -338,7 +341,7 @@ impl Correction {
         &self,
         boundary: &Boundary,
         forces: impl Iterator<Item = (u32, Vector3<f64>)> + Clone,
-    ) -> Option<Through> {
+    ) -> Option<CorrectedForce> {
         if self.y.is_empty() {
             return None;
         }
@@ -352,14 +355,14 @@ impl Correction {
         }
         let mut shares = parts.clone();
         self.factored.solve(shares.as_mut_slice());
-        Some(Through { parts, shares })
+        Some(CorrectedForce { parts, shares })
     }
 
     /// Forces on the unknowns: p.
     pub fn pulls(&self, forces: impl Iterator<Item = (u32, Vector3<f64>)>) -> DVector<f64> {
         let mut pulls = DVector::zeros(self.y.len());
         for (node, force) in forces {
-            for &first in self.home(node) {
+            for &first in self.first_unknowns(node) {
                 (0..3).for_each(|axis| pulls[first + axis] += force[axis]);
             }
         }

@@ -38,6 +38,6 @@ pub use contact_patch::{PatchError, patch};
 pub use error::LinearFemError;
 pub use low_rank_update::Change;
 pub use serialization::BytesError;
-pub use solver::{Held, LinearFem, Load, Reaction, Solution};
+pub use solver::{HeldAttachment, LinearFem, Load, Reaction, Solution};
 pub use state::LinearFemState;
 pub use strain_check::{Deformation, ROTATION_LIMIT, STRAIN_LIMIT};

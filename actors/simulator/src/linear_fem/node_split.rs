@@ -11,7 +11,7 @@ use trocar_dynamics::tet_mesh::TetMesh;
 use super::attachment::{Attachment, Handle, Hold};
 use super::bounds::{BATCH, REMNANT, UNKNOWNS_MAX};
 use super::error::LinearFemError;
-use super::low_rank_update::{Change, Correction, Serving};
+use super::low_rank_update::{Change, Correction, CorrectionInputs};
 use super::solver::LinearFem;
 
 /// Stiffness of a bond \[N/m\]: a fraction of Young's modulus times an edge length that topology changes do not affect.
@@ -22,9 +22,12 @@ pub(super) fn bond(mesh: &TetMesh, material: &Elastic) -> f64 {
 
 impl LinearFem {
     /// Runs a change of the correction with the current inverse.
-    pub(super) fn corrected<T>(&mut self, change: impl FnOnce(&mut Correction, &mut Serving<'_>) -> T) -> T {
+    pub(super) fn corrected<T>(
+        &mut self,
+        change: impl FnOnce(&mut Correction, &mut CorrectionInputs<'_>) -> T,
+    ) -> T {
         let Self { mesh, material, boundary, factor, correction, .. } = self;
-        change(correction, &mut Serving { mesh, material, boundary, factor })
+        change(correction, &mut CorrectionInputs { mesh, material, boundary, factor })
     }
 
     /// The free surface nodes, ascending: those of its inverse, and their copies. Interior nodes exposed by a cut are
@@ -65,7 +68,7 @@ impl LinearFem {
     ///
     /// # Errors
     /// A mesh that is no such split of this body.
-    pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32]) -> Result<(), LinearFemError> {
+    pub fn split_nodes(&mut self, mesh: &TetMesh, parents: &[u32]) -> Result<(), LinearFemError> {
         let before = self.mesh.rest().len();
         let fits = mesh.rest().len() == before + parents.len()
             && mesh.tets().len() == self.mesh.tets().len()
@@ -162,7 +165,7 @@ impl LinearFem {
         self.mesh = self.mesh.parted(known, &[], whole);
         if !parents.is_empty() {
             let mesh = self.mesh.parted(known, parents, tets.to_vec());
-            self.come_apart(&mesh, parents)?;
+            self.split_nodes(&mesh, parents)?;
         }
         let bond = bond(&self.mesh, &self.material);
         let fails = || LinearFemError::State("its changes are not ones of this body");

@@ -11,8 +11,8 @@ use super::attachment::{Attachment, Handle, Hold, check_weights};
 use super::bounds::ROWS_MAX;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
-use super::low_rank_update::{Correction, Through};
-use crate::linear_algebra::SparseCholesky;
+use super::low_rank_update::{CorrectedForce, Correction};
+use crate::linear_algebra::SupernodalCholesky;
 use crate::stiffness::Bonds;
 
 /// A force distributed over free surface nodes.
@@ -44,7 +44,7 @@ pub struct Solution<'a> {
 
 /// A constraint.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Held {
+pub struct HeldAttachment {
     /// Its handle.
     pub handle: Handle,
     /// The attachment.
@@ -62,14 +62,14 @@ pub(super) struct Row {
     /// Displacements of the free surface nodes per force along it \[m/N\], without the correction `through`.
     pub(super) compliance: Vec<f32>,
     /// Correction for changes of the body.
-    pub(super) through: Option<Through>,
+    pub(super) through: Option<CorrectedForce>,
     /// Displacement by the dead load along it \[m\].
     dead: f64,
 }
 
 /// State to restore when a cycle fails.
 #[derive(Default)]
-struct Before {
+struct SolverBackup {
     multipliers: Vec<f64>,
     rows: Vec<u32>,
     factor: Vec<f64>,
@@ -80,12 +80,12 @@ pub struct LinearFem {
     pub(super) mesh: TetMesh,
     pub(super) boundary: Boundary,
     pub(super) material: Elastic,
-    pub(super) factor: SparseCholesky,
+    pub(super) factor: SupernodalCholesky,
     pub(super) compliance: Arc<Compliance>,
     pub(super) correction: Correction,
     /// Free surface nodes: those of the compliance, and their copies.
     pub(super) touched: Vec<u32>,
-    pub(super) held: Vec<Held>,
+    pub(super) held: Vec<HeldAttachment>,
     pub(super) next: u64,
     pub(super) rows: Vec<Row>,
     pub(super) w: Packed,
@@ -100,7 +100,7 @@ pub struct LinearFem {
     /// Loads by surface node.
     pub(super) loads: Vec<(u32, Vector3<f64>)>,
     loads_before: Vec<(u32, Vector3<f64>)>,
-    before: Before,
+    before: SolverBackup,
     right: Vec<f64>,
     trial: Vec<f64>,
     skipped: Vec<bool>,
@@ -150,7 +150,7 @@ impl LinearFem {
         mesh: TetMesh,
         material: Elastic,
         boundary: Boundary,
-        factor: SparseCholesky,
+        factor: SupernodalCholesky,
         compliance: Compliance,
     ) -> Self {
         let (rows, free) = (3 * boundary.surface.len(), 3 * boundary.free());
@@ -176,7 +176,7 @@ impl LinearFem {
             reactions: Vec::new(),
             loads: Vec::new(),
             loads_before: Vec::new(),
-            before: Before::default(),
+            before: SolverBackup::default(),
             right: Vec::new(),
             trial: Vec::new(),
             skipped: Vec::new(),
@@ -205,7 +205,7 @@ impl LinearFem {
 
     /// Constraints, in the order in which they were added.
     #[must_use]
-    pub fn held(&self) -> &[Held] {
+    pub fn held(&self) -> &[HeldAttachment] {
         &self.held
     }
 
@@ -258,7 +258,7 @@ impl LinearFem {
     pub fn hold(&mut self, attachment: Attachment) -> Result<Handle, LinearFemError> {
         let handle = Handle(self.next);
         let first = self.rows.len();
-        self.enter(Held { handle, attachment, target: Vector3::zeros() })?;
+        self.enter(HeldAttachment { handle, attachment, target: Vector3::zeros() })?;
         for row in first..self.rows.len() {
             if !self.rows[row].one_sided && !self.active.append(row, &self.w) {
                 let node = self.held[self.held.len() - 1].attachment.weights[0].0;
@@ -301,7 +301,7 @@ impl LinearFem {
     }
 
     /// Adds the rows of a constraint to W, inactive at first.
-    pub(super) fn enter(&mut self, held: Held) -> Result<(), LinearFemError> {
+    pub(super) fn enter(&mut self, held: HeldAttachment) -> Result<(), LinearFemError> {
         held.attachment.check(self.mesh.rest().len())?;
         let (directions, count) = held.attachment.hold.directions();
         if self.rows.len() + count > ROWS_MAX {
@@ -511,7 +511,7 @@ impl LinearFem {
 }
 
 /// The correction's part of the displacement along one row by a force along the other.
-fn between(one: Option<&Through>, other: Option<&Through>) -> f64 {
+fn between(one: Option<&CorrectedForce>, other: Option<&CorrectedForce>) -> f64 {
     match (one, other) {
         (Some(one), Some(other)) => one.parts.dot(&other.shares),
         _ => 0.0,

@@ -5,13 +5,13 @@ use nalgebra::Vector3;
 use super::active_set::Packed;
 use super::error::LinearFemError;
 use super::low_rank_update::Change;
-use super::solver::{Held, LinearFem};
+use super::solver::{HeldAttachment, LinearFem};
 
 /// The state; everything else follows from mesh, material and boundary.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinearFemState {
     /// Constraints, in the order in which they were added.
-    pub held: Vec<Held>,
+    pub held: Vec<HeldAttachment>,
     /// The next handle.
     pub next: u64,
     /// Active rows, in the order of the factor of W between them.

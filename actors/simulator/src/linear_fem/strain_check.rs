@@ -76,7 +76,7 @@ impl Deformation {
 
     /// A message that explains why linear elasticity is invalid here.
     #[must_use]
-    pub fn doubt(&self) -> String {
+    pub fn validity_warning(&self) -> String {
         format!(
             "an element turned by {:.0}°, one strained by {:.0} %: beyond {:.0}° or {:.0} % linear elasticity misleads",
             self.rotation.to_degrees(),

@@ -34,8 +34,8 @@ impl MassSpring {
             self.explicit_part(part, f64::from(index) * part, input);
         }
         // Prescribed nodes end exactly at their target, without the rounding of the substeps.
-        for led in input.prescribed {
-            self.scratch.next.positions[led.node as usize] = led.position;
+        for driven in input.prescribed {
+            self.scratch.next.positions[driven.node as usize] = driven.position;
         }
         for force in &mut self.scratch.contact_forces {
             *force /= dt;

@@ -20,7 +20,7 @@ pub(crate) mod surface_network;
 pub use contact::Contact;
 pub use error::NetworkError;
 pub use network::{Hinge, LineMaterial, Network, Spring, SurfaceMaterial, VolumeMaterial};
-pub use remesh::{Edits, Followed, Patch};
+pub use remesh::{ChangedMesh, Edits, NetworkChange};
 
 pub(crate) use contact::check as check_contacts;
 pub(crate) use forces::NEARLY_FLAT;
@@ -34,7 +34,7 @@ use trocar_dynamics::particles::{State, StepError};
 
 use implicit::Implicit;
 pub use implicit::SheetFactor;
-use stability::Bound;
+use stability::EigenvalueBound;
 
 /// Handling of a step larger than the stable one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -168,7 +168,7 @@ pub struct MassSpring {
     pinned: Vec<u32>,
     /// Inverse mass of each node, 0 where it is pinned \[1/kg\].
     mobility: Vec<f64>,
-    bound: Bound,
+    bound: EigenvalueBound,
     scratch: Scratch,
     implicit: Option<Box<Implicit>>,
 }
@@ -181,7 +181,7 @@ struct Scratch {
     /// As [`MassSpring::mobility`], also 0 where a node is prescribed.
     mobility: Vec<f64>,
     /// Velocities of the prescribed nodes, in the order of the input.
-    led: Vec<Vector3<f64>>,
+    driven: Vec<Vector3<f64>>,
     /// Each contact's point at the beginning.
     touched: Vec<Vector3<f64>>,
     contact_forces: Vec<Vector3<f64>>,
@@ -222,7 +222,7 @@ impl MassSpring {
             state,
             pinned: Vec::new(),
             mobility: Vec::new(),
-            bound: Bound::default(),
+            bound: EigenvalueBound::default(),
             scratch: Scratch::default(),
             implicit: None,
         };
@@ -254,7 +254,7 @@ impl MassSpring {
             self.mobility[node as usize] = 0.0;
             self.state.velocities[node as usize] = Vector3::zeros();
         }
-        self.bound = Bound::new(&self.network, &self.mobility);
+        self.bound = EigenvalueBound::new(&self.network, &self.mobility);
         self.scratch.forces.resize(nodes, Vector3::zeros());
         self.scratch.next = self.state.clone();
         self.implicit = match self.config.integrator {
@@ -284,11 +284,11 @@ impl MassSpring {
     /// What `update` rejects; the solver is then unchanged. A state that does not fit.
     pub fn follow<const N: usize>(
         &mut self,
-        patch: &Patch<'_, N>,
+        patch: &ChangedMesh<'_, N>,
         stays: impl Fn(u32) -> bool,
         carry: impl FnOnce(&mut State),
-        update: impl FnOnce(&mut Network, &Patch<'_, N>) -> Result<Followed, NetworkError>,
-    ) -> Result<Followed, NetworkError> {
+        update: impl FnOnce(&mut Network, &ChangedMesh<'_, N>) -> Result<NetworkChange, NetworkError>,
+    ) -> Result<NetworkChange, NetworkError> {
         let followed = update(&mut self.network, patch)?;
         carry(&mut self.state);
         let nodes = self.network.masses.len();
@@ -354,10 +354,10 @@ impl MassSpring {
                 return wrong("force", index, "is not finite");
             }
         }
-        for (index, led) in input.prescribed.iter().enumerate() {
-            if led.node as usize >= nodes {
+        for (index, driven) in input.prescribed.iter().enumerate() {
+            if driven.node as usize >= nodes {
                 return wrong("prescribed node", index, "does not exist");
-            } else if !finite(&led.position.coords) {
+            } else if !finite(&driven.position.coords) {
                 return wrong("prescribed node", index, "has a position that is not finite");
             }
         }
@@ -370,12 +370,12 @@ impl MassSpring {
         scratch.next.positions.clone_from(&self.state.positions);
         scratch.next.velocities.clone_from(&self.state.velocities);
         scratch.mobility.clone_from(&self.mobility);
-        scratch.led.clear();
-        for led in input.prescribed {
-            scratch.mobility[led.node as usize] = 0.0;
-            let velocity = (led.position - self.state.positions[led.node as usize]) / dt;
-            scratch.next.velocities[led.node as usize] = velocity;
-            scratch.led.push(velocity);
+        scratch.driven.clear();
+        for driven in input.prescribed {
+            scratch.mobility[driven.node as usize] = 0.0;
+            let velocity = (driven.position - self.state.positions[driven.node as usize]) / dt;
+            scratch.next.velocities[driven.node as usize] = velocity;
+            scratch.driven.push(velocity);
         }
         scratch.touched.clear();
         scratch.touched.extend(input.contacts.iter().map(|contact| contact.point(&self.state.positions)));

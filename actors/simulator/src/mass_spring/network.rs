@@ -17,7 +17,7 @@ use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::faulty::Faulty;
 
 use super::error::NetworkError;
-use super::remesh::{Followed, Patch};
+use super::remesh::{ChangedMesh, NetworkChange};
 
 /// A spring between two nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -267,9 +267,9 @@ impl Network {
     /// Invalid changed elements; the network is then unchanged.
     pub fn follow_volume(
         &mut self,
-        patch: &Patch<'_, 4>,
+        patch: &ChangedMesh<'_, 4>,
         material: &VolumeMaterial,
-    ) -> Result<Followed, NetworkError> {
+    ) -> Result<NetworkChange, NetworkError> {
         let extent = |tet: &[u32; 4]| volume(tet, patch.rest).abs() / 6.0;
         let share = |extent: f64| 0.25 * material.density * extent;
         self.follow("tetrahedron", patch, extent, share, |nodes, about| {

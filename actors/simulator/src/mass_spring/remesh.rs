@@ -15,7 +15,7 @@ use super::network::{Hinge, LEAST, LOOSE, Network, Spring};
 
 /// A changed mesh, as its owner describes it.
 #[derive(Clone, Copy)]
-pub struct Patch<'a, const N: usize> {
+pub struct ChangedMesh<'a, const N: usize> {
     /// Rest positions of all nodes \[m\].
     pub rest: &'a [Point3<f64>],
     /// Corners of all elements, by their numbers.
@@ -29,7 +29,7 @@ pub struct Patch<'a, const N: usize> {
     pub stale: &'a [u32],
 }
 
-impl<const N: usize> Patch<'_, N> {
+impl<const N: usize> ChangedMesh<'_, N> {
     /// Edges of all elements around a node, ascending.
     pub(crate) fn edges(&self, node: u32) -> Vec<[u32; 2]> {
         let about = (self.about)(node).iter();
@@ -154,7 +154,7 @@ fn splice<T: Copy>(list: &mut Vec<T>, gone: &[usize], come: &[(usize, T)]) -> Ve
 
 /// Changes of a network.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Followed {
+pub struct NetworkChange {
     /// Changed springs, by index.
     pub springs: Edits<Spring>,
     /// Changed hinges.
@@ -165,9 +165,9 @@ pub struct Followed {
     pub nodes: usize,
 }
 
-impl Followed {
+impl NetworkChange {
     /// Former and present nodes of everything that changed, and the stale ones; ascending.
-    pub(super) fn nodes<const N: usize>(&self, network: &Network, patch: &Patch<'_, N>) -> Vec<u32> {
+    pub(super) fn nodes<const N: usize>(&self, network: &Network, patch: &ChangedMesh<'_, N>) -> Vec<u32> {
         let mut nodes = patch.stale.to_vec();
         let Edits { gone, changed, come } = &self.springs;
         gone.iter().chain(changed).for_each(|(_, of)| nodes.extend(of.nodes));
@@ -184,7 +184,7 @@ impl Followed {
 }
 
 /// Spring and hinge of an edge.
-pub(super) type OfEdge = (Spring, Option<Hinge>);
+pub(super) type EdgeElements = (Spring, Option<Hinge>);
 
 impl Network {
     /// Updates to a mesh: `extent` is that of an element, `share` a node's mass from an element by its extent, `edge`
@@ -192,12 +192,12 @@ impl Network {
     pub(super) fn follow<const N: usize>(
         &mut self,
         kind: &'static str,
-        patch: &Patch<'_, N>,
+        patch: &ChangedMesh<'_, N>,
         extent: impl Fn(&[u32; N]) -> f64,
         share: impl Fn(f64) -> f64,
-        edge: impl Fn([u32; 2], &[u32]) -> OfEdge,
-    ) -> Result<Followed, NetworkError> {
-        let Patch { rest, elements, about, stale, .. } = *patch;
+        edge: impl Fn([u32; 2], &[u32]) -> EdgeElements,
+    ) -> Result<NetworkChange, NetworkError> {
+        let ChangedMesh { rest, elements, about, stale, .. } = *patch;
         let nodes = rest.len();
         Faulty::among(stale.len(), |at| stale[at] as usize >= nodes)
             .refuse(|faulty| NetworkError::Nodes { kind: "changed node", nodes, faulty })?;
@@ -228,7 +228,8 @@ impl Network {
             fresh.hinges.extend(hinge);
         }
         fresh.check_numbers()?;
-        let mut followed = Followed { edges: edges.len(), nodes: stale.len(), ..Followed::default() };
+        let mut followed =
+            NetworkChange { edges: edges.len(), nodes: stale.len(), ..NetworkChange::default() };
         let old = between(&self.springs, stale, |spring| spring.nodes);
         followed.springs = Edits::make(&mut self.springs, &old, &fresh.springs, |spring| spring.nodes);
         let old = between(&self.hinges, stale, Hinge::edge);

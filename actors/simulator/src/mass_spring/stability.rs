@@ -20,7 +20,7 @@ fn worst(hinge: &Hinge) -> (f64, f64) {
 
 /// An upper bound of the eigenvalues of M⁻¹K, updated incrementally.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Bound {
+pub(super) struct EigenvalueBound {
     /// Total stiffness at each node \[N/m\].
     meeting: Vec<f64>,
     /// Largest bound among the springs and hinges that begin at each node \[1/s²\], as a tournament tree: leaves in the
@@ -28,7 +28,7 @@ pub(super) struct Bound {
     largest: Vec<f64>,
 }
 
-impl Bound {
+impl EigenvalueBound {
     /// For a network; `mobility` is the inverse mass of each node, 0 where it is held.
     pub fn new(network: &Network, mobility: &[f64]) -> Self {
         let leaves = mobility.len().next_power_of_two().max(1);

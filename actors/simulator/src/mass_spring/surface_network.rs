@@ -7,7 +7,7 @@ use trocar_dynamics::faulty::Faulty;
 
 use super::error::NetworkError;
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring, SurfaceMaterial, check_elements, parameter};
-use super::remesh::{Followed, OfEdge, Patch};
+use super::remesh::{ChangedMesh, EdgeElements, NetworkChange};
 
 /// One side of a triangle, by its edge: the order in which shares are summed.
 type Side = ([u32; 2], u32);
@@ -84,9 +84,9 @@ impl Network {
     /// Invalid changed elements; the network is then unchanged.
     pub fn follow_surface(
         &mut self,
-        patch: &Patch<'_, 3>,
+        patch: &ChangedMesh<'_, 3>,
         material: &SurfaceMaterial,
-    ) -> Result<Followed, NetworkError> {
+    ) -> Result<NetworkChange, NetworkError> {
         let extent = |corners: &[u32; 3]| area(corners, patch.rest);
         let share = |area: f64| material.density * area / 3.0;
         self.follow("triangle", patch, extent, share, |nodes, about| {
@@ -104,7 +104,7 @@ fn of_edge(
     altered: &dyn Fn(u32) -> Alteration,
     nodes: [u32; 2],
     triangles_about: &[u32],
-) -> OfEdge {
+) -> EdgeElements {
     let ends = nodes.map(|node| rest[node as usize]);
     let squared = (ends[1] - ends[0]).norm_squared();
     let (mut about, mut stiffness, mut length) = (0.0, 0.0, 0.0);

@@ -1,7 +1,7 @@
 //! A contact during the solve: effective mass, impulse response, accumulated impulse.
 
 use nalgebra::{Matrix3, Vector3};
-use trocar_dynamics::rigid_world::most_across;
+use trocar_dynamics::rigid_world::tangential_mobility_max;
 
 use super::contact::RigidContact;
 use super::jaw_joint::{Arm, Turning};
@@ -91,7 +91,7 @@ impl Row {
             friction: contact.friction,
             normal_mass: 1.0 / normal.dot(&(feels * normal)),
             mass: feels.try_inverse().unwrap_or_else(Matrix3::zeros),
-            least_mass: 1.0 / most_across(&feels, &normal),
+            least_mass: 1.0 / tangential_mobility_max(&feels, &normal),
             yields: feels.trace() / 3.0,
             along: 0.0,
             across: Vector3::zeros(),

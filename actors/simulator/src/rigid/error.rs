@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use thiserror::Error;
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 
 use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState};
 
@@ -67,7 +67,9 @@ pub enum RigidStepError {
     )]
     Contact(usize),
     /// A body whose state would become non-finite, or a non-finite force.
-    #[error("body {body} would come to be nowhere")]
+    #[error(
+        "the state of body {body} would become non-finite: take a shorter step, or check its mass and the forces on it"
+    )]
     Body {
         /// The body.
         body: usize,

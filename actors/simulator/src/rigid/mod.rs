@@ -17,7 +17,7 @@ pub(crate) mod jaw_joint;
 pub(crate) mod sequential_impulses;
 
 use nalgebra::Vector3;
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 
 pub use body::{Integrator, RigidMass, RigidState};
 pub use contact::{ContactConfig, ContactImpulse, RigidContact};
@@ -100,7 +100,7 @@ impl RigidBodies {
     ///
     /// # Errors
     /// A missing body; a non-finite impulse or point.
-    pub fn strike(
+    pub fn apply_impulse(
         &mut self,
         body: u32,
         impulse: &Vector3<f64>,
@@ -127,7 +127,8 @@ impl RigidBodies {
         Ok(())
     }
 
-    /// Advances all bodies by `dt` \[s\] under gravity, `wrenches` (one per body, or none at all) and contacts.
+    /// Advances all bodies by `dt` \[s\] under gravity, `wrenches` about the centres of mass (one per body, or
+    /// none at all) and contacts.
     ///
     /// # Errors
     /// An invalid time step; lists of wrong lengths; an invalid contact; a body whose state would become non-finite.

@@ -21,22 +21,7 @@ impl Wide {
     }
 }
 
-macro_rules! lane_by_lane {
-    ($trait:ident, $name:ident) => {
-        impl $trait for Wide {
-            type Output = Self;
-            #[inline(always)]
-            fn $name(self, other: Self) -> Self {
-                let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
-                Self([a.$name(e), b.$name(f), c.$name(g), d.$name(h)])
-            }
-        }
-    };
-}
-lane_by_lane!(Add, add);
-lane_by_lane!(Sub, sub);
-lane_by_lane!(Mul, mul);
-lane_by_lane!(Div, div);
+lane_by_lane!(Wide: Add add, Sub sub, Mul mul, Div div);
 
 impl Wide {
     /// Differences of double-precision numbers.

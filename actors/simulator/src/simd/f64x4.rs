@@ -34,21 +34,7 @@ impl From<&Vector3<f64>> for Quad {
     }
 }
 
-impl Add for Quad {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        Self(std::array::from_fn(|k| self.0[k] + other.0[k]))
-    }
-}
-
-impl Sub for Quad {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        Self(std::array::from_fn(|k| self.0[k] - other.0[k]))
-    }
-}
+lane_by_lane!(Quad: Add add, Sub sub);
 
 impl Mul<f64> for Quad {
     type Output = Self;

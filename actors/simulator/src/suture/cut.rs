@@ -3,7 +3,7 @@
 
 use super::state::SutureState;
 use super::{Suture, SutureError, tissue_surface};
-use crate::suture_thread::{CutAt, Parted, ThreadState};
+use crate::suture_thread::{CutAt, CutNumbering, ThreadState};
 
 impl Suture {
     /// Cuts the thread. `None` where it is in the tissue or at a hole, is already cut, or a piece would be shorter than
@@ -11,7 +11,7 @@ impl Suture {
     ///
     /// # Errors
     /// The number of nodes would exceed the limit. The thread is then unchanged.
-    pub fn cut_thread(&mut self, at: CutAt) -> Result<Option<Parted>, SutureError> {
+    pub fn cut_thread(&mut self, at: CutAt) -> Result<Option<CutNumbering>, SutureError> {
         let (length, radius) = (self.solid.shape().length(), self.thread_radius());
         if tissue_surface::is_in_tissue(&self.state, length, &self.resistance, at.edge) {
             return Ok(None);
@@ -25,7 +25,7 @@ impl Suture {
 }
 
 /// Renumbers channels and contacts after a cut: the new arc lengths of their points on the thread.
-fn renumber(state: &mut SutureState, before: &[(usize, [f64; 2])], parted: &Parted) {
+fn renumber(state: &mut SutureState, before: &[(usize, [f64; 2])], parted: &CutNumbering) {
     let SutureState { thread: Some(thread), channel, strand_contacts, .. } = state else { return };
     let begins = begins(thread);
     for point in channel.iter_mut().filter(|point| point.along < 0.0) {

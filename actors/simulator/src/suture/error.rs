@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::needle::NeedleError;
 use crate::linear_fem::PrecomputeError;
-use crate::suture_thread::{ThreadError, Trouble};
+use crate::suture_thread::{FailureCause, ThreadError};
 
 /// Why a suture was rejected, or a step failed; the previous state is kept.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -54,6 +54,6 @@ pub enum SutureError {
         /// The shortest substep that was tried \[s\].
         shortest: f64,
         /// The cause.
-        why: Trouble,
+        why: FailureCause,
     },
 }

@@ -3,11 +3,11 @@
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3, Vector6};
 
 use super::needle::{NeedleState, Solid};
-use super::tissue::Spot;
+use super::tissue::TissueFeature;
 use crate::linear_algebra::block_banded::Cell;
 use crate::suture_thread::bishop_frame::{angle_about, perpendicular};
-use crate::suture_thread::contact::{Rows, Rule};
-use crate::suture_thread::discrete_elastic_rod::Iterate;
+use crate::suture_thread::contact::{ForceLaw, Rows};
+use crate::suture_thread::discrete_elastic_rod::RodIterate;
 use crate::suture_thread::island::coupled_body::Tie;
 
 /// Compliance of a row \[m/N\]: some micrometres under suturing forces, far less than the tissue's around one wire, and
@@ -20,15 +20,15 @@ pub(super) struct Joint {
     /// On the needle: force, and torque about its centre of mass, per force of each row.
     pub needle: [Vector6<f64>; 3],
     /// Point in the tissue. The directions are those of the tie's rows.
-    pub tissue: Option<Spot>,
+    pub tissue: Option<TissueFeature>,
 }
 
 /// A joint and its tie.
 pub(super) type Pair = (Joint, Tie);
 
-fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], rule: Rule) -> Pair {
+fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], law: ForceLaw) -> Pair {
     let rows = Rows { nodes: [0; 4], cells: [[Cell::zeros(); 4]; 3], used: 0, directions };
-    let tie = Tie { rows, rule, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
+    let tie = Tie { rows, law, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
     (Joint { needle: [Vector6::zeros(); 3], tissue: None }, tie)
 }
 
@@ -45,7 +45,7 @@ const AXES: fn() -> [Vector3<f64>; 3] = || [Vector3::x(), Vector3::y(), Vector3:
 
 /// A point on needle or thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Site {
+pub(super) struct JointPoint {
     /// Arc length from the swage \[m\].
     pub along: f64,
     /// Position in the world \[m\].
@@ -64,15 +64,15 @@ pub(super) fn across(tangent: &Vector3<f64>, near: &Vector3<f64>) -> [Vector3<f6
 
 /// A site against a channel point that is at `now`: displacement of the site from it in each direction.
 pub(super) fn passage(
-    site: &Site,
+    site: &JointPoint,
     center: &Point3<f64>,
-    spot: Spot,
+    feature: TissueFeature,
     now: &Point3<f64>,
     directions: [Vector3<f64>; 3],
 ) -> Pair {
     let gap = directions.map(|direction| direction.dot(&(site.point - now)));
-    let (mut joint, mut tie) = pair(directions, gap, Rule::HELD);
-    joint.tissue = Some(spot);
+    let (mut joint, mut tie) = pair(directions, gap, ForceLaw::HELD);
+    joint.tissue = Some(feature);
     match site.edge {
         Some((edge, share)) => {
             (tie.rows.nodes[0], tie.rows.nodes[1], tie.rows.used) = (edge as u32, edge as u32 + 1, 2);
@@ -86,13 +86,13 @@ pub(super) fn passage(
 }
 
 /// The swage: the thread's first node in the tail, its second on the tail's tangent, and its turn that of the needle.
-pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64) -> [Pair; 2] {
+pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &RodIterate, turn: f64) -> [Pair; 2] {
     let pose = needle.pose();
     let tail = pose * solid.point(0.0);
     let tangent = pose * solid.tangent(0.0);
     let axes = AXES();
     let gap = axes.map(|axis| axis.dot(&(at.positions[0] - tail)));
-    let mut first = pair(axes, gap, Rule::HELD);
+    let mut first = pair(axes, gap, ForceLaw::HELD);
     first.0.needle = axes.map(|axis| -on_needle(&axis, &(at.positions[0] - needle.center)));
     first.1.rows.used = 2;
     first.1.rows.nodes = [0, 1, 0, 0];
@@ -106,7 +106,7 @@ pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64
     let mut turned = angle_about(&wanted, &at.directors[0], &axis) - turn;
     turned -= (turned / std::f64::consts::TAU).round() * std::f64::consts::TAU;
     let gap = [n1.dot(&(second - tail)), n2.dot(&(second - tail)), turned];
-    let mut line = pair([n1, n2, axis], gap, Rule::HELD);
+    let mut line = pair([n1, n2, axis], gap, ForceLaw::HELD);
     // The tangent rotates with the needle, so that the force acts at the node.
     let arm = second - needle.center;
     line.0.needle = [
@@ -128,7 +128,7 @@ pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip
     let point = pose * grip.point;
     let off = point - wanted * grip.point;
     let turned = (pose.rotation * wanted.rotation.inverse()).scaled_axis();
-    let within = |most: f64| Rule::Within { least: [-most; 3], most: [most; 3] };
+    let within = |most: f64| ForceLaw::Within { least: [-most; 3], most: [most; 3] };
     let axes = AXES();
     let mut place = pair(axes, off.into(), within(grip.force_max));
     place.0.needle = axes.map(|axis| on_needle(&axis, &(point - needle.center)));
@@ -144,14 +144,14 @@ pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip
 pub(super) fn side(
     needle: &NeedleState,
     touching: &Point3<f64>,
-    spot: Spot,
+    feature: TissueFeature,
     directions: [Vector3<f64>; 3],
     gap: [f64; 3],
     friction: f64,
 ) -> Pair {
-    let (mut joint, tie) = pair(directions, gap, Rule::Contact { friction });
+    let (mut joint, tie) = pair(directions, gap, ForceLaw::Contact { friction });
     joint.needle = directions.map(|direction| on_needle(&direction, &(touching - needle.center)));
-    joint.tissue = Some(spot);
+    joint.tissue = Some(feature);
     (joint, tie)
 }
 
@@ -167,10 +167,10 @@ pub(super) fn strand(
     force: &Vector3<f64>,
 ) -> Pair {
     let directions = rows.directions;
-    let (mut joint, mut tie) = pair(directions, gap, Rule::Contact { friction });
+    let (mut joint, mut tie) = pair(directions, gap, ForceLaw::Contact { friction });
     joint.needle = directions.map(|direction| -on_needle(&direction, &(touching - needle.center)));
     tie.rows = rows;
-    tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+    tie.force = tie.law.confined(directions.map(|direction| force.dot(&direction)));
     (joint, tie)
 }
 

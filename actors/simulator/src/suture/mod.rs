@@ -52,15 +52,15 @@ pub use material::Resistance;
 pub use state::{
     BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, StrandContact, SutureState, Tip,
 };
-pub use tissue::{NODES_MAX, Place, Tissue, Way};
+pub use tissue::{MaterialPoint, NODES_MAX, PathEnd, Tissue};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::suture_thread::island::Island;
-use crate::suture_thread::island::coupled_body::Tied;
+use crate::suture_thread::island::coupled_body::TieResult;
 use crate::suture_thread::{
-    ContactMemory, Fineness, Hold, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape, Spared, Surroundings,
-    ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
+    ContactMemory, Fineness, Hold, IgnoredObstacle, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape,
+    Surroundings, ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
 };
 use needle::{NeedleShape, Solid};
 use needle_tissue::{Sewing, Workspace};
@@ -91,7 +91,7 @@ pub struct Grip {
 
 /// Result of a grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gripped {
+pub struct GripResult {
     /// Force on the needle, in the world \[N\], mean over the step.
     pub force: Vector3<f64>,
     /// Torque on the needle about the grip point \[N·m\], mean over the step.
@@ -116,7 +116,7 @@ pub struct StepInputs<'a> {
     /// Obstacles of the thread besides itself and the tissue; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
     /// Parts of the thread that ignore some of the obstacles.
-    pub spared: &'a [Spared],
+    pub spared: &'a [IgnoredObstacle],
 }
 
 /// Statistics of a step. Forces are those at its end.
@@ -155,15 +155,15 @@ pub struct Suture {
     state: SutureState,
     trial: SutureState,
     island: Island,
-    room: Workspace,
+    workspace: Workspace,
     /// Tissue nodes at the beginning of the step.
     began: Vec<Point3<f64>>,
-    spared: Vec<Spared>,
+    spared: Vec<IgnoredObstacle>,
     /// Reused buffer, empty between steps.
     obstacles: Vec<Obstacle<'static>>,
     nothing: ThreadState,
     events: Vec<Event>,
-    gripped: Vec<Gripped>,
+    gripped: Vec<GripResult>,
     on_tissue: Vector3<f64>,
 }
 
@@ -185,8 +185,8 @@ impl Suture {
             material.check()?;
         }
         state.check(&tissue, material.as_ref().map(|material| material.radius))?;
-        for (spot, _) in state.forces_on_tissue() {
-            if !tissue.name_spot(&spot) {
+        for (feature, _) in state.forces_on_tissue() {
+            if !tissue.name_spot(&feature) {
                 return Err(SutureError::Full);
             }
         }
@@ -199,7 +199,7 @@ impl Suture {
             trial: state.clone(),
             state,
             island: Island::new(SWEEPS),
-            room: Workspace::default(),
+            workspace: Workspace::default(),
             began: Vec::new(),
             spared: Vec::new(),
             obstacles: Vec::new(),
@@ -287,7 +287,7 @@ impl Suture {
 
     /// Results of the grips in the last step, in their order.
     #[must_use]
-    pub fn gripped(&self) -> &[Gripped] {
+    pub fn gripped(&self) -> &[GripResult] {
         &self.gripped
     }
 
@@ -315,14 +315,14 @@ impl Suture {
     ///
     /// # Errors
     /// The name of an invalid input, or that no step converged. The state is then unchanged.
-    pub fn step(&mut self, dt: f64, around: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
-        self.check(dt, around)?;
+    pub fn step(&mut self, dt: f64, surroundings: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
+        self.check(dt, surroundings)?;
         self.trial.clone_from(&self.state);
         self.events.clear();
         self.on_tissue = Vector3::zeros();
         self.gripped.clear();
-        let nothing = Gripped { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
-        self.gripped.resize(around.grips.len(), nothing);
+        let nothing = GripResult { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
+        self.gripped.resize(surroundings.grips.len(), nothing);
         self.began.clear();
         self.began.extend_from_slice(self.tissue.positions());
         let mut report = SutureReport::default();
@@ -333,19 +333,19 @@ impl Suture {
         let shape = Shape::Mesh { from: &began, to: &began, triangles: &triangles, radius: 0.0 };
         let friction = self.resistance.thread_friction;
         let mut obstacles = emptied(std::mem::take(&mut self.obstacles));
-        obstacles.extend_from_slice(around.obstacles);
+        obstacles.extend_from_slice(surroundings.obstacles);
         obstacles.push(Obstacle::fixed(shape, Isometry3::identity(), friction));
-        let here = Here { around, obstacles: &obstacles, began: &began };
+        let here = StepObstacles { surroundings, obstacles: &obstacles, began: &began };
         self.island.begin(self.trial.thread.as_ref().unwrap_or(&self.nothing), &here.surroundings(&[]));
         let done = self.parts(dt, &here, &mut report, &mut of_thread);
         if let (Ok(()), Some(material)) = (&done, &self.material) {
-            self.island.tell(material, &here.surroundings(&[]), &mut of_thread);
+            self.island.fill_report(material, &here.surroundings(&[]), &mut of_thread);
         }
         self.obstacles = emptied(obstacles);
         self.began = began;
         done?;
         std::mem::swap(&mut self.state, &mut self.trial);
-        self.tell(&mut report, &of_thread);
+        self.fill_report(&mut report, &of_thread);
         Ok(report)
     }
 
@@ -353,7 +353,7 @@ impl Suture {
     fn parts(
         &mut self,
         dt: f64,
-        here: &Here<'_>,
+        here: &StepObstacles<'_>,
         report: &mut SutureReport,
         of_thread: &mut ThreadReport,
     ) -> Result<(), SutureError> {
@@ -397,14 +397,14 @@ impl Suture {
         dt: f64,
         fractions: [f64; 2],
         divisible: bool,
-        here: &Here<'_>,
+        here: &StepObstacles<'_>,
         of_thread: &mut ThreadReport,
     ) -> Result<(), SutureError> {
         self.tissue.begin();
         let before = self.trial.tip;
         let surface = here.obstacles.len() - 1;
         self.spared.clear();
-        self.spared.extend_from_slice(here.around.spared);
+        self.spared.extend_from_slice(here.surroundings.spared);
         let length = self.solid.shape().length();
         tissue_surface::in_tissue(&self.trial, length, &self.resistance, surface, &mut self.spared);
         let spared = std::mem::take(&mut self.spared);
@@ -418,8 +418,8 @@ impl Suture {
                 resistance: &self.resistance,
                 start: &self.trial,
                 tissue: &mut self.tissue,
-                room: &mut self.room,
-                around: here.around,
+                workspace: &mut self.workspace,
+                surroundings: here.surroundings,
                 dt,
                 fractions,
                 surface,
@@ -439,7 +439,7 @@ impl Suture {
                 Ok(true) => self.tissue.deform(self.trial.forces_on_tissue()),
                 Ok(false) => {
                     let (links, forces) = self.island.links();
-                    self.room.press(links, forces);
+                    self.workspace.press(links, forces);
                     self.island.finish(&material, dt, fractions, &surroundings);
                     break Ok(());
                 }
@@ -448,22 +448,23 @@ impl Suture {
         };
         self.spared = spared;
         found?;
-        self.feel(fractions, here.around);
-        self.commit(dt, &here.around.gravity)
+        self.feel(fractions, here.surroundings);
+        self.commit(dt, &here.surroundings.gravity)
     }
 
     /// Accumulates the reactions on grips and tissue in this substep, weighted by its share of the step.
-    fn feel(&mut self, fractions: [f64; 2], around: &StepInputs<'_>) {
+    fn feel(&mut self, fractions: [f64; 2], surroundings: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
-        let (layout, tied) = (self.room.layout, self.island.tied());
+        let (layout, tied) = (self.workspace.layout, self.island.tied());
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
             let first = layout.grips + 2 * index;
             let [place, turn] = [tied[first], tied[first + 1]];
             gripped.force += Vector3::from(place.force) * weight;
             gripped.torque += Vector3::from(turn.force) * weight;
-            let grip = &around.grips[index];
+            let grip = &surroundings.grips[index];
             // A slipping grip stays where its spring carries the force limit.
-            let given = |of: &Tied| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
+            let given =
+                |of: &TieResult| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
             let (by, turn) = (given(&place), given(&turn));
             gripped.slipped = (by != Vector3::zeros() || turn != Vector3::zeros()).then(|| {
                 let rotation = nalgebra::UnitQuaternion::from_scaled_axis(turn) * grip.to.rotation;
@@ -472,12 +473,13 @@ impl Suture {
             });
         }
         for tie in layout.channel..layout.sides {
-            self.on_tissue -= self.room.force(tied, tie) * weight;
+            self.on_tissue -= self.workspace.force(tied, tie) * weight;
         }
-        self.on_tissue += self.room.presses.iter().map(|press| press.force).sum::<Vector3<f64>>() * weight;
+        self.on_tissue +=
+            self.workspace.presses.iter().map(|press| press.force).sum::<Vector3<f64>>() * weight;
     }
 
-    fn tell(&self, report: &mut SutureReport, of_thread: &ThreadReport) {
+    fn fill_report(&self, report: &mut SutureReport, of_thread: &ThreadReport) {
         report.iterations = of_thread.iterations;
         report.sweeps = of_thread.sweeps;
         report.ties = self.island.tied().len();
@@ -489,7 +491,7 @@ impl Suture {
         for (index, point) in state.channel.iter().enumerate() {
             let share = needle_tissue::share_of_channel(state, index, length);
             report.length_inside += share;
-            let Some(site) = self.room.sites.get(index) else { continue };
+            let Some(site) = self.workspace.sites.get(index) else { continue };
             let along = point.force.dot(&site.tangent);
             report.drag += along.abs();
             if share > 0.25 * self.resistance.spacing {
@@ -499,9 +501,9 @@ impl Suture {
         }
     }
 
-    fn check(&self, dt: f64, around: &StepInputs<'_>) -> Result<(), SutureError> {
+    fn check(&self, dt: f64, surroundings: &StepInputs<'_>) -> Result<(), SutureError> {
         let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
-        let whole = Here { around, obstacles: around.obstacles, began: &[] };
+        let whole = StepObstacles { surroundings, obstacles: surroundings.obstacles, began: &[] };
         let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
         sound.map_err(|error| match error {
             ThreadStepError::Given { what, index, why } => SutureError::Given { what, index, why },
@@ -510,7 +512,7 @@ impl Suture {
         let is_pose = |pose: &Isometry3<f64>| {
             pose.translation.vector.iter().all(|x| x.is_finite()) && (pose.rotation.norm() - 1.0).abs() < 1e-6
         };
-        for (index, grip) in around.grips.iter().enumerate() {
+        for (index, grip) in surroundings.grips.iter().enumerate() {
             let given = |why: &str| Err(SutureError::Given { what: "grip", index, why: why.to_owned() });
             if !is_pose(&grip.from) || !is_pose(&grip.to) || !grip.point.iter().all(|x| x.is_finite()) {
                 return given("its pose or point is not finite");
@@ -537,20 +539,20 @@ fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
 }
 
 /// Obstacles of needle and thread in a step: those given, and the tissue as the last one.
-struct Here<'a> {
-    around: &'a StepInputs<'a>,
+struct StepObstacles<'a> {
+    surroundings: &'a StepInputs<'a>,
     obstacles: &'a [Obstacle<'a>],
     /// Tissue nodes at the beginning of the step.
     began: &'a [Point3<f64>],
 }
 
-impl Here<'_> {
-    fn surroundings<'b>(&'b self, spared: &'b [Spared]) -> Surroundings<'b> {
+impl StepObstacles<'_> {
+    fn surroundings<'b>(&'b self, spared: &'b [IgnoredObstacle]) -> Surroundings<'b> {
         Surroundings {
-            gravity: self.around.gravity,
-            holds: self.around.holds,
-            twist_holds: self.around.twist_holds,
-            loads: self.around.loads,
+            gravity: self.surroundings.gravity,
+            holds: self.surroundings.holds,
+            twist_holds: self.surroundings.twist_holds,
+            loads: self.surroundings.loads,
             obstacles: self.obstacles,
             spared,
             ..Surroundings::default()

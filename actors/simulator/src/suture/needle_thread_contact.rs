@@ -9,7 +9,7 @@ use super::joints::{self, Pair};
 use super::needle::{NeedleState, Solid};
 use super::state::{StrandContact, SutureState};
 use crate::suture_thread::contact::{Rows, Side, place, tangents};
-use crate::suture_thread::discrete_elastic_rod::Iterate;
+use crate::suture_thread::discrete_elastic_rod::RodIterate;
 use crate::suture_thread::{ThreadMaterial, ThreadState};
 
 /// Number of chords that approximate the wire: on a half circle of 26 mm, each is off the arc by 10 µm at most.
@@ -71,10 +71,10 @@ pub(super) fn near(solid: &Solid, state: &SutureState, radius: f64, dt: f64, out
         let ends = [thread.positions[edge], thread.positions[edge + 1]];
         let fastest = thread.velocities[edge].norm().max(thread.velocities[edge + 1].norm());
         let reach = NEAR + 1.5 * dt * (speed + fastest);
-        let room = reach + radius + solid.shape().wire_radius;
+        let workspace = reach + radius + solid.shape().wire_radius;
         let beyond = |axis: usize| {
             let (a, b) = (ends[0][axis], ends[1][axis]);
-            a.max(b) < low[axis] - room || a.min(b) > high[axis] + room
+            a.max(b) < low[axis] - workspace || a.min(b) > high[axis] + workspace
         };
         if (0..3).any(beyond) {
             continue;
@@ -103,7 +103,7 @@ pub(super) fn contact(
     solid: &Solid,
     material: &ThreadMaterial,
     (start, needle): (&SutureState, &NeedleState),
-    at: &Iterate,
+    at: &RodIterate,
     strand: &Strand,
 ) -> Pair {
     let Strand { edge, chord, .. } = *strand;

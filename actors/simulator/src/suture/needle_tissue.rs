@@ -5,18 +5,20 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3, Vector6};
 
 use super::StepInputs;
-use super::joints::{self, Joint, Mobility, Pair, Site};
+use super::joints::{self, Joint, JointPoint, Mobility, Pair};
 use super::material::Resistance;
 use super::needle::{NeedleState, Solid};
 use super::needle_thread_contact::{self, Strand};
 use super::state::{NeedleContact, StrandContact, SutureState, Tip};
-use super::tissue::{Spot, Tissue};
+use super::tissue::{Tissue, TissueFeature};
 use super::tissue_surface::{self, NeedleSide};
-use crate::suture_thread::contact::{Rule, tangents};
-use crate::suture_thread::discrete_elastic_rod::Iterate;
-use crate::suture_thread::elastic::Press;
-use crate::suture_thread::island::coupled_body::{Companion, ComplianceRows, Link, Tie, Tied, Tolerance};
-use crate::suture_thread::{ThreadMaterial, Trouble};
+use crate::suture_thread::contact::{ForceLaw, tangents};
+use crate::suture_thread::discrete_elastic_rod::RodIterate;
+use crate::suture_thread::elastic::SurfaceForce;
+use crate::suture_thread::island::coupled_body::{
+    ComplianceRows, CoupledBody, Link, Tie, TieResult, Tolerance,
+};
+use crate::suture_thread::{FailureCause, ThreadMaterial};
 
 /// Convergence criteria of a substep: momentum exchanged by needle and thread agrees to the last relevant digit.
 const TOLERANCE: Tolerance =
@@ -29,7 +31,7 @@ const WINDOW: f64 = 6e-3;
 
 /// Where the ties of each kind begin.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Layout {
+pub(super) struct TieLayout {
     /// Two per grip: position and rotation.
     pub grips: usize,
     /// One per channel point.
@@ -46,9 +48,9 @@ pub(super) struct Layout {
 pub(super) struct Workspace {
     /// Needle at the iterate.
     pub needle: Option<NeedleState>,
-    pub layout: Layout,
+    pub layout: TieLayout,
     /// Sites of the channel points, in their order.
-    pub sites: Vec<Site>,
+    pub sites: Vec<JointPoint>,
     pub sides: Vec<NeedleSide>,
     pub strands: Vec<Strand>,
     /// Joints of all ties, in their order.
@@ -56,10 +58,10 @@ pub(super) struct Workspace {
     /// Directions of their rows.
     pub directions: Vec<[Vector3<f64>; 3]>,
     /// Contact forces on the surface, at the end of the substep.
-    pub presses: Vec<Press>,
+    pub presses: Vec<SurfaceForce>,
     forces: Vec<[f64; 3]>,
     answers: Vec<[Vector6<f64>; 3]>,
-    spots: Vec<Option<Spot>>,
+    spots: Vec<Option<TissueFeature>>,
     mutual: Vec<Matrix3<f64>>,
     mobility: Option<Mobility>,
     left: Vector6<f64>,
@@ -67,7 +69,7 @@ pub(super) struct Workspace {
 
 impl Workspace {
     /// Force of a tie on needle or thread \[N\].
-    pub fn force(&self, tied: &[Tied], tie: usize) -> Vector3<f64> {
+    pub fn force(&self, tied: &[TieResult], tie: usize) -> Vector3<f64> {
         vector(&self.directions[tie], &tied[tie].force)
     }
 
@@ -78,11 +80,11 @@ impl Workspace {
             let (at, directions) = match link {
                 Link::Surface(place, directions) => (*place, directions),
                 Link::Tie(tie) => match self.joints[*tie].tissue {
-                    Some(Spot::Surface(place)) => (place, &self.directions[*tie]),
+                    Some(TissueFeature::Surface(place)) => (place, &self.directions[*tie]),
                     _ => continue,
                 },
             };
-            self.presses.push(Press { at, force: -vector(directions, force) });
+            self.presses.push(SurfaceForce { at, force: -vector(directions, force) });
         }
     }
 }
@@ -95,8 +97,8 @@ pub(super) struct Sewing<'a> {
     /// State at the beginning of the substep.
     pub start: &'a SutureState,
     pub tissue: &'a mut Tissue,
-    pub room: &'a mut Workspace,
-    pub around: &'a StepInputs<'a>,
+    pub workspace: &'a mut Workspace,
+    pub surroundings: &'a StepInputs<'a>,
     pub dt: f64,
     pub fractions: [f64; 2],
     /// Obstacle index of the tissue's surface.
@@ -108,20 +110,20 @@ pub(super) struct Sewing<'a> {
 impl Sewing<'_> {
     /// Begins a substep.
     pub fn begin(&mut self) {
-        self.room.needle = Some(self.start.needle);
-        self.room.forces.clear();
-        self.room.sites.clear();
-        self.room.presses.clear();
+        self.workspace.needle = Some(self.start.needle);
+        self.workspace.forces.clear();
+        self.workspace.sites.clear();
+        self.workspace.presses.clear();
         tissue_surface::sides(
             self.solid,
             self.start,
             self.tissue,
             self.resistance,
             self.dt,
-            &mut self.room.sides,
+            &mut self.workspace.sides,
         );
         let radius = self.thread.map_or(0.0, |thread| thread.radius);
-        needle_thread_contact::near(self.solid, self.start, radius, self.dt, &mut self.room.strands);
+        needle_thread_contact::near(self.solid, self.start, radius, self.dt, &mut self.workspace.strands);
     }
 
     /// Residual force and torque of the needle's inertia and weight at the iterate.
@@ -129,7 +131,7 @@ impl Sewing<'_> {
         let (start, solid, dt) = (self.start, self.solid, self.dt);
         let moved = needle.center - start.needle.center;
         let turned = (needle.rotation * start.needle.rotation.inverse()).scaled_axis();
-        let weight = self.around.gravity * solid.mass();
+        let weight = self.surroundings.gravity * solid.mass();
         let force = (start.needle.momentum - moved * (solid.mass() / dt)) / dt + weight;
         let torque = (start.needle.angular_momentum - needle.inertia(solid) * turned / dt) / dt;
         Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
@@ -139,26 +141,26 @@ impl Sewing<'_> {
         for k in 0..3 {
             tie.gap[k] += joint.needle[k].dot(free);
         }
-        self.room.directions.push(tie.rows.directions);
-        self.room.joints.push(joint);
+        self.workspace.directions.push(tie.rows.directions);
+        self.workspace.joints.push(joint);
         ties.push(tie);
     }
 
     /// A channel point: friction along the channel, constrained laterally.
-    fn pass(&mut self, needle: &NeedleState, at: &Iterate, index: usize) -> Pair {
+    fn pass(&mut self, needle: &NeedleState, at: &RodIterate, index: usize) -> Pair {
         let point = &self.start.channel[index];
         let now = self.tissue.now(&point.place);
-        let last = self.room.sites.get(index).map_or(point.along, |site| site.along);
+        let last = self.workspace.sites.get(index).map_or(point.along, |site| site.along);
         let site = self.site(needle, at, &now, last);
-        if index < self.room.sites.len() {
-            self.room.sites[index] = site;
+        if index < self.workspace.sites.len() {
+            self.workspace.sites[index] = site;
         } else {
-            self.room.sites.push(site);
+            self.workspace.sites.push(site);
         }
         let [n1, n2] = joints::across(&site.tangent, &(needle.pose() * Vector3::z()));
         let directions = [site.tangent, n1, n2];
-        let spot = Spot::Inside(point.place);
-        let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, directions);
+        let feature = TissueFeature::Inside(point.place);
+        let (joint, mut tie) = joints::passage(&site, &needle.center, feature, &now, directions);
         let length = share_of_channel(self.start, index, self.solid.shape().length());
         let material = self.resistance;
         let (grip, friction) = match site.edge {
@@ -174,32 +176,32 @@ impl Sewing<'_> {
             *yields += self.tissue.gives_way_about(radius) / share;
         }
         tie.gap[0] = point.stuck - site.along;
-        tie.rule = Rule::Passes { base: grip * length, friction };
-        self.relax(&mut tie, &spot);
+        tie.law = ForceLaw::Passes { base: grip * length, friction };
+        self.relax(&mut tie, &feature);
         tie.force = directions.map(|direction| point.force.dot(&direction));
         (joint, tie)
     }
 
     /// Converts gaps against the current tissue to gaps against the tissue at rest.
-    fn relax(&self, tie: &mut Tie, spot: &Spot) {
-        let displaced = self.tissue.displaced(spot);
+    fn relax(&self, tie: &mut Tie, feature: &TissueFeature) {
+        let displaced = self.tissue.displaced(feature);
         for k in 0..3 {
             tie.gap[k] += tie.rows.directions[k].dot(&displaced);
         }
     }
 
     /// The point of needle or thread at a point of the world, near an arc length.
-    fn site(&self, needle: &NeedleState, rod: &Iterate, at: &Point3<f64>, near: f64) -> Site {
+    fn site(&self, needle: &NeedleState, rod: &RodIterate, at: &Point3<f64>, near: f64) -> JointPoint {
         let (pose, solid) = (needle.pose(), self.solid);
         let along = solid.nearest(&pose.inverse_transform_point(at));
         let is_near = near > -2e-3 && along >= 0.0 && (along - near).abs() < 5e-3;
         let thread = self.start.thread.as_ref().filter(|_| !is_near);
         let Some(thread) = thread else {
             let tangent = pose * solid.tangent(along);
-            return Site { along, point: pose * solid.point(along), tangent, edge: None };
+            return JointPoint { along, point: pose * solid.point(along), tangent, edge: None };
         };
         // Rest lengths are used: stretch elsewhere along the thread is no sliding here.
-        let mut best: Option<(f64, Site)> = None;
+        let mut best: Option<(f64, JointPoint)> = None;
         let mut last = (0, 0.0);
         for (edge, [begin, end]) in thread.spans() {
             if begin > WINDOW - near {
@@ -215,13 +217,13 @@ impl Sewing<'_> {
             let distance = (at - point).norm_squared();
             if best.as_ref().is_none_or(|(known, _)| distance < *known) {
                 let along = -(begin + share * thread.rest_lengths[edge]);
-                let site = Site { along, point, tangent: -tangent, edge: Some((edge, share)) };
+                let site = JointPoint { along, point, tangent: -tangent, edge: Some((edge, share)) };
                 best = Some((distance, site));
             }
         }
         let (edge, end) = last;
         best.map_or_else(
-            || Site {
+            || JointPoint {
                 along: -end,
                 point: rod.positions[edge + 1],
                 tangent: -rod.tangents[edge],
@@ -237,28 +239,28 @@ impl Sewing<'_> {
         let length = self.solid.shape().length();
         let tangent = pose * self.solid.tangent(length);
         let place = self.start.tip.place()?;
-        let site = Site { along: length, point: pose * self.solid.point(length), tangent, edge: None };
+        let site = JointPoint { along: length, point: pose * self.solid.point(length), tangent, edge: None };
         let material = self.resistance;
         // Bounded force along the path, and constrained laterally.
         let within = |most: f64| {
             let (least, unbound) = ([-most, f64::NEG_INFINITY, f64::NEG_INFINITY], f64::INFINITY);
-            Rule::Within { least, most: [0.0, unbound, unbound] }
+            ForceLaw::Within { least, most: [0.0, unbound, unbound] }
         };
         // The first direction is that of the tip's motion.
-        let (first, along, rule) = match self.start.tip {
+        let (first, along, law) = match self.start.tip {
             Tip::Touching(_, triangle) => {
                 let (friction, most) = (material.needle_friction, material.puncture_force);
-                (self.tissue.normal(triangle), tangent, Rule::Skin { friction, most })
+                (self.tissue.normal(triangle), tangent, ForceLaw::Skin { friction, most })
             }
             Tip::Leaving(..) => (tangent, pose * Vector3::z(), within(material.exit_force)),
             _ => (tangent, pose * Vector3::z(), within(material.cutting_force)),
         };
         let [n1, n2] = joints::across(&first, &along);
-        let (spot, now) = (Spot::Inside(*place), self.tissue.now(place));
-        let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, [first, n1, n2]);
-        tie.rule = rule;
+        let (feature, now) = (TissueFeature::Inside(*place), self.tissue.now(place));
+        let (joint, mut tie) = joints::passage(&site, &needle.center, feature, &now, [first, n1, n2]);
+        tie.law = law;
         tie.force = [first, n1, n2].map(|direction| self.start.tip_force.dot(&direction));
-        self.relax(&mut tie, &spot);
+        self.relax(&mut tie, &feature);
         Some((joint, tie))
     }
 
@@ -267,8 +269,8 @@ impl Sewing<'_> {
         let [before, now] = [&self.start.needle, needle].map(|of| of.pose() * self.solid.point(side.along));
         let [t1, t2] = tangents(&side.normal, &(needle.pose() * self.solid.tangent(side.along)));
         let directions = [side.normal, t1, t2];
-        let spot = Spot::Surface(side.place);
-        let from_rest = self.tissue.displaced_before(&spot);
+        let feature = TissueFeature::Surface(side.place);
+        let from_rest = self.tissue.displaced_before(&feature);
         let known = self.start.needle_contacts.iter().find(|known| known.sample == side.sample);
         let drawn = known.map_or(Vector3::zeros(), |known| known.drawn);
         let gap = [
@@ -278,16 +280,16 @@ impl Sewing<'_> {
         ];
         let touching = now - side.normal * side.radius;
         let friction = self.resistance.needle_friction;
-        let (joint, mut tie) = joints::side(needle, &touching, spot, directions, gap, friction);
+        let (joint, mut tie) = joints::side(needle, &touching, feature, directions, gap, friction);
         let force = known.map_or(Vector3::zeros(), |known| known.force);
-        tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+        tie.force = tie.law.confined(directions.map(|direction| force.dot(&direction)));
         (joint, tie)
     }
 
     /// Compliance between points of the tissue; computed only for new ones.
-    fn mutual(&mut self, links: &[Link]) -> Result<(), Trouble> {
+    fn mutual(&mut self, links: &[Link]) -> Result<(), FailureCause> {
         let count = links.len();
-        let Workspace { spots, mutual, joints, .. } = &mut *self.room;
+        let Workspace { spots, mutual, joints, .. } = &mut *self.workspace;
         let same = spots.len() == count;
         if !same {
             spots.clear();
@@ -297,15 +299,15 @@ impl Sewing<'_> {
         for (i, link) in links.iter().enumerate() {
             let own = match link {
                 Link::Tie(tie) => joints[*tie].tissue,
-                Link::Surface(place, _) => Some(Spot::Surface(*place)),
+                Link::Surface(place, _) => Some(TissueFeature::Surface(*place)),
             };
             if same && spots[i] == own {
                 continue;
             }
-            if let Some(spot) = &own
-                && !self.tissue.name_spot(spot)
+            if let Some(feature) = &own
+                && !self.tissue.name_spot(feature)
             {
-                return Err(Trouble::Full);
+                return Err(FailureCause::Full);
             }
             if same {
                 spots[i] = own;
@@ -327,7 +329,7 @@ impl Sewing<'_> {
     }
 }
 
-impl Companion for Sewing<'_> {
+impl CoupledBody for Sewing<'_> {
     fn surface(&self) -> Option<usize> {
         self.thread.map(|_| self.surface)
     }
@@ -337,7 +339,7 @@ impl Companion for Sewing<'_> {
     }
 
     fn stops(&self, way: [&[Point3<f64>]; 2]) -> Option<usize> {
-        let (material, needle) = (self.thread?, self.room.needle?);
+        let (material, needle) = (self.thread?, self.workspace.needle?);
         needle_thread_contact::passes(self.solid, material.radius, self.start, &needle, way)
     }
 
@@ -349,62 +351,62 @@ impl Companion for Sewing<'_> {
         Some(TOLERANCE)
     }
 
-    fn tie(&mut self, at: &Iterate, ties: &mut Vec<Tie>) -> Result<(), Trouble> {
-        let needle = self.room.needle.unwrap_or(self.start.needle);
-        let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(Trouble::NoInertia)?;
-        self.room.left = self.residual(&needle);
-        let free = mobility.answer(&self.room.left);
-        self.room.mobility = Some(mobility);
-        self.room.joints.clear();
-        self.room.directions.clear();
+    fn tie(&mut self, at: &RodIterate, ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
+        let needle = self.workspace.needle.unwrap_or(self.start.needle);
+        let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(FailureCause::NoInertia)?;
+        self.workspace.left = self.residual(&needle);
+        let free = mobility.answer(&self.workspace.left);
+        self.workspace.mobility = Some(mobility);
+        self.workspace.joints.clear();
+        self.workspace.directions.clear();
         if self.thread.is_some() {
             for pair in joints::swage(self.solid, &needle, at, self.start.swage_turn) {
                 self.push(pair, &free, ties);
             }
         }
-        self.room.layout.grips = ties.len();
-        for grip in self.around.grips {
+        self.workspace.layout.grips = ties.len();
+        for grip in self.surroundings.grips {
             let wanted = between(&grip.from, &grip.to, self.fractions[1]);
             for pair in joints::grip(&needle, &wanted, grip) {
                 self.push(pair, &free, ties);
             }
         }
-        self.room.layout.channel = ties.len();
+        self.workspace.layout.channel = ties.len();
         for index in 0..self.start.channel.len() {
             let pair = self.pass(&needle, at, index);
             self.push(pair, &free, ties);
         }
-        self.room.layout.tip = None;
+        self.workspace.layout.tip = None;
         if let Some(pair) = self.tip(&needle) {
-            self.room.layout.tip = Some(ties.len());
+            self.workspace.layout.tip = Some(ties.len());
             self.push(pair, &free, ties);
         }
-        self.room.layout.sides = ties.len();
-        for index in 0..self.room.sides.len() {
-            let pair = self.side(&needle, &self.room.sides[index]);
+        self.workspace.layout.sides = ties.len();
+        for index in 0..self.workspace.sides.len() {
+            let pair = self.side(&needle, &self.workspace.sides[index]);
             self.push(pair, &free, ties);
         }
-        self.room.layout.strands = ties.len();
+        self.workspace.layout.strands = ties.len();
         if let Some(material) = self.thread {
-            for index in 0..self.room.strands.len() {
-                let strand = self.room.strands[index];
+            for index in 0..self.workspace.strands.len() {
+                let strand = self.workspace.strands[index];
                 let pair =
                     needle_thread_contact::contact(self.solid, material, (self.start, &needle), at, &strand);
                 self.push(pair, &free, ties);
             }
         }
-        if self.room.forces.len() == ties.len() {
-            ties.iter_mut().zip(&self.room.forces).for_each(|(tie, force)| tie.force = *force);
+        if self.workspace.forces.len() == ties.len() {
+            ties.iter_mut().zip(&self.workspace.forces).for_each(|(tie, force)| tie.force = *force);
         }
         Ok(())
     }
 
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause> {
         self.mutual(links)?;
         let count = links.len();
         let rows = 3 * count;
-        let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.room;
-        let Some(mobility) = mobility else { return Err(Trouble::NoInertia) };
+        let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.workspace;
+        let Some(mobility) = mobility else { return Err(FailureCause::NoInertia) };
         answers.clear();
         answers.extend(joints.iter().map(|joint| joint.needle.map(|load| mobility.answer(&load))));
         let directions = |link: &Link| match link {
@@ -413,11 +415,11 @@ impl Companion for Sewing<'_> {
         };
         for (i, link) in links.iter().enumerate() {
             let own = directions(link);
-            if let (Link::Surface(..), Some(spot)) = (link, &spots[i]) {
-                let since_step = self.tissue.displaced_when(spot, self.step_began);
-                let since_part = self.tissue.displaced_before(spot);
+            if let (Link::Surface(..), Some(feature)) = (link, &spots[i]) {
+                let since_step = self.tissue.displaced_when(feature, self.step_began);
+                let since_part = self.tissue.displaced_before(feature);
                 for (k, by) in [since_step, since_part, since_part].iter().enumerate() {
-                    giving.base[3 * i + k] = own[k].dot(by);
+                    compliance_rows.base[3 * i + k] = own[k].dot(by);
                 }
             }
             for (j, other) in links[..=i].iter().enumerate() {
@@ -432,17 +434,17 @@ impl Companion for Sewing<'_> {
                         value += own[k].dot(&(mutual[i * count + j] * toward[m]));
                     }
                     let (row, column) = (3 * i + k, 3 * j + m);
-                    giving.compliance[column * rows + row] = value;
-                    giving.compliance[row * rows + column] = value;
+                    compliance_rows.compliance[column * rows + row] = value;
+                    compliance_rows.compliance[row * rows + column] = value;
                 }
             }
         }
         Ok(())
     }
 
-    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } =
-            &mut *self.room;
+            &mut *self.workspace;
         let mut load = *left;
         kept.clear();
         kept.resize(joints.len(), [0.0; 3]);
@@ -453,40 +455,40 @@ impl Companion for Sewing<'_> {
                 load += row * *force;
             }
         }
-        let (Some(mobility), Some(needle)) = (mobility, needle) else { return Err(Trouble::NoInertia) };
+        let (Some(mobility), Some(needle)) = (mobility, needle) else { return Err(FailureCause::NoInertia) };
         let by = mobility.answer(&load);
         let (way, turn) = (by.fixed_rows::<3>(0).norm(), by.fixed_rows::<3>(3).norm());
         if !(way <= WAY_MAX && turn <= TURN_MAX) {
-            return Err(Trouble::TooFar);
+            return Err(FailureCause::TooFar);
         }
         *needle = joints::carried(needle, &by);
-        let on_tissue = links.iter().zip(forces).zip(&*spots).filter_map(|((link, force), spot)| {
+        let on_tissue = links.iter().zip(forces).zip(&*spots).filter_map(|((link, force), feature)| {
             let directions = match link {
                 Link::Tie(tie) => &directions[*tie],
                 Link::Surface(_, directions) => directions,
             };
-            Some((spot.as_ref().copied()?, -vector(directions, force)))
+            Some((feature.as_ref().copied()?, -vector(directions, force)))
         });
         self.tissue.deform(on_tissue);
         Ok(way.max(turn * self.solid.shape().radius))
     }
 
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
-        self.room.press(links, forces);
+        self.workspace.press(links, forces);
     }
 }
 
 /// Results of the needle's surface contacts at the end of a substep.
-pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<NeedleContact>) {
+pub(super) fn touched(workspace: &Workspace, tied: &[TieResult], contacts: &mut Vec<NeedleContact>) {
     contacts.clear();
-    for (index, side) in room.sides.iter().enumerate() {
-        let tie = room.layout.sides + index;
+    for (index, side) in workspace.sides.iter().enumerate() {
+        let tie = workspace.layout.sides + index;
         let force = tied[tie].force;
         if force[0] > 0.0 {
-            let [_, t1, t2] = room.directions[tie];
+            let [_, t1, t2] = workspace.directions[tie];
             contacts.push(NeedleContact {
                 sample: side.sample,
-                force: room.force(tied, tie),
+                force: workspace.force(tied, tie),
                 drawn: (t1 * force[1] + t2 * force[2]) * -joints::COMPLIANCE,
             });
         }
@@ -494,11 +496,11 @@ pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<Needle
 }
 
 /// Results of strand contacts with the needle at the end of a substep.
-pub(super) fn crossed(room: &Workspace, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
-    let first = room.layout.strands;
-    let forces =
-        (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));
-    needle_thread_contact::remember(&room.strands, forces, contacts);
+pub(super) fn crossed(workspace: &Workspace, tied: &[TieResult], contacts: &mut Vec<StrandContact>) {
+    let first = workspace.layout.strands;
+    let forces = (0..workspace.strands.len())
+        .map(|index| (tied[first + index].force, workspace.directions[first + index]));
+    needle_thread_contact::remember(&workspace.strands, forces, contacts);
 }
 
 fn vector(directions: &[Vector3<f64>; 3], force: &[f64; 3]) -> Vector3<f64> {

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use super::joints::COMPLIANCE;
 use super::needle_tissue::{crossed, touched};
 use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, SutureState, Tip};
-use super::tissue::{Place, Way};
+use super::tissue::{MaterialPoint, PathEnd};
 use super::{EVENTS_MAX, Suture, SutureError};
 use crate::suture_thread::PARTED;
 
@@ -18,12 +18,12 @@ const ON: f64 = 1e-10;
 impl Suture {
     /// Whether a free tip crossed the surface; it then touches the surface there.
     pub(super) fn meets(&mut self) -> Result<bool, SutureError> {
-        if self.trial.tip != Tip::Free || self.would_go_back() {
+        if self.trial.tip != Tip::Free || self.has_withdrawn() {
             return Ok(false);
         }
         let from = self.trial.needle.pose() * self.solid.point(self.solid.shape().length());
         let Some(to) = self.tip_at_iterate() else { return Ok(false) };
-        let Some(crossing) = self.tissue.comes_in(&from, &to) else { return Ok(false) };
+        let Some(crossing) = self.tissue.entry_crossing(&from, &to) else { return Ok(false) };
         if !self.tissue.name(&crossing.place) {
             return Err(SutureError::Full);
         }
@@ -35,16 +35,16 @@ impl Suture {
     }
 
     fn tip_at_iterate(&self) -> Option<Point3<f64>> {
-        Some(self.room.needle?.pose() * self.solid.point(self.solid.shape().length()))
+        Some(self.workspace.needle?.pose() * self.solid.point(self.solid.shape().length()))
     }
 
     /// Whether the free tip has gone back into its exit hole.
-    fn would_go_back(&self) -> bool {
-        let (Some(point), Some(site)) = (self.trial.channel.last(), self.room.sites.last()) else {
+    fn has_withdrawn(&self) -> bool {
+        let (Some(point), Some(site)) = (self.trial.channel.last(), self.workspace.sites.last()) else {
             return false;
         };
         self.bite(point.bite).is_some_and(|bite| bite.exit.is_some())
-            && self.trial.channel.len() == self.room.sites.len()
+            && self.trial.channel.len() == self.workspace.sites.len()
             && site.edge.is_none()
             && site.along > self.solid.shape().length()
     }
@@ -61,10 +61,10 @@ impl Suture {
 
     /// Makes the island's result the state at the end of the substep.
     pub(super) fn commit(&mut self, dt: f64, gravity: &Vector3<f64>) -> Result<(), SutureError> {
-        let Some(needle) = self.room.needle else { return Ok(()) };
+        let Some(needle) = self.workspace.needle else { return Ok(()) };
         // Momenta from the forces, so that exchanged momentum is exact; poses as the island found them.
         let mut impulse = nalgebra::Vector6::zeros();
-        for (joint, tied) in self.room.joints.iter().zip(self.island.tied()) {
+        for (joint, tied) in self.workspace.joints.iter().zip(self.island.tied()) {
             for (row, force) in joint.needle.iter().zip(tied.force) {
                 impulse += row * (force * dt);
             }
@@ -76,12 +76,12 @@ impl Suture {
         if let Some(thread) = &mut self.trial.thread {
             thread.clone_from(self.island.trial());
         }
-        touched(&self.room, self.island.tied(), &mut self.trial.needle_contacts);
-        crossed(&self.room, self.island.tied(), &mut self.trial.strand_contacts);
-        self.trial.presses.clone_from(&self.room.presses);
+        touched(&self.workspace, self.island.tied(), &mut self.trial.needle_contacts);
+        crossed(&self.workspace, self.island.tied(), &mut self.trial.strand_contacts);
+        self.trial.presses.clone_from(&self.workspace.presses);
         self.slide();
         self.tip_goes_on()?;
-        self.go_back()?;
+        self.remove_channel_ahead()?;
         self.cut()?;
         self.pass_through();
         // Forces of points that no longer exist are removed with them.
@@ -91,11 +91,11 @@ impl Suture {
 
     /// Updates the arc lengths at the channel points, and their forces.
     fn slide(&mut self) {
-        let first = self.room.layout.channel;
+        let first = self.workspace.layout.channel;
         for index in 0..self.trial.channel.len() {
             let tied = self.island.tied()[first + index];
-            let force = self.room.force(self.island.tied(), first + index);
-            let site = self.room.sites[index];
+            let force = self.workspace.force(self.island.tied(), first + index);
+            let site = self.workspace.sites[index];
             let point = &mut self.trial.channel[index];
             (point.along, point.force) = (site.along, force);
             // A sticking point keeps its place; a sliding one moves to where it would stick with its present force.
@@ -106,12 +106,12 @@ impl Suture {
     }
 
     fn tip_goes_on(&mut self) -> Result<(), SutureError> {
-        let Some(tie) = self.room.layout.tip else {
+        let Some(tie) = self.workspace.layout.tip else {
             self.trial.tip_force = Vector3::zeros();
             return Ok(());
         };
         let Some(place) = self.trial.tip.place().copied() else { return Ok(()) };
-        self.trial.tip_force = self.room.force(self.island.tied(), tie);
+        self.trial.tip_force = self.workspace.force(self.island.tied(), tie);
         let tied = self.island.tied()[tie];
         let (force, off) = (tied.force[0], tied.gap[0] - COMPLIANCE * tied.force[0]);
         let gives_way = tied.gives_way[0];
@@ -183,19 +183,19 @@ impl Suture {
         self.trial.tip_force = Vector3::zeros();
     }
 
-    fn named(&mut self, place: Place) -> Result<Place, SutureError> {
+    fn named(&mut self, place: MaterialPoint) -> Result<MaterialPoint, SutureError> {
         if self.tissue.name(&place) { Ok(place) } else { Err(SutureError::Full) }
     }
 
     /// Moves the tip straight on from a material point, to the inside or to the surface from inside.
-    fn go_to(&mut self, from: &Place, tip: &Point3<f64>) -> Result<(), SutureError> {
+    fn go_to(&mut self, from: &MaterialPoint, tip: &Point3<f64>) -> Result<(), SutureError> {
         let tangent = self.trial.needle.pose() * self.solid.tangent(self.solid.shape().length());
         let ahead = (tip - self.tissue.now(from)).dot(&tangent) > 0.0;
         self.trial.tip = match self.tissue.walk(from, tip) {
-            Way::Ends(place) => Tip::Inside(self.named(place)?),
-            Way::Leaves(place, triangle) if ahead => Tip::Leaving(self.named(place)?, triangle),
+            PathEnd::Ends(place) => Tip::Inside(self.named(place)?),
+            PathEnd::Leaves(place, triangle) if ahead => Tip::Leaving(self.named(place)?, triangle),
             // Back out through its entry; its channel is handled elsewhere.
-            Way::Leaves(place, _) => Tip::Inside(self.named(place)?),
+            PathEnd::Leaves(place, _) => Tip::Inside(self.named(place)?),
         };
         Ok(())
     }
@@ -224,7 +224,7 @@ impl Suture {
     }
 
     /// Removes the channel ahead of a withdrawn tip.
-    fn go_back(&mut self) -> Result<(), SutureError> {
+    fn remove_channel_ahead(&mut self) -> Result<(), SutureError> {
         let length = self.solid.shape().length();
         while let Some(point) = self.trial.channel.last().copied() {
             if point.along <= length {
@@ -266,7 +266,8 @@ impl Suture {
             if along > length {
                 break;
             }
-            let Way::Ends(place) = self.tissue.walk(&last.place, &(pose * self.solid.point(along))) else {
+            let PathEnd::Ends(place) = self.tissue.walk(&last.place, &(pose * self.solid.point(along)))
+            else {
                 break;
             };
             self.add_to_channel(ChannelPoint {

@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::SutureError;
 use super::needle::NeedleState;
 use super::needle_thread_contact::STRANDS_MAX;
-use super::tissue::{Place, Spot, Tissue};
+use super::tissue::{MaterialPoint, Tissue, TissueFeature};
 use super::tissue_surface::SAMPLES_MAX;
 use crate::clone_in_place::clones_in_place;
-use crate::suture_thread::elastic::Press;
+use crate::suture_thread::elastic::SurfaceForce;
 use crate::suture_thread::{NODES_MAX, ThreadState};
 
 /// Maximum number of channel points, all channels together.
@@ -26,17 +26,17 @@ pub enum Tip {
     #[default]
     Free,
     /// Pressing on the surface from outside.
-    Touching(Place, u32),
+    Touching(MaterialPoint, u32),
     /// Inside the tissue.
-    Inside(Place),
+    Inside(MaterialPoint),
     /// Pressing on the surface from inside.
-    Leaving(Place, u32),
+    Leaving(MaterialPoint, u32),
 }
 
 impl Tip {
     /// Its contact point with the tissue.
     #[must_use]
-    pub fn place(&self) -> Option<&Place> {
+    pub fn place(&self) -> Option<&MaterialPoint> {
         match self {
             Self::Free => None,
             Self::Touching(place, _) | Self::Inside(place) | Self::Leaving(place, _) => Some(place),
@@ -49,7 +49,7 @@ impl Tip {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ChannelPoint {
     /// The point in the tissue.
-    pub place: Place,
+    pub place: MaterialPoint,
     /// Arc length of what passes it now, from the swage \[m\]: positive along the needle, negative along the thread.
     pub along: f64,
     /// Arc length of the sticking point, as `along`.
@@ -66,9 +66,9 @@ pub struct Bite {
     /// Its number; bites are counted from 0.
     pub number: u32,
     /// Entry point of the tip, and its surface triangle.
-    pub entry: (Place, u32),
+    pub entry: (MaterialPoint, u32),
     /// Exit point.
-    pub exit: Option<(Place, u32)>,
+    pub exit: Option<(MaterialPoint, u32)>,
     /// Puncture force at the entry \[N\].
     pub entry_force: f64,
     /// Puncture force at the exit \[N\].
@@ -121,7 +121,7 @@ pub struct SutureState {
     /// Contacts of the thread with the needle.
     pub strand_contacts: Vec<StrandContact>,
     /// Contact forces of needle and thread on the surface, in the world.
-    pub presses: Vec<Press>,
+    pub presses: Vec<SurfaceForce>,
 }
 
 clones_in_place!(SutureState {
@@ -177,7 +177,7 @@ impl SutureState {
         let finite = |x: &Vector3<f64>| x.iter().all(|x| x.is_finite());
         let triangles = tissue.mesh().surface().len();
         let surface =
-            |(place, triangle): &(Place, u32)| tissue.has(place) && (*triangle as usize) < triangles;
+            |(place, triangle): &(MaterialPoint, u32)| tissue.has(place) && (*triangle as usize) < triangles;
         let tip = match &self.tip {
             Tip::Free => true,
             Tip::Inside(place) => tissue.has(place),
@@ -203,7 +203,7 @@ impl SutureState {
             return Err(SutureError::State("a bite begins or ends at no place of the surface"));
         }
         let nodes = tissue.mesh().rest().len();
-        let pressed = |press: &Press| {
+        let pressed = |press: &SurfaceForce| {
             press.at.nodes.iter().all(|node| (*node as usize) < nodes)
                 && press.at.weights.iter().all(|weight| (-0.01..=1.01).contains(weight))
                 && finite(&press.force)
@@ -236,10 +236,10 @@ impl SutureState {
     }
 
     /// Forces of needle and thread on the tissue.
-    pub(super) fn forces_on_tissue(&self) -> impl Iterator<Item = (Spot, Vector3<f64>)> {
-        let tip = self.tip.place().map(|place| (Spot::Inside(*place), -self.tip_force));
-        let channel = self.channel.iter().map(|point| (Spot::Inside(point.place), -point.force));
-        let surface = self.presses.iter().map(|press| (Spot::Surface(press.at), press.force));
+    pub(super) fn forces_on_tissue(&self) -> impl Iterator<Item = (TissueFeature, Vector3<f64>)> {
+        let tip = self.tip.place().map(|place| (TissueFeature::Inside(*place), -self.tip_force));
+        let channel = self.channel.iter().map(|point| (TissueFeature::Inside(point.place), -point.force));
+        let surface = self.presses.iter().map(|press| (TissueFeature::Surface(press.at), press.force));
         channel.chain(tip).chain(surface)
     }
 }

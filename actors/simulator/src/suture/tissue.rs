@@ -11,7 +11,7 @@ use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::SutureError;
 use crate::linear_fem::Columns;
-use crate::suture_thread::elastic::SurfacePlace;
+use crate::suture_thread::elastic::SurfacePoint;
 
 /// Maximum number of nodes with compliance columns: about as many as 150 channel points touch.
 pub const NODES_MAX: usize = 1200;
@@ -26,7 +26,7 @@ const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// A material point: an element and its barycentric weights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Place {
+pub struct MaterialPoint {
     /// The element.
     pub tet: u32,
     /// Barycentric weights; they add up to 1.
@@ -35,18 +35,18 @@ pub struct Place {
 
 /// An interior point, or a surface point by its triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Spot {
-    Inside(Place),
-    Surface(SurfacePlace),
+pub(super) enum TissueFeature {
+    Inside(MaterialPoint),
+    Surface(SurfacePoint),
 }
 
 /// End of a straight path through the tissue.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Way {
+pub enum PathEnd {
     /// Inside the tissue.
-    Ends(Place),
+    Ends(MaterialPoint),
     /// At the surface, where the path leaves; with the triangle.
-    Leaves(Place, u32),
+    Leaves(MaterialPoint, u32),
 }
 
 /// An intersection with the surface.
@@ -55,7 +55,7 @@ pub struct Crossing {
     /// The surface triangle.
     pub triangle: u32,
     /// The point.
-    pub place: Place,
+    pub place: MaterialPoint,
     /// When, as a fraction of the path.
     pub share: f64,
 }
@@ -67,7 +67,7 @@ pub struct Tissue {
     /// Surface triangles; shared with a step, during which the body changes.
     triangles: Arc<Vec<[u32; 3]>>,
     /// Neighbour across the face opposite to each corner: another element, or a surface triangle.
-    beyond: Vec<[Beyond; 4]>,
+    beyond: Vec<[FaceNeighbour; 4]>,
     /// The element behind each surface triangle.
     behind: Vec<u32>,
     /// Which edges of each surface triangle are ridges: from each corner to the next.
@@ -83,7 +83,7 @@ pub struct Tissue {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Beyond {
+enum FaceNeighbour {
     Element(u32),
     Surface(u32),
 }
@@ -104,10 +104,10 @@ impl Tissue {
             }
         }
         faces.sort_unstable();
-        let mut beyond = vec![[Beyond::Surface(0); 4]; mesh.tets().len()];
+        let mut beyond = vec![[FaceNeighbour::Surface(0); 4]; mesh.tets().len()];
         for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
-            beyond[pair[0].1 as usize][pair[0].2 as usize] = Beyond::Element(pair[1].1);
-            beyond[pair[1].1 as usize][pair[1].2 as usize] = Beyond::Element(pair[0].1);
+            beyond[pair[0].1 as usize][pair[0].2 as usize] = FaceNeighbour::Element(pair[1].1);
+            beyond[pair[1].1 as usize][pair[1].2 as usize] = FaceNeighbour::Element(pair[0].1);
         }
         let mut behind = Vec::with_capacity(mesh.surface().len());
         for (index, triangle) in mesh.surface().iter().enumerate() {
@@ -115,7 +115,7 @@ impl Tissue {
             key.sort_unstable();
             let at = faces.partition_point(|face| face.0 < key);
             let (_, tet, corner) = faces[at];
-            beyond[tet as usize][corner as usize] = Beyond::Surface(index as u32);
+            beyond[tet as usize][corner as usize] = FaceNeighbour::Surface(index as u32);
             behind.push(tet);
         }
         let positions = mesh.rest().to_vec();
@@ -194,35 +194,35 @@ impl Tissue {
 
     /// Whether a point belongs to this mesh.
     #[must_use]
-    pub fn has(&self, place: &Place) -> bool {
+    pub fn has(&self, place: &MaterialPoint) -> bool {
         (place.tet as usize) < self.mesh.tets().len()
             && place.weights.iter().all(|weight| (-0.01..=1.01).contains(weight))
             && (place.weights.iter().sum::<f64>() - 1.0).abs() < 1e-6
     }
 
     /// The nodes of a point and their weights.
-    fn nodes_of(&self, spot: &Spot) -> ([u32; 4], [f64; 4]) {
-        match spot {
-            Spot::Inside(place) => (self.mesh.tets()[place.tet as usize], place.weights),
-            Spot::Surface(SurfacePlace { nodes: [a, b, c], weights: [u, v, w] }) => {
+    fn nodes_of(&self, feature: &TissueFeature) -> ([u32; 4], [f64; 4]) {
+        match feature {
+            TissueFeature::Inside(place) => (self.mesh.tets()[place.tet as usize], place.weights),
+            TissueFeature::Surface(SurfacePoint { nodes: [a, b, c], weights: [u, v, w] }) => {
                 ([*a, *b, *c, *a], [*u, *v, *w, 0.0])
             }
         }
     }
 
     /// Adds the compliance columns of a point's nodes; `false` when there is no room for more.
-    pub(super) fn name(&mut self, place: &Place) -> bool {
-        self.name_spot(&Spot::Inside(*place))
+    pub(super) fn name(&mut self, place: &MaterialPoint) -> bool {
+        self.name_spot(&TissueFeature::Inside(*place))
     }
 
     /// The same for a point of either kind.
-    pub(super) fn name_spot(&mut self, spot: &Spot) -> bool {
-        let (nodes, weights) = self.nodes_of(spot);
+    pub(super) fn name_spot(&mut self, feature: &TissueFeature) -> bool {
+        let (nodes, weights) = self.nodes_of(feature);
         nodes.iter().zip(weights).all(|(node, weight)| weight == 0.0 || self.columns.name(*node))
     }
 
     /// Displacement at `a` per force at `b`, both of which have been named \[m/N\].
-    pub(super) fn between(&self, a: &Spot, b: &Spot) -> Matrix3<f64> {
+    pub(super) fn between(&self, a: &TissueFeature, b: &TissueFeature) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
         let ((of_a, us), (of_b, vs)) = (self.nodes_of(a), self.nodes_of(b));
         for (m, u) in of_a.iter().zip(us) {
@@ -236,19 +236,19 @@ impl Tissue {
     }
 
     /// Displacement of a point for these node positions \[m\].
-    pub(super) fn displaced_when(&self, spot: &Spot, positions: &[Point3<f64>]) -> Vector3<f64> {
-        let (nodes, weights) = self.nodes_of(spot);
+    pub(super) fn displaced_when(&self, feature: &TissueFeature, positions: &[Point3<f64>]) -> Vector3<f64> {
+        let (nodes, weights) = self.nodes_of(feature);
         mean(positions, &nodes, &weights) - mean(self.mesh.rest(), &nodes, &weights)
     }
 
     /// Current displacement of a point \[m\].
-    pub(super) fn displaced(&self, spot: &Spot) -> Vector3<f64> {
-        self.displaced_when(spot, &self.positions)
+    pub(super) fn displaced(&self, feature: &TissueFeature) -> Vector3<f64> {
+        self.displaced_when(feature, &self.positions)
     }
 
     /// Its displacement at the beginning of the substep \[m\].
-    pub(super) fn displaced_before(&self, spot: &Spot) -> Vector3<f64> {
-        self.displaced_when(spot, &self.before)
+    pub(super) fn displaced_before(&self, feature: &TissueFeature) -> Vector3<f64> {
+        self.displaced_when(feature, &self.before)
     }
 
     /// Node positions at the beginning of the substep \[m\].
@@ -258,25 +258,25 @@ impl Tissue {
 
     /// Rest position of a material point \[m\].
     #[must_use]
-    pub fn at_rest(&self, place: &Place) -> Point3<f64> {
+    pub fn at_rest(&self, place: &MaterialPoint) -> Point3<f64> {
         mean(self.mesh.rest(), &self.mesh.tets()[place.tet as usize], &place.weights)
     }
 
     /// Current position of a material point \[m\].
     #[must_use]
-    pub fn now(&self, place: &Place) -> Point3<f64> {
+    pub fn now(&self, place: &MaterialPoint) -> Point3<f64> {
         mean(&self.positions, &self.mesh.tets()[place.tet as usize], &place.weights)
     }
 
     /// The material point now at a point of the world, or the nearest by its smallest weight. Searches all elements.
     #[must_use]
-    pub fn locate(&self, point: &Point3<f64>) -> Place {
-        let mut best = (Place::default(), f64::NEG_INFINITY);
+    pub fn locate(&self, point: &Point3<f64>) -> MaterialPoint {
+        let mut best = (MaterialPoint::default(), f64::NEG_INFINITY);
         for tet in 0..self.mesh.tets().len() as u32 {
             let weights = self.weights(tet, point);
             let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
             if least > best.1 {
-                best = (Place { tet, weights }, least);
+                best = (MaterialPoint { tet, weights }, least);
             }
         }
         best.0
@@ -291,7 +291,7 @@ impl Tissue {
 
     /// The straight path from a material point to a point of the world, through the deformed elements.
     #[must_use]
-    pub fn walk(&self, from: &Place, to: &Point3<f64>) -> Way {
+    pub fn walk(&self, from: &MaterialPoint, to: &Point3<f64>) -> PathEnd {
         let start = self.now(from);
         let mut tet = from.tet;
         let mut came_from = None;
@@ -299,7 +299,7 @@ impl Tissue {
         for _ in 0..WALK_MAX {
             let (first, last) = (self.weights(tet, &start), self.weights(tet, to));
             if last.iter().all(|weight| *weight >= INSIDE) {
-                return Way::Ends(Place { tet, weights: last });
+                return PathEnd::Ends(MaterialPoint { tet, weights: last });
             }
             // The first face crossed of those that lie ahead.
             let mut nearest: Option<(usize, f64)> = None;
@@ -315,23 +315,23 @@ impl Tissue {
             let Some((corner, share)) = nearest else { break };
             let mut weights: [f64; 4] = std::array::from_fn(|k| first[k] + (last[k] - first[k]) * share);
             weights[corner] = 0.0;
-            place = Place { tet, weights: sound(weights) };
+            place = MaterialPoint { tet, weights: sound(weights) };
             match self.beyond[tet as usize][corner] {
-                Beyond::Surface(triangle) => return Way::Leaves(place, triangle),
-                Beyond::Element(next) => {
-                    came_from = Some(Beyond::Element(tet));
+                FaceNeighbour::Surface(triangle) => return PathEnd::Leaves(place, triangle),
+                FaceNeighbour::Element(next) => {
+                    came_from = Some(FaceNeighbour::Element(tet));
                     tet = next;
                 }
             }
         }
         // A cycle of elements without volume: stop here.
-        Way::Ends(place)
+        PathEnd::Ends(place)
     }
 
     /// First intersection of a point moving from `from` to `to` \[m\] during the step with the surface from outside;
     /// the surface moves from its position at the beginning of the step to the current one. Sides are compared at both
     /// ends of the step.
-    pub(super) fn comes_in(&self, from: &Point3<f64>, to: &Point3<f64>) -> Option<Crossing> {
+    pub(super) fn entry_crossing(&self, from: &Point3<f64>, to: &Point3<f64>) -> Option<Crossing> {
         let low = from.coords.inf(&to.coords);
         let high = from.coords.sup(&to.coords);
         let mut first: Option<Crossing> = None;
@@ -366,14 +366,14 @@ impl Tissue {
 
     /// A point of a surface triangle.
     #[must_use]
-    pub fn on_surface(&self, triangle: u32, weights: &[f64; 3]) -> Place {
+    pub fn on_surface(&self, triangle: u32, weights: &[f64; 3]) -> MaterialPoint {
         let tet = self.behind[triangle as usize];
         let corners = self.mesh.surface()[triangle as usize];
         let of = self.mesh.tets()[tet as usize].map(|node| {
             let corner = corners.iter().position(|corner| *corner == node);
             corner.map_or(0.0, |corner| weights[corner])
         });
-        Place { tet, weights: sound(of) }
+        MaterialPoint { tet, weights: sound(of) }
     }
 
     /// Outward rest normal of a surface triangle: under a needle tip the facets of a mesh tilt more than the tissue
@@ -391,7 +391,7 @@ impl Tissue {
 
     /// The surface point nearest to a point of the world, and its triangle.
     #[must_use]
-    pub fn nearest(&self, point: &Point3<f64>) -> (Place, u32) {
+    pub fn nearest(&self, point: &Point3<f64>) -> (MaterialPoint, u32) {
         let mut best = (0, [1.0, 0.0, 0.0], f64::INFINITY);
         for (index, triangle) in self.mesh.surface().iter().enumerate() {
             let corners = triangle.map(|node| self.positions[node as usize]);
@@ -410,11 +410,11 @@ impl Tissue {
     }
 
     /// Deforms the tissue by these forces at points that have been named.
-    pub(super) fn deform(&mut self, forces: impl Iterator<Item = (Spot, Vector3<f64>)>) {
+    pub(super) fn deform(&mut self, forces: impl Iterator<Item = (TissueFeature, Vector3<f64>)>) {
         let mut on_nodes = std::mem::take(&mut self.forces);
         on_nodes.clear();
-        for (spot, force) in forces {
-            let (nodes, weights) = self.nodes_of(&spot);
+        for (feature, force) in forces {
+            let (nodes, weights) = self.nodes_of(&feature);
             for (node, weight) in nodes.into_iter().zip(weights) {
                 if weight != 0.0 {
                     on_nodes.push((node, force * weight));

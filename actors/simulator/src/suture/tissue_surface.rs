@@ -8,8 +8,8 @@ use super::material::Resistance;
 use super::needle::Solid;
 use super::state::{SutureState, Tip};
 use super::tissue::Tissue;
-use crate::suture_thread::Spared;
-use crate::suture_thread::elastic::SurfacePlace;
+use crate::suture_thread::IgnoredObstacle;
+use crate::suture_thread::elastic::SurfacePoint;
 
 /// Spacing of the needle's contact points \[m\].
 const SPACING: f64 = 1e-3;
@@ -33,7 +33,7 @@ pub(super) struct NeedleSide {
     /// Wire radius there \[m\].
     pub radius: f64,
     /// Contact point on the surface.
-    pub place: SurfacePlace,
+    pub place: SurfacePoint,
     /// Its position at the beginning of the substep.
     pub point: Point3<f64>,
     /// Outward unit normal.
@@ -42,7 +42,7 @@ pub(super) struct NeedleSide {
 
 /// Arc lengths between which needle and thread are in the tissue, bite by bite, extended by the free margin around
 /// holes.
-fn buried(state: &SutureState, length: f64, room: f64, mut each: impl FnMut(f64, f64)) {
+fn buried(state: &SutureState, length: f64, workspace: f64, mut each: impl FnMut(f64, f64)) {
     let mut begin = 0;
     while let Some(first) = state.channel.get(begin) {
         let count = state.channel[begin..].iter().take_while(|point| point.bite == first.bite).count();
@@ -51,7 +51,7 @@ fn buried(state: &SutureState, length: f64, room: f64, mut each: impl FnMut(f64,
         let is_last = begin == state.channel.len();
         let with_tip = is_last && matches!(state.tip, Tip::Inside(_) | Tip::Leaving(..));
         let end = if with_tip { length } else { last.along };
-        each(first.along.min(end) - room, first.along.max(end) + room);
+        each(first.along.min(end) - workspace, first.along.max(end) + workspace);
     }
 }
 
@@ -61,7 +61,7 @@ pub(super) fn in_tissue(
     length: f64,
     resistance: &Resistance,
     surface: usize,
-    spared: &mut Vec<Spared>,
+    spared: &mut Vec<IgnoredObstacle>,
 ) {
     let Some(thread) = &state.thread else { return };
     buried(state, length, resistance.spacing, |low, high| {
@@ -71,7 +71,7 @@ pub(super) fn in_tissue(
                 edges = Some(edges.map_or([edge, edge], |[first, _]: [usize; 2]| [first, edge]));
             }
         }
-        spared.extend(edges.map(|edges| Spared { obstacle: surface, edges }));
+        spared.extend(edges.map(|edges| IgnoredObstacle { obstacle: surface, edges }));
     });
 }
 
@@ -127,18 +127,18 @@ pub(super) fn sides(
             sample,
             along,
             radius: shape.wire_radius_at(along),
-            place: SurfacePlace::default(),
+            place: SurfacePoint::default(),
             point: pose * solid.point(along),
             normal: Vector3::repeat(f64::INFINITY),
         });
     }
-    let room = reach + shape.wire_radius;
+    let workspace = reach + shape.wire_radius;
     let Some(first) = out.first() else { return };
     let (mut low, mut high) = (first.point.coords, first.point.coords);
     for side in out.iter() {
         (low, high) = (low.inf(&side.point.coords), high.sup(&side.point.coords));
     }
-    let (low, high) = (low - Vector3::repeat(room), high + Vector3::repeat(room));
+    let (low, high) = (low - Vector3::repeat(workspace), high + Vector3::repeat(workspace));
     // The nearest so far for each point: signed distance and foot point.
     let mut nearest: [Option<(f64, f64, Point3<f64>)>; SAMPLES_MAX as usize] = [None; SAMPLES_MAX as usize];
     for triangle in tissue.mesh().surface() {
@@ -153,20 +153,20 @@ pub(super) fn sides(
         let outwards = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
         for (side, best) in out.iter_mut().zip(&mut nearest) {
             let at = &side.point.coords;
-            if (0..3).any(|k| least[k] > at[k] + room || most[k] < at[k] - room) {
+            if (0..3).any(|k| least[k] > at[k] + workspace || most[k] < at[k] - workspace) {
                 continue;
             }
             let found = closest_on_triangle(&side.point, &corners);
             let way = side.point - found.point;
             let distance = way.norm();
-            if distance > room || best.is_some_and(|(known, ..)| known <= distance) {
+            if distance > workspace || best.is_some_and(|(known, ..)| known <= distance) {
                 continue;
             }
             let below = way.dot(&outwards) < 0.0;
             let Some(along) = way.try_normalize(1e-9).or_else(|| outwards.try_normalize(0.0)) else {
                 continue;
             };
-            side.place = SurfacePlace { nodes: *triangle, weights: found.weights };
+            side.place = SurfacePoint { nodes: *triangle, weights: found.weights };
             side.normal = if below { -along } else { along };
             *best = Some((distance, if below { -distance } else { distance }, found.point));
         }

@@ -164,7 +164,7 @@ fn turning(state: &ThreadState, node: usize) -> f64 {
 
 /// What happens to an edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Deed {
+enum EdgeAction {
     /// It is divided into this many.
     Parts(usize),
     /// It is merged with the next one.
@@ -192,7 +192,7 @@ fn divided(
         spare[first..last].fill(last + 1 - first - 3);
     }
     let mut joined = 0;
-    let mut deeds = vec![Deed::Parts(1); count];
+    let mut actions = vec![EdgeAction::Parts(1); count];
     let mut edge = 0;
     let mut nodes = count + 1;
     while edge + 1 < count {
@@ -210,7 +210,7 @@ fn divided(
             && joined < spare[edge];
         if joins {
             joined += 1;
-            deeds[edge] = Deed::Joined;
+            actions[edge] = EdgeAction::Joined;
             nodes -= 1;
             edge += 1;
         }
@@ -218,20 +218,20 @@ fn divided(
     }
     let mut too_long = 0;
     for edge in 0..count {
-        let is_second = edge > 0 && deeds[edge - 1] == Deed::Joined;
-        if deeds[edge] == Deed::Joined || is_second {
+        let is_second = edge > 0 && actions[edge - 1] == EdgeAction::Joined;
+        if actions[edge] == EdgeAction::Joined || is_second {
             continue;
         }
         let parts = (state.rest_lengths[edge] / (TOLERATED * wanted[edge])).ceil();
         let parts = parts.clamp(1.0, NODES_MAX as f64) as usize;
         if parts > 1 && nodes + parts - 1 <= nodes_max {
-            deeds[edge] = Deed::Parts(parts);
+            actions[edge] = EdgeAction::Parts(parts);
             nodes += parts - 1;
         } else {
             too_long += usize::from(parts > 1);
         }
     }
-    if deeds.iter().all(|deed| *deed == Deed::Parts(1)) {
+    if actions.iter().all(|action| *action == EdgeAction::Parts(1)) {
         return None;
     }
     let mut to = ThreadState::default();
@@ -242,12 +242,12 @@ fn divided(
     let mut edge = 0;
     while edge < count {
         let first = to.rest_lengths.len() as u32;
-        match deeds[edge] {
-            Deed::Parts(parts) => {
+        match actions[edge] {
+            EdgeAction::Parts(parts) => {
                 divide(state, edge, parts, &mut to);
                 renumbered.edges.push([first, first + parts as u32 - 1]);
             }
-            Deed::Joined => {
+            EdgeAction::Joined => {
                 join(state, edge, &mut to);
                 renumbered.edges.extend([[first; 2]; 2]);
                 renumbered.nodes.push(None);
@@ -257,8 +257,8 @@ fn divided(
         renumbered.nodes.push(Some(to.rest_lengths.len() as u32));
         edge += 1;
     }
-    twist(state, &deeds, &mut to);
-    move_on(state, &deeds, &mut to);
+    twist(state, &actions, &mut to);
+    carry_velocities(state, &actions, &mut to);
     to.contacts = contacts(state, &renumbered);
     Some((to, renumbered))
 }
@@ -308,13 +308,13 @@ fn join(state: &ThreadState, edge: usize, to: &mut ThreadState) {
 }
 
 /// Twists at the ends of merged edges: the twist between the two is distributed to the nodes before and after.
-fn twist(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
+fn twist(state: &ThreadState, actions: &[EdgeAction], to: &mut ThreadState) {
     let mut more = vec![0.0; to.twists.len()];
     let (mut at, mut edge) = (0, 0);
-    while edge < deeds.len() {
-        match deeds[edge] {
-            Deed::Parts(parts) => at += parts,
-            Deed::Joined => {
+    while edge < actions.len() {
+        match actions[edge] {
+            EdgeAction::Parts(parts) => at += parts,
+            EdgeAction::Joined => {
                 let share = turned(state, edge);
                 more[at] += share * state.twists[edge + 1];
                 more[at + 1] += (1.0 - share) * state.twists[edge + 1];
@@ -339,7 +339,7 @@ fn twist(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
 }
 
 /// Velocities: interpolated at new nodes; neighbours of a removed node take over its momentum.
-fn move_on(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
+fn carry_velocities(state: &ThreadState, actions: &[EdgeAction], to: &mut ThreadState) {
     let half = |rest: &[f64], node: usize| {
         let before = if node > 0 { rest[node - 1] } else { 0.0 };
         0.5 * (before + rest.get(node).copied().unwrap_or(0.0))
@@ -347,11 +347,11 @@ fn move_on(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
     // Momentum over mass per length, edge by edge: half of each edge belongs to either end.
     let mut momentum = vec![Vector3::zeros(); to.positions.len()];
     let (mut at, mut edge) = (0, 0);
-    while edge < deeds.len() {
+    while edge < actions.len() {
         let velocity = |k: usize| state.velocities[edge + k];
         let rest = |k: usize| state.rest_lengths[edge + k];
-        match deeds[edge] {
-            Deed::Parts(parts) => {
+        match actions[edge] {
+            EdgeAction::Parts(parts) => {
                 let length = rest(0) / parts as f64;
                 for part in 0..parts {
                     for k in 0..2 {
@@ -362,7 +362,7 @@ fn move_on(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
                 }
                 at += parts;
             }
-            Deed::Joined => {
+            EdgeAction::Joined => {
                 // Of the removed node's momentum, each end takes the part of its added mass.
                 momentum[at] += velocity(0) * (0.5 * rest(0)) + velocity(1) * (0.5 * rest(1));
                 momentum[at + 1] += velocity(2) * (0.5 * rest(1)) + velocity(1) * (0.5 * rest(0));

@@ -28,7 +28,7 @@ impl Hold {
 
 /// Edges that ignore an obstacle, because jaws hold them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Spared {
+pub struct IgnoredObstacle {
     /// The obstacle's index.
     pub obstacle: usize,
     /// First and last edge.

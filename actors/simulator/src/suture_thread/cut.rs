@@ -25,7 +25,7 @@ pub struct CutAt {
 
 /// New numbers of nodes and edges after a cut.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Parted {
+pub struct CutNumbering {
     /// New number of each former node, unless it was removed.
     pub nodes: Vec<Option<u32>>,
     /// New number of each former edge that was left whole.
@@ -35,7 +35,7 @@ pub struct Parted {
     pub at: Vec<CutAt>,
 }
 
-impl Parted {
+impl CutNumbering {
     /// Values at the new nodes, interpolated from the values `before` at the former nodes \[m\].
     #[must_use]
     pub fn places(&self, before: &[Point3<f64>]) -> Vec<Point3<f64>> {
@@ -57,7 +57,7 @@ impl Thread {
     ///
     /// # Errors
     /// The number of nodes would exceed the limit. The thread is then unchanged.
-    pub fn cut(&mut self, at: CutAt) -> Result<Option<Parted>, ThreadError> {
+    pub fn cut(&mut self, at: CutAt) -> Result<Option<CutNumbering>, ThreadError> {
         self.state.cut(self.material.radius, at)
     }
 }
@@ -67,7 +67,7 @@ impl ThreadState {
     ///
     /// # Errors
     /// As [`Thread::cut`].
-    pub fn cut(&mut self, radius: f64, at: CutAt) -> Result<Option<Parted>, ThreadError> {
+    pub fn cut(&mut self, radius: f64, at: CutAt) -> Result<Option<CutNumbering>, ThreadError> {
         let Some((state, parted)) = parted(self, radius, at) else { return Ok(None) };
         state.check(radius)?;
         *self = state;
@@ -89,7 +89,7 @@ fn side(lengths: &[f64], end: f64, radius: f64) -> Vec<f64> {
     kept
 }
 
-fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, Parted)> {
+fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, CutNumbering)> {
     if !state.joins(cut.edge) || !(0.0..=1.0).contains(&cut.share) {
         return None;
     }
@@ -135,10 +135,10 @@ fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, 
 }
 
 /// The state with these nodes, and a dummy edge between node `end` and the next.
-fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Parted) {
+fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, CutNumbering) {
     let mut to = ThreadState::default();
     let count = state.positions.len();
-    let mut parted = Parted { nodes: vec![None; count], edges: vec![None; count - 1], at: Vec::new() };
+    let mut parted = CutNumbering { nodes: vec![None; count], edges: vec![None; count - 1], at: Vec::new() };
     let node_of = |at: &CutAt| match at.share {
         0.0 => Some(at.edge),
         1.0 => Some(at.edge + 1),

@@ -22,7 +22,7 @@ const FOLD: f64 = 0.02;
 
 /// A Newton iterate of the shape at the end of the step.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Iterate {
+pub(crate) struct RodIterate {
     pub positions: Vec<Point3<f64>>,
     /// Rotation of each edge about its own axis since the beginning of the step \[rad\].
     pub turns: Vec<f64>,
@@ -33,7 +33,7 @@ pub(crate) struct Iterate {
     pub tensions: Vec<f64>,
 }
 
-impl Iterate {
+impl RodIterate {
     /// Starts from the state.
     pub fn begin(&mut self, state: &ThreadState) {
         self.positions.clone_from(&state.positions);
@@ -123,7 +123,7 @@ pub(crate) fn curvature(t: &Vector3<f64>, u: &Vector3<f64>, le: f64, lf: f64) ->
 pub(crate) fn assemble(
     material: &ThreadMaterial,
     start: &ThreadState,
-    at: &Iterate,
+    at: &RodIterate,
     dt: f64,
     gravity: &Vector3<f64>,
     matrix: &mut BlockBand,
@@ -141,7 +141,7 @@ pub(crate) fn assemble(
 fn inertia(
     material: &ThreadMaterial,
     start: &ThreadState,
-    at: &Iterate,
+    at: &RodIterate,
     dt: f64,
     gravity: &Vector3<f64>,
     matrix: &mut BlockBand,
@@ -173,7 +173,7 @@ fn inertia(
 fn stretch(
     material: &ThreadMaterial,
     start: &ThreadState,
-    at: &Iterate,
+    at: &RodIterate,
     edge: usize,
     matrix: &mut BlockBand,
     right: &mut [Cell],
@@ -200,7 +200,7 @@ fn stretch(
 fn bend(
     material: &ThreadMaterial,
     start: &ThreadState,
-    at: &Iterate,
+    at: &RodIterate,
     dt: f64,
     node: usize,
     matrix: &mut BlockBand,
@@ -261,7 +261,7 @@ fn bend(
 mod tests {
     use super::*;
 
-    fn energy(material: &ThreadMaterial, start: &ThreadState, at: &Iterate) -> f64 {
+    fn energy(material: &ThreadMaterial, start: &ThreadState, at: &RodIterate) -> f64 {
         let mut sum = 0.0;
         for edge in 0..at.tangents.len() {
             let rest = start.rest_lengths[edge];
@@ -292,7 +292,7 @@ mod tests {
         for (i, rest) in state.rest_lengths.iter_mut().enumerate() {
             *rest *= 0.9 + 0.05 * i as f64;
         }
-        let mut at = Iterate::default();
+        let mut at = RodIterate::default();
         at.begin(&state);
         for edge in 0..6 {
             at.turns[edge] = 0.3 * (edge * edge) as f64 * 0.2;
@@ -306,7 +306,7 @@ mod tests {
     fn forces_are_the_slope_of_the_energy() {
         let (material, state) = shape();
         let n = state.positions.len();
-        let mut at = Iterate::default();
+        let mut at = RodIterate::default();
         at.begin(&state);
         let mut matrix = BlockBand::default();
         matrix.clear(n);
@@ -319,7 +319,7 @@ mod tests {
                     continue;
                 }
                 let moved = |by: f64| {
-                    let mut at = Iterate::default();
+                    let mut at = RodIterate::default();
                     at.begin(&state);
                     if k < 3 {
                         at.positions[node][k] += by
@@ -340,7 +340,7 @@ mod tests {
     fn inner_forces_have_neither_sum_nor_moment() {
         let (material, state) = shape();
         let n = state.positions.len();
-        let mut at = Iterate::default();
+        let mut at = RodIterate::default();
         at.begin(&state);
         let mut matrix = BlockBand::default();
         matrix.clear(n);

@@ -12,7 +12,7 @@ use crate::linear_fem::Compliance;
 
 /// A point on the surface of a body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct SurfacePlace {
+pub struct SurfacePoint {
     /// Nodes of the triangle.
     pub nodes: [u32; 3],
     /// Barycentric weights; their sum is 1.
@@ -21,9 +21,9 @@ pub struct SurfacePlace {
 
 /// A force on a body at a point of its surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Press {
+pub struct SurfaceForce {
     /// The point.
-    pub at: SurfacePlace,
+    pub at: SurfacePoint,
     /// The force, in the frame of the body \[N\].
     pub force: Vector3<f64>,
 }
@@ -40,7 +40,7 @@ pub struct ElasticBody {
     /// Row of each node in the compliance.
     row: Vec<u32>,
     positions: Vec<Point3<f64>>,
-    presses: Vec<Press>,
+    presses: Vec<SurfaceForce>,
     /// Forces and displacements of the nodes in the compliance.
     on_nodes: Vec<Vector3<f64>>,
     moved: Vec<f32>,
@@ -84,12 +84,12 @@ impl ElasticBody {
 
     /// The forces that deform it: its whole state.
     #[must_use]
-    pub fn presses(&self) -> &[Press] {
+    pub fn presses(&self) -> &[SurfaceForce] {
         &self.presses
     }
 
     /// Deforms the body by exactly these forces; forces at nodes that it does not have are ignored.
-    pub fn deform(&mut self, presses: &[Press]) {
+    pub fn deform(&mut self, presses: &[SurfaceForce]) {
         let nodes = self.rest.len();
         self.presses.clear();
         self.presses.extend(presses.iter().filter(|press| {
@@ -122,7 +122,7 @@ impl ElasticBody {
     /// Compliance of one surface point to a force at another one \[m/N\]; swapping the points transposes it. Only for
     /// nodes of this body.
     #[must_use]
-    pub(crate) fn between(&self, place: &SurfacePlace, by: &SurfacePlace) -> Matrix3<f64> {
+    pub(crate) fn between(&self, place: &SurfacePoint, by: &SurfacePoint) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
         for (node, weight) in by.nodes.iter().zip(by.weights) {
             let index = self.row[*node as usize];
@@ -147,7 +147,7 @@ impl ElasticBody {
     }
 
     /// Displacement of a surface point under forces \[m\].
-    pub(crate) fn displacement(&self, place: &SurfacePlace, presses: &[Press]) -> Vector3<f64> {
+    pub(crate) fn displacement(&self, place: &SurfacePoint, presses: &[SurfaceForce]) -> Vector3<f64> {
         presses.iter().map(|press| self.between(place, &press.at) * press.force).sum()
     }
 

@@ -56,14 +56,16 @@ pub enum ThreadStepError {
         why: String,
     },
     /// The step did not converge even when divided.
-    #[error("node {node} at {time} s into the step: {why}, even with steps of {shortest} s")]
+    #[error(
+        "node {node} at {time} s into the step: {why}, even with steps of {shortest} s; move what holds or touches the thread more slowly, or take shorter steps"
+    )]
     Diverged {
         /// The node.
         node: usize,
         /// Time within the step \[s\].
         time: f64,
         /// The cause.
-        why: Trouble,
+        why: FailureCause,
         /// The shortest substep that was tried \[s\].
         shortest: f64,
     },
@@ -71,7 +73,7 @@ pub enum ThreadStepError {
 
 /// Why a step failed at a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum Trouble {
+pub enum FailureCause {
     /// A non-finite value.
     #[error("a number is not finite")]
     NotFinite,
@@ -79,25 +81,25 @@ pub enum Trouble {
     #[error("the matrix of the rod is not positive definite")]
     NotPositive,
     /// The strain of the rod is beyond its limit.
-    #[error("the strain is beyond what the rod can take")]
+    #[error("the strain is beyond the limit of the rod")]
     Strain,
     /// Two strands, or a strand and an obstacle, would pass through each other.
-    #[error("a contact would be passed through")]
+    #[error("a strand or an obstacle would be passed through")]
     PassedThrough,
     /// Newton's iterations did not converge.
-    #[error("the iterations do not end")]
+    #[error("Newton's method did not converge")]
     Wanders,
     /// No forces satisfy the laws of the coupled bodies.
-    #[error("the forces of what it is tied to were not found")]
+    #[error("the forces between the thread and what it is tied to did not converge")]
     Unsettled,
     /// A held needle would move further in a step than can be tracked.
-    #[error("the needle would go too far")]
+    #[error("the needle would move too far in one step")]
     TooFar,
     /// A needle without inertia.
     #[error("the needle has no inertia")]
     NoInertia,
     /// Contact with more of a tissue than can be handled.
-    #[error("more of the tissue is touched than can be followed")]
+    #[error("more of the tissue is touched than can be tracked")]
     Full,
     /// More contacts than can be handled.
     #[error("more than {max} contacts", max = super::CONTACTS_MAX)]

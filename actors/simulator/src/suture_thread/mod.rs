@@ -46,16 +46,16 @@ pub mod soft_support;
 mod state;
 
 pub use adaptive_segments::{Fineness, Renumbered};
-pub use boundary_conditions::{HOLD_STIFFNESS, Hold, Load, Spared, TwistHold};
+pub use boundary_conditions::{HOLD_STIFFNESS, Hold, IgnoredObstacle, Load, TwistHold};
 pub use contact::{CONTACTS_MAX, Obstacle, Shape};
-pub use cut::{CutAt, Parted};
-pub use error::{ThreadError, ThreadStepError, Trouble};
+pub use cut::{CutAt, CutNumbering};
+pub use error::{FailureCause, ThreadError, ThreadStepError};
 pub use knot_measures::{Strands, nearest_edges};
 pub use material::ThreadMaterial;
 pub(crate) use state::PARTED;
 pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 
-use elastic::{ElasticBody, Press};
+use elastic::{ElasticBody, SurfaceForce};
 use nalgebra::{Point3, Vector3};
 
 /// Longest step \[s\].
@@ -78,15 +78,15 @@ pub struct Surroundings<'a> {
     /// Obstacles; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
     /// Parts of the thread that ignore some of the obstacles.
-    pub spared: &'a [Spared],
+    pub spared: &'a [IgnoredObstacle],
     /// The obstacle, if any, that is the surface of an elastic body.
-    pub elastic: Option<Elastic<'a>>,
+    pub elastic: Option<ElasticObstacle<'a>>,
 }
 
 /// An obstacle that deforms within the step. Its shape is the mesh of the body at the beginning of the step, at a fixed
 /// pose; deform the body by [`Thread::presses`] afterwards.
 #[derive(Clone, Copy, Debug)]
-pub struct Elastic<'a> {
+pub struct ElasticObstacle<'a> {
     /// The obstacle's index.
     pub obstacle: usize,
     /// The body.
@@ -127,7 +127,7 @@ pub struct Thread {
     material: ThreadMaterial,
     state: ThreadState,
     island: island::Island,
-    presses: Vec<Press>,
+    presses: Vec<SurfaceForce>,
 }
 
 impl Thread {
@@ -186,23 +186,23 @@ impl Thread {
     ///
     /// # Errors
     /// The name of an invalid input, or the node at which no step converged. The state is then unchanged.
-    pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
+    pub fn step(&mut self, dt: f64, surroundings: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
         check_step(dt)?;
-        self.check_around(around)?;
+        self.check_around(surroundings)?;
         let Self { material, state, island, presses } = self;
-        let Some(elastic) = &around.elastic else {
+        let Some(elastic) = &surroundings.elastic else {
             presses.clear();
-            return island.step(material, state, dt, around, &mut island::coupled_body::Alone);
+            return island.step(material, state, dt, surroundings, &mut island::coupled_body::NoCoupledBody);
         };
         let mut tied = island::TiedAround {
             body: elastic.body,
             obstacle: elastic.obstacle,
-            world_from_body: around.obstacles[elastic.obstacle].to,
+            world_from_body: surroundings.obstacles[elastic.obstacle].to,
             presses: std::mem::take(presses),
         };
         tied.presses.clear();
         tied.presses.extend_from_slice(elastic.body.presses());
-        let done = island.step(material, state, dt, around, &mut tied);
+        let done = island.step(material, state, dt, surroundings, &mut tied);
         *presses = tied.presses;
         done
     }
@@ -216,31 +216,31 @@ impl Thread {
     pub fn step_on(
         &mut self,
         dt: f64,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         obstacle: usize,
         surface: &mut soft_support::SoftSurface,
     ) -> Result<ThreadReport, ThreadStepError> {
         check_step(dt)?;
-        self.check_around(around)?;
+        self.check_around(surroundings)?;
         let given = |why: &str| {
             Err(ThreadStepError::Given { what: "soft surface", index: obstacle, why: why.to_owned() })
         };
-        if around.elastic.is_some() {
+        if surroundings.elastic.is_some() {
             return given("an elastic body gives way already");
         }
-        match around.obstacles.get(obstacle).map(|obstacle| obstacle.shape) {
+        match surroundings.obstacles.get(obstacle).map(|obstacle| obstacle.shape) {
             Some(Shape::Mesh { from, .. }) if from.len() == surface.moved().len() => {}
             _ => return given("that obstacle is not it"),
         }
         let Self { material, state, island, presses } = self;
         presses.clear();
-        island.step(material, state, dt, around, &mut soft_support::LyingOn { surface, obstacle })
+        island.step(material, state, dt, surroundings, &mut soft_support::LyingOn { surface, obstacle })
     }
 
-    fn check_around(&self, around: &Surroundings) -> Result<(), ThreadStepError> {
-        around.check(self.state.positions.len())?;
+    fn check_around(&self, surroundings: &Surroundings) -> Result<(), ThreadStepError> {
+        surroundings.check(self.state.positions.len())?;
         let nothing = |hold: &TwistHold| !self.state.joins(hold.edge);
-        if let Some(index) = around.twist_holds.iter().position(nothing) {
+        if let Some(index) = surroundings.twist_holds.iter().position(nothing) {
             let why = "its edge is between two threads".to_owned();
             return Err(ThreadStepError::Given { what: "twist hold", index, why });
         }
@@ -267,7 +267,7 @@ impl Thread {
 
     /// Forces of the thread on the elastic body at the end of the last step.
     #[must_use]
-    pub fn presses(&self) -> &[Press] {
+    pub fn presses(&self) -> &[SurfaceForce] {
         &self.presses
     }
 }
@@ -288,12 +288,12 @@ impl Surroundings<'_> {
 
     /// Rejects surroundings that are invalid for a thread of this many nodes.
     pub(crate) fn check(&self, nodes: usize) -> Result<(), ThreadStepError> {
-        let around = self;
+        let surroundings = self;
         let given = |what, index, why: &str| Err(ThreadStepError::Given { what, index, why: why.to_owned() });
-        if !around.gravity.iter().all(|x| x.is_finite()) {
+        if !surroundings.gravity.iter().all(|x| x.is_finite()) {
             return given("gravity", 0, "not finite");
         }
-        for (index, hold) in around.holds.iter().enumerate() {
+        for (index, hold) in surroundings.holds.iter().enumerate() {
             if hold.node >= nodes {
                 return given(
                     "hold",
@@ -315,7 +315,7 @@ impl Surroundings<'_> {
                 );
             }
         }
-        for (index, hold) in around.twist_holds.iter().enumerate() {
+        for (index, hold) in surroundings.twist_holds.iter().enumerate() {
             if hold.edge + 1 >= nodes {
                 return given("twist hold", index, &format!("there is no edge {}", hold.edge));
             }
@@ -323,7 +323,7 @@ impl Surroundings<'_> {
                 return given("twist hold", index, "its director is no direction");
             }
         }
-        for (index, load) in around.loads.iter().enumerate() {
+        for (index, load) in surroundings.loads.iter().enumerate() {
             if load.node >= nodes {
                 return given(
                     "load",
@@ -335,18 +335,18 @@ impl Surroundings<'_> {
                 return given("load", index, "its force is not finite");
             }
         }
-        for (index, obstacle) in around.obstacles.iter().enumerate() {
+        for (index, obstacle) in surroundings.obstacles.iter().enumerate() {
             if let Some(why) = obstacle.wrong() {
                 return given("obstacle", index, &why);
             }
         }
-        if let Some(elastic) = &around.elastic {
+        if let Some(elastic) = &surroundings.elastic {
             let body = elastic.body;
             let is_surface = |obstacle: &Obstacle| {
                 matches!(obstacle.shape, Shape::Mesh { from, triangles, .. }
                     if from.len() == body.positions().len() && triangles.len() == body.triangles().len())
             };
-            match around.obstacles.get(elastic.obstacle) {
+            match surroundings.obstacles.get(elastic.obstacle) {
                 Some(obstacle) if !is_surface(obstacle) => {
                     return given("elastic body", elastic.obstacle, "that obstacle is not its surface");
                 }

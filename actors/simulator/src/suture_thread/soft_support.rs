@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::coupling::external_nodes::{GhostMoved, GhostNode};
 
-use super::Trouble;
-use super::elastic::SurfacePlace;
-use super::island::coupled_body::{Companion, ComplianceRows, Link};
+use super::FailureCause;
+use super::elastic::SurfacePoint;
+use super::island::coupled_body::{ComplianceRows, CoupledBody, Link};
 
 /// Cosine of the dihedral angle beyond which an edge between faces counts as a sharp ridge: 40°.
 const SHARP: f64 = 0.77;
@@ -49,22 +49,22 @@ impl SoftSurface {
     /// position: a surface that jumped could jump past the thread.
     pub fn begin(
         &mut self,
-        guests: impl Iterator<Item = GhostNode>,
+        ghost_nodes: impl Iterator<Item = GhostNode>,
         drift: impl Iterator<Item = Vector3<f64>>,
         triangles: &[[u32; 3]],
     ) {
         self.drift.clear();
         self.drift.extend(drift);
         self.now.clear();
-        self.now.extend(guests);
+        self.now.extend(ghost_nodes);
         self.drift.resize(self.now.len(), Vector3::zeros());
         self.start.clear();
-        self.start.extend(self.now.iter().map(|guest| guest.position));
+        self.start.extend(self.now.iter().map(|ghost_node| ghost_node.position));
         self.began.clone_from(&self.start);
         self.at.clone_from(&self.start);
         self.moved.clear();
         self.moved.resize(self.now.len(), GhostMoved::default());
-        self.tell();
+        self.update_moved();
         if self.triangles != triangles {
             self.triangles.clear();
             self.triangles.extend_from_slice(triangles);
@@ -106,20 +106,21 @@ impl SoftSurface {
         &self.moved
     }
 
-    fn tell(&mut self) {
-        for (moved, guest) in self.moved.iter_mut().zip(&self.now) {
-            (moved.position, moved.velocity, moved.path) = (guest.position, guest.velocity, guest.path);
+    fn update_moved(&mut self) {
+        for (moved, ghost_node) in self.moved.iter_mut().zip(&self.now) {
+            (moved.position, moved.velocity, moved.path) =
+                (ghost_node.position, ghost_node.velocity, ghost_node.path);
         }
     }
 
     /// Displacement of a surface point from these node positions \[m\], by the free motion of the nodes.
-    fn drift(&self, place: &SurfacePlace, from: &[Point3<f64>]) -> Vector3<f64> {
+    fn drift(&self, place: &SurfacePoint, from: &[Point3<f64>]) -> Vector3<f64> {
         let of = |(node, weight): (&u32, f64)| (self.free[*node as usize] - from[*node as usize]) * weight;
         place.nodes.iter().zip(place.weights).map(of).sum()
     }
 
     /// Compliance of one surface point to a force at another one, isotropic \[m/N\].
-    fn between(&self, place: &SurfacePlace, other: &SurfacePlace) -> f64 {
+    fn between(&self, place: &SurfacePoint, other: &SurfacePoint) -> f64 {
         let mut sum = 0.0;
         for (node, weight) in place.nodes.iter().zip(place.weights) {
             for (by, share) in other.nodes.iter().zip(other.weights) {
@@ -152,7 +153,7 @@ pub(crate) struct LyingOn<'a> {
     pub obstacle: usize,
 }
 
-impl Companion for LyingOn<'_> {
+impl CoupledBody for LyingOn<'_> {
     fn surface(&self) -> Option<usize> {
         Some(self.obstacle)
     }
@@ -163,12 +164,14 @@ impl Companion for LyingOn<'_> {
         soft.free.clear();
         soft.yields.clear();
         soft.began.clear();
-        for (guest, drift) in soft.now.iter().zip(&soft.drift) {
-            let mut alone = *guest;
+        for (ghost_node, drift) in soft.now.iter().zip(&soft.drift) {
+            let mut alone = *ghost_node;
             alone.go(dt, &Vector3::zeros());
-            soft.began.push(guest.position);
+            soft.began.push(ghost_node.position);
             soft.free.push(alone.position + drift * dt);
-            soft.yields.push(guest.mobility / (1.0 + dt * dt * guest.stiffness * guest.mobility) * dt * dt);
+            soft.yields.push(
+                ghost_node.mobility / (1.0 + dt * dt * ghost_node.stiffness * ghost_node.mobility) * dt * dt,
+            );
         }
         soft.at.clone_from(&soft.free);
     }
@@ -183,14 +186,14 @@ impl Companion for LyingOn<'_> {
 
     /// Gaps were measured to the surface as it was at the beginning of the step; slides are counted from the beginning
     /// of the part.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause> {
         let soft = &*self.surface;
         let rows = 3 * links.len();
         for (row, link) in links.iter().enumerate() {
             let Link::Surface(place, directions) = link else { continue };
             let drifts = [soft.drift(place, &soft.start), soft.drift(place, &soft.began)];
             for (k, direction) in directions.iter().enumerate() {
-                giving.base[3 * row + k] = -direction.dot(&drifts[k.min(1)]);
+                compliance_rows.base[3 * row + k] = -direction.dot(&drifts[k.min(1)]);
             }
             for (column, other) in links.iter().enumerate() {
                 let Link::Surface(by, toward) = other else { continue };
@@ -200,7 +203,7 @@ impl Companion for LyingOn<'_> {
                 }
                 for (k, direction) in directions.iter().enumerate() {
                     for (m, toward) in toward.iter().enumerate() {
-                        giving.compliance[(3 * column + m) * rows + 3 * row + k] =
+                        compliance_rows.compliance[(3 * column + m) * rows + 3 * row + k] =
                             goes * direction.dot(toward);
                     }
                 }
@@ -209,7 +212,7 @@ impl Companion for LyingOn<'_> {
         Ok(())
     }
 
-    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         let soft = &mut *self.surface;
         soft.gather(links, forces);
         let mut most = 0.0_f64;
@@ -218,20 +221,20 @@ impl Companion for LyingOn<'_> {
             most = most.max((to - soft.at[node]).norm());
             soft.at[node] = to;
         }
-        if most.is_finite() { Ok(most) } else { Err(Trouble::NotFinite) }
+        if most.is_finite() { Ok(most) } else { Err(FailureCause::NotFinite) }
     }
 
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
         let soft = &mut *self.surface;
         soft.gather(links, forces);
         let of_nodes = soft.now.iter_mut().zip(&soft.forces).zip(&soft.drift).zip(&mut soft.moved);
-        for (((guest, force), drift), moved) in of_nodes {
+        for (((ghost_node, force), drift), moved) in of_nodes {
             let impulse = force * soft.part;
-            guest.go(soft.part, &impulse);
-            guest.position += drift * soft.part;
+            ghost_node.go(soft.part, &impulse);
+            ghost_node.position += drift * soft.part;
             moved.impulse += impulse;
-            moved.work += impulse.dot(&guest.velocity);
+            moved.work += impulse.dot(&ghost_node.velocity);
         }
-        soft.tell();
+        soft.update_moved();
     }
 }

@@ -17,11 +17,11 @@ pub(super) const GROUPS_MAX: usize = 4096;
 
 /// Set of used colours, 64 to a word.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Taken {
+pub(super) struct UsedColours {
     words: Vec<u64>,
 }
 
-impl Taken {
+impl UsedColours {
     /// Marks one as used.
     pub fn take(&mut self, group: u16) {
         let word = group as usize / 64;
@@ -54,7 +54,7 @@ pub(super) fn groups<const N: usize>(
     known: &[u16],
     is_gone: impl Fn(usize) -> bool,
 ) -> Result<Vec<u16>, NetworkError> {
-    let mut taken: Vec<Taken> = vec![Taken::default(); nodes];
+    let mut taken: Vec<UsedColours> = vec![UsedColours::default(); nodes];
     let expected = elements.len();
     if !(known.is_empty() || known.len() == expected) {
         return Err(NetworkError::Length { what: "groups", given: known.len(), expected });
@@ -73,7 +73,7 @@ pub(super) fn groups<const N: usize>(
                 }
                 group
             }
-            None => Taken::first_free(element.iter().map(|&node| &taken[node as usize])),
+            None => UsedColours::first_free(element.iter().map(|&node| &taken[node as usize])),
         };
         if group as usize >= GROUPS_MAX {
             twice.push(index as u32);
@@ -96,7 +96,7 @@ pub(super) struct Coloured<C> {
 }
 
 /// A constraint derived from a mesh.
-pub(super) trait OfMesh<const N: usize>: Constraint + Copy + PartialEq {
+pub(super) trait MeshConstraint<const N: usize>: Constraint + Copy + PartialEq {
     /// Name of the kind, for messages.
     const KIND: &'static str;
     fn nodes(&self) -> [u32; N];
@@ -114,9 +114,9 @@ impl<C> Coloured<C> {
     /// As [`groups`].
     pub fn new<const N: usize>(nodes: usize, all: &[C], known: &[u16]) -> Result<Self, NetworkError>
     where
-        C: OfMesh<N>,
+        C: MeshConstraint<N>,
     {
-        let elements: Vec<[u32; N]> = all.iter().map(OfMesh::nodes).collect();
+        let elements: Vec<[u32; N]> = all.iter().map(MeshConstraint::nodes).collect();
         let of = groups(C::KIND, nodes, &elements, known, |_| false)?;
         let mut coloured = Self { groups: Vec::new(), of };
         for (one, &group) in all.iter().zip(&coloured.of) {
@@ -142,7 +142,7 @@ impl<C> Coloured<C> {
         edits: &Edits<T>,
         edges: impl Fn(u32) -> Vec<[u32; 2]>,
     ) where
-        C: OfMesh<N>,
+        C: MeshConstraint<N>,
         T: Copy + PartialEq,
     {
         for (at, was) in &edits.gone {
@@ -167,7 +167,7 @@ impl<C> Coloured<C> {
         come.sort_unstable();
         for at in come {
             let one = made(&all[at]);
-            let mut taken = Taken::default();
+            let mut taken = UsedColours::default();
             for node in one.nodes() {
                 for edge in edges(node) {
                     let Ok(other) = all.binary_search_by_key(&edge, |of| made(of).edge()) else { continue };
@@ -177,7 +177,7 @@ impl<C> Coloured<C> {
                     }
                 }
             }
-            let group = Taken::first_free(std::iter::once(&taken));
+            let group = UsedColours::first_free(std::iter::once(&taken));
             if self.groups.len() <= group as usize {
                 self.groups.resize(group as usize + 1, Vec::new());
             }
@@ -190,15 +190,15 @@ impl<C> Coloured<C> {
 
     fn place<const N: usize>(&self, group: u16, edge: &[u32; 2]) -> Result<usize, usize>
     where
-        C: OfMesh<N>,
+        C: MeshConstraint<N>,
     {
         let group = self.groups.get(group as usize).map_or(&[][..], Vec::as_slice);
-        group.binary_search_by_key(edge, OfMesh::edge)
+        group.binary_search_by_key(edge, MeshConstraint::edge)
     }
 
     fn take_out<const N: usize>(&mut self, group: u16, edge: &[u32; 2])
     where
-        C: OfMesh<N>,
+        C: MeshConstraint<N>,
     {
         if let Ok(place) = self.place(group, edge) {
             self.groups[group as usize].remove(place);

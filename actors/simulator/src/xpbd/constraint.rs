@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use super::colouring::OfMesh;
+use super::colouring::MeshConstraint;
 use crate::mass_spring::{Hinge, NEARLY_FLAT, Network, Spring};
 
 /// Distance constraint between two nodes: a spring of finite, possibly very high stiffness.
@@ -49,14 +49,14 @@ pub fn distances_of(network: &Network) -> Vec<Distance> {
     network.springs.iter().map(Distance::from).collect()
 }
 
-impl OfMesh<2> for Distance {
+impl MeshConstraint<2> for Distance {
     const KIND: &'static str = "distance";
     fn nodes(&self) -> [u32; 2] {
         self.nodes
     }
 }
 
-impl OfMesh<4> for Bend {
+impl MeshConstraint<4> for Bend {
     const KIND: &'static str = "bend";
     fn nodes(&self) -> [u32; 4] {
         self.nodes
@@ -88,9 +88,9 @@ impl Nodes<'_> {
 /// A constraint of a sweep, whose position corrections can be computed without applying them.
 pub(super) trait Constraint: Sync {
     type Multiplier: Copy + Default + Send + Sync;
-    type Moved: Send;
-    fn project(&self, nodes: &Nodes<'_>, multiplier: Self::Multiplier) -> Self::Moved;
-    fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut Self::Multiplier);
+    type Correction: Send;
+    fn project(&self, nodes: &Nodes<'_>, multiplier: Self::Multiplier) -> Self::Correction;
+    fn apply(&self, moved: &Self::Correction, nodes: &mut Nodes<'_>, multiplier: &mut Self::Multiplier);
     /// Calls `each` with every node and its impulse for a given multiplier \[N·s²\], at the current positions.
     fn impulses(
         &self,
@@ -103,10 +103,10 @@ pub(super) trait Constraint: Sync {
 impl Constraint for Distance {
     type Multiplier = f64;
     /// Corrections of the two nodes, and the multiplier.
-    type Moved = ([Vector3<f64>; 2], f64);
+    type Correction = ([Vector3<f64>; 2], f64);
 
     #[inline]
-    fn project(&self, nodes: &Nodes<'_>, multiplier: f64) -> Self::Moved {
+    fn project(&self, nodes: &Nodes<'_>, multiplier: f64) -> Self::Correction {
         let [(a, first), (b, second)] = self.nodes.map(|node| nodes.place(node));
         let along = b - a;
         let length = along.norm();
@@ -120,7 +120,7 @@ impl Constraint for Distance {
     }
 
     #[inline]
-    fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut f64) {
+    fn apply(&self, moved: &Self::Correction, nodes: &mut Nodes<'_>, multiplier: &mut f64) {
         *multiplier = moved.1;
         self.nodes.iter().zip(&moved.0).for_each(|(&node, by)| nodes.shift(node, by));
     }
@@ -137,10 +137,10 @@ impl Constraint for Bend {
     /// One per component of the curvature vector; with a non-zero rest length only the first is used.
     type Multiplier = Vector3<f64>;
     /// Impulse on the curvature vector, and the multiplier.
-    type Moved = (Vector3<f64>, Vector3<f64>);
+    type Correction = (Vector3<f64>, Vector3<f64>);
 
     #[inline]
-    fn project(&self, nodes: &Nodes<'_>, multiplier: Vector3<f64>) -> Self::Moved {
+    fn project(&self, nodes: &Nodes<'_>, multiplier: Vector3<f64>) -> Self::Correction {
         let places = self.nodes.map(|node| nodes.place(node));
         let (mut vector, mut yields) = (Vector3::zeros(), 0.0);
         for ((place, mobility), weight) in places.iter().zip(self.weights) {
@@ -163,7 +163,7 @@ impl Constraint for Bend {
     }
 
     #[inline]
-    fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut Vector3<f64>) {
+    fn apply(&self, moved: &Self::Correction, nodes: &mut Nodes<'_>, multiplier: &mut Vector3<f64>) {
         *multiplier = moved.1;
         for (node, weight) in self.nodes.into_iter().zip(self.weights) {
             let mobility = nodes.place(node).1;

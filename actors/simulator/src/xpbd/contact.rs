@@ -7,7 +7,7 @@ use crate::mass_spring::Contact;
 
 /// State of a contact.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Pressed {
+pub(super) struct ContactState {
     /// Contact point at the beginning of the step, and of the substep \[m\].
     pub touched: Vector3<f64>,
     before: Vector3<f64>,
@@ -18,7 +18,7 @@ pub(super) struct Pressed {
     pub impulse: Vector3<f64>,
 }
 
-impl Pressed {
+impl ContactState {
     /// At the beginning of a step.
     pub fn new(contact: &Contact, positions: &[Point3<f64>]) -> Self {
         Self { touched: contact.point(positions), ..Self::default() }

@@ -10,7 +10,7 @@ use super::{Xpbd, XpbdConfig, XpbdInput};
 pub struct Member<'a> {
     /// The body.
     pub body: &'a mut Xpbd,
-    /// Its inputs; their `company` is ignored.
+    /// Its inputs; their `external_nodes` is ignored.
     pub input: XpbdInput<'a>,
 }
 
@@ -23,7 +23,7 @@ pub struct Member<'a> {
 pub fn step_together(
     dt: f64,
     members: &mut [Member<'_>],
-    company: &ExternalNodes<'_>,
+    external_nodes: &ExternalNodes<'_>,
     scratch: &mut ExternalNodesState,
 ) -> Result<(), (usize, StepError)> {
     scratch.forget();
@@ -35,30 +35,30 @@ pub fn step_together(
         member.body.check_input(&member.input).map_err(|error| (index, error))?;
         nodes += member.body.mobility.len() + 1;
     }
-    company.check(nodes).map_err(|error| (0, error))?;
+    external_nodes.check(nodes).map_err(|error| (0, error))?;
     members.iter_mut().for_each(|member| member.body.prepare(dt, &member.input));
-    company.prepare(scratch);
+    external_nodes.prepare(scratch);
     let most = |of: fn(&XpbdConfig) -> u32| members.iter().map(|member| of(&member.body.config)).max();
     let (parts, iterations) = (most(|config| config.parts), most(|config| config.iterations));
     let parts = parts.unwrap_or(1);
     let h = dt / f64::from(parts);
     // Without external nodes there is nothing to gather in each substep.
-    let has_company = !(company.guests.is_empty() && company.ties.is_empty());
+    let has_company = !(external_nodes.ghost_nodes.is_empty() && external_nodes.ties.is_empty());
     for index in 1..=parts {
         if has_company {
-            company.begin(all_places(members), scratch);
+            external_nodes.begin(all_places(members), scratch);
         }
         members.iter_mut().for_each(|member| member.body.predict(h, &member.input));
-        company.predict(h, scratch);
+        external_nodes.predict(h, scratch);
         for _ in 0..iterations.unwrap_or(1) {
             members.iter_mut().for_each(|member| member.body.sweep(h, h * f64::from(index), &member.input));
             if has_company {
-                company.project(h, all_places(members), scratch);
+                external_nodes.project(h, all_places(members), scratch);
             }
         }
         members.iter_mut().for_each(|member| member.body.settle(h, &member.input));
         if has_company {
-            company.end(h, all_places(members), scratch, f64::from(parts));
+            external_nodes.end(h, all_places(members), scratch, f64::from(parts));
         }
     }
     let mut done = Ok(());

@@ -32,8 +32,8 @@ use trocar_dynamics::particles::{State, StepError};
 use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
 use colouring::Coloured;
 use constraint::{Constraint, Nodes};
-use contact::Pressed;
-use tetrahedra::{Pack, Tets};
+use contact::ContactState;
+use tetrahedra::{TetPack, Tets};
 
 /// Constraints of a colour (packs of tetrahedra count as one) above which threads pay off.
 const PARALLEL: usize = 512;
@@ -101,7 +101,7 @@ pub struct XpbdInput<'a> {
     /// Contacts.
     pub contacts: &'a [Contact],
     /// External nodes of other bodies, and the ties to them.
-    pub company: ExternalNodes<'a>,
+    pub external_nodes: ExternalNodes<'a>,
 }
 
 /// The solver.
@@ -128,12 +128,12 @@ struct Scratch {
     places: Vec<[f64; 4]>,
     before: Vec<[f64; 4]>,
     forces: Vec<Vector3<f64>>,
-    contacts: Vec<Pressed>,
+    contacts: Vec<ContactState>,
     contact_forces: Vec<Vector3<f64>>,
-    company: ExternalNodesState,
+    external_nodes: ExternalNodesState,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
-    tets: Sweep<Pack>,
+    tets: Sweep<TetPack>,
     /// Inverse squared length of the last substep \[1/s²\].
     rate: f64,
 }
@@ -142,7 +142,7 @@ struct Scratch {
 #[derive(Clone, Debug)]
 struct Sweep<C: Constraint> {
     multipliers: Vec<C::Multiplier>,
-    moves: Vec<C::Moved>,
+    moves: Vec<C::Correction>,
 }
 impl<C: Constraint> Default for Sweep<C> {
     fn default() -> Self {
@@ -318,14 +318,14 @@ impl Xpbd {
     }
     /// Impulses on external nodes in the last step.
     #[must_use]
-    pub fn company(&self) -> &GhostImpulses {
-        self.scratch.company.moved()
+    pub fn external_nodes(&self) -> &GhostImpulses {
+        self.scratch.external_nodes.moved()
     }
     /// Total force of distances, bends, tetrahedra and ties on these nodes (ascending) in the last substep of the last
     /// step \[N\], for ties the mean over the step: the reaction on jaws that hold them. Zero before the first step.
     #[must_use]
     pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
-        let Scratch { places, distances, bends, tets, rate, company, .. } = &mut self.scratch;
+        let Scratch { places, distances, bends, tets, rate, external_nodes, .. } = &mut self.scratch;
         let mut sum = Vector3::zeros();
         let mut each = |node: u32, impulse: Vector3<f64>| {
             if nodes.binary_search(&node).is_ok() {
@@ -339,7 +339,7 @@ impl Xpbd {
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
         let of = self.tets.packs.iter().flatten().zip(&tets.multipliers);
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
-        sum * *rate + company.pull_on(nodes)
+        sum * *rate + external_nodes.pull_on(nodes)
     }
     /// Elastic energy of distances, bends and tetrahedra \[J\]; distances without compliance hold none.
     #[must_use]
@@ -370,10 +370,14 @@ impl Xpbd {
     /// # Errors
     /// Invalid input, or a result that is not finite or too fast; the state is then unchanged.
     pub fn step(&mut self, dt: f64, input: &XpbdInput<'_>) -> Result<(), StepError> {
-        let mut company = std::mem::take(&mut self.scratch.company);
-        let done =
-            step_together(dt, &mut [Member { body: self, input: *input }], &input.company, &mut company);
-        self.scratch.company = company;
+        let mut external_nodes = std::mem::take(&mut self.scratch.external_nodes);
+        let done = step_together(
+            dt,
+            &mut [Member { body: self, input: *input }],
+            &input.external_nodes,
+            &mut external_nodes,
+        );
+        self.scratch.external_nodes = external_nodes;
         done.map_err(|(_, error)| error)
     }
 
@@ -385,10 +389,10 @@ impl Xpbd {
                 return wrong("force", index, "names a node that does not exist");
             }
         }
-        for (index, led) in input.prescribed.iter().enumerate() {
-            if led.node as usize >= nodes {
+        for (index, driven) in input.prescribed.iter().enumerate() {
+            if driven.node as usize >= nodes {
                 return wrong("prescribed node", index, "does not exist");
-            } else if !led.position.iter().all(|value| value.is_finite()) {
+            } else if !driven.position.iter().all(|value| value.is_finite()) {
                 return wrong("prescribed node", index, "has a position that is not finite");
             }
         }
@@ -414,14 +418,14 @@ impl Xpbd {
         scratch.forces.clear();
         scratch.forces.resize(nodes, Vector3::zeros());
         input.forces.iter().for_each(|force| scratch.forces[force.node as usize] += force.force);
-        for led in input.prescribed {
-            let node = led.node as usize;
+        for driven in input.prescribed {
+            let node = driven.node as usize;
             scratch.places[node][3] = 0.0;
-            scratch.next.velocities[node] = (led.position - self.state.positions[node]) / dt;
+            scratch.next.velocities[node] = (driven.position - self.state.positions[node]) / dt;
         }
         scratch.contacts.clear();
         let positions = &self.state.positions;
-        scratch.contacts.extend(input.contacts.iter().map(|contact| Pressed::new(contact, positions)));
+        scratch.contacts.extend(input.contacts.iter().map(|contact| ContactState::new(contact, positions)));
     }
 
     /// Prediction at the beginning of a substep of `h` seconds.
@@ -480,8 +484,8 @@ impl Xpbd {
         for (position, place) in next.positions.iter_mut().zip(places.iter()) {
             *position = Point3::new(place[0], place[1], place[2]);
         }
-        for led in input.prescribed {
-            next.positions[led.node as usize] = led.position;
+        for driven in input.prescribed {
+            next.positions[driven.node as usize] = driven.position;
         }
         let limit = self.config.speed_max;
         for (node, (position, velocity)) in next.positions.iter().zip(&next.velocities).enumerate() {

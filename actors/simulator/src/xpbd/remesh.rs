@@ -7,7 +7,7 @@ use trocar_dynamics::particles::State;
 
 use super::constraint::{Bend, Distance};
 use super::{Xpbd, tetrahedra};
-use crate::mass_spring::{Followed, Network, NetworkError, Patch};
+use crate::mass_spring::{ChangedMesh, Network, NetworkChange, NetworkError};
 
 /// Tetrahedra that are new or have other corners.
 #[derive(Clone, Copy)]
@@ -29,8 +29,8 @@ impl Xpbd {
     pub fn follow_network(
         &mut self,
         network: &Network,
-        followed: &Followed,
-        patch: &Patch<'_, 3>,
+        followed: &NetworkChange,
+        patch: &ChangedMesh<'_, 3>,
         stays: impl Fn(u32) -> bool,
         carry: impl FnOnce(&mut State),
     ) -> Result<usize, NetworkError> {

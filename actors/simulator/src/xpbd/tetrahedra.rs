@@ -7,16 +7,16 @@
 //! difference in an unconverged sweep is noise and softness that no load has caused.
 
 use nalgebra::{Matrix3, Point3, Vector3};
-use trocar_dynamics::tet_mesh::Stars;
+use trocar_dynamics::tet_mesh::NodeAdjacency;
 
-use super::colouring::{Taken, groups};
+use super::colouring::{UsedColours, groups};
 use super::constraint::{Constraint, Elasticity, Nodes};
 use crate::mass_spring::NetworkError;
 use crate::simd::f32x4::{LANES, Vectors, Wide, cross, dot, plus, sum, times};
 
 /// Four tetrahedra without common nodes. Padding tetrahedra exert nothing, whatever their corners.
 #[derive(Clone, Debug)]
-pub(super) struct Pack {
+pub(super) struct TetPack {
     nodes: [[u32; LANES]; 4],
     /// Rows of the inverse rest edge matrix.
     inverse: [Vectors; 3],
@@ -27,7 +27,7 @@ pub(super) struct Pack {
 /// Impulses on the last three corners by axis, times the substep \[N·s²\], and the multipliers. The first corner gets
 /// the opposite of their sum in double precision, so that rounding creates no momentum.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Moved {
+pub(super) struct Correction {
     impulses: [Vectors; 3],
     multipliers: [Wide; 2],
 }
@@ -35,7 +35,7 @@ pub(super) struct Moved {
 /// Packs in their order of projection, colour by colour.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tets {
-    pub packs: Vec<Vec<Pack>>,
+    pub packs: Vec<Vec<TetPack>>,
     /// Number of tetrahedra without padding.
     pub count: usize,
     /// Colour of each tetrahedron, including removed ones.
@@ -49,7 +49,7 @@ pub(super) struct Tets {
     /// Corners, and rest edges from the first one \[m\], of each.
     matter: Vec<([u32; 4], Matrix3<f64>)>,
     /// Tetrahedra around each node.
-    stars: Stars,
+    stars: NodeAdjacency,
     /// Shape and volume moduli \[Pa\].
     moduli: [f64; 2],
 }
@@ -71,7 +71,7 @@ impl Tets {
         let bulk = young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio));
         let groups = groups("tetrahedron", rest.len(), tets, known, is_gone)?;
         let mut all = Self {
-            stars: Stars::new(rest.len(), (0..).zip(tets.iter().copied())),
+            stars: NodeAdjacency::new(rest.len(), (0..).zip(tets.iter().copied())),
             moduli: [2.0 * shear, bulk],
             ..Self::default()
         };
@@ -93,7 +93,7 @@ impl Tets {
         let (pack, lane) = (self.given[at] / LANES, self.given[at] % LANES);
         self.given[at] += 1;
         if lane == 0 {
-            self.packs[at].push(Pack {
+            self.packs[at].push(TetPack {
                 nodes: [[SPARE; LANES]; 4],
                 inverse: [[Wide::default(); 3]; 3],
                 compliance: [Wide::all(1.0); 2],
@@ -134,11 +134,11 @@ impl Tets {
     pub fn put(&mut self, rest: &[Point3<f64>], number: u32, tet: [u32; 4]) -> Option<[u32; 4]> {
         let index = number as usize;
         let Some(lane) = self.lanes.get(index) else {
-            let mut taken = Taken::default();
+            let mut taken = UsedColours::default();
             for other in tet.iter().flat_map(|&node| self.stars.about(node)) {
                 taken.take(self.groups[*other as usize]);
             }
-            let group = Taken::first_free(std::iter::once(&taken));
+            let group = UsedColours::first_free(std::iter::once(&taken));
             self.stars.add(number, &tet);
             self.add(tet, edges(rest, &tet), group);
             return None;
@@ -244,7 +244,7 @@ fn volume(f: &[Vectors; 3]) -> Strain {
     (dot(&f[0], &slope[0]) - Wide::all(1.0), slope)
 }
 
-impl Pack {
+impl TetPack {
     fn fill(&mut self, lane: usize, tet: &[u32; 4], edges: &Matrix3<f64>, moduli: [f64; 2]) {
         let volume = edges.determinant() / 6.0;
         let inverse = edges.try_inverse().unwrap_or_else(Matrix3::zeros);
@@ -318,13 +318,13 @@ fn corner(of: &[u32; LANES], place: &impl Fn(usize) -> [f64; 3]) -> [[f64; LANES
     [[a[0], b[0], c[0], d[0]], [a[1], b[1], c[1], d[1]], [a[2], b[2], c[2], d[2]]]
 }
 
-impl Constraint for Pack {
+impl Constraint for TetPack {
     type Multiplier = [Wide; 2];
-    type Moved = Moved;
+    type Correction = Correction;
 
     /// Projects shape, then volume, each from the positions left by the previous one.
     #[inline(always)]
-    fn project(&self, nodes: &Nodes<'_>, multipliers: [Wide; 2]) -> Moved {
+    fn project(&self, nodes: &Nodes<'_>, multipliers: [Wide; 2]) -> Correction {
         let mut edges = self.edges(|node| {
             let [x, y, z, _] = nodes.places[node];
             [x, y, z]
@@ -346,11 +346,11 @@ impl Constraint for Pack {
         let (second, of_volume) = self.pull(strain, self.compliance[1] * rate, multipliers[1], &mobility);
         let impulses =
             [plus(&first[0], &second[0]), plus(&first[1], &second[1]), plus(&first[2], &second[2])];
-        Moved { impulses, multipliers: [multipliers[0] + of_shape, multipliers[1] + of_volume] }
+        Correction { impulses, multipliers: [multipliers[0] + of_shape, multipliers[1] + of_volume] }
     }
 
     #[inline(always)]
-    fn apply(&self, moved: &Moved, nodes: &mut Nodes<'_>, multipliers: &mut [Wide; 2]) {
+    fn apply(&self, moved: &Correction, nodes: &mut Nodes<'_>, multipliers: &mut [Wide; 2]) {
         *multipliers = moved.multipliers;
         let doubled = |of: &Vectors| [of[0].doubled(), of[1].doubled(), of[2].doubled()];
         let [second, third, fourth] = &moved.impulses;

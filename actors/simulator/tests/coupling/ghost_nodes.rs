@@ -3,8 +3,10 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostNode, Press, Tie};
-use trocar_dynamics::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostNode, NodeContact, Tie};
+use trocar_dynamics::coupling::{
+    GhostNodes, GhostNodesError, SlowBodyReport, SurfaceContactParams, SurfaceContacts,
+};
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
@@ -20,29 +22,29 @@ const MOMENTUM: f64 = 1e-6;
 /// A faster body and its ghost nodes.
 struct Faster {
     body: Xpbd,
-    ghosts: Ghosts,
+    ghosts: GhostNodes,
     ties: Vec<Tie>,
-    presses: Vec<Press>,
-    guests: Vec<GhostNode>,
+    presses: Vec<NodeContact>,
+    ghost_nodes: Vec<GhostNode>,
 }
 
 impl Faster {
     fn new(body: Xpbd, ghosts: &[Point3<f64>], ties: Vec<Tie>) -> Self {
-        let ghosts = Ghosts::new(ghosts).expect("numbers");
-        Self { body, ghosts, ties, presses: Vec::new(), guests: Vec::new() }
+        let ghosts = GhostNodes::new(ghosts).expect("numbers");
+        Self { body, ghosts, ties, presses: Vec::new(), ghost_nodes: Vec::new() }
     }
 
     fn step(&mut self, gravity: Vector3<f64>) {
-        let Self { body, ghosts, ties, presses, guests } = self;
-        let company = ExternalNodes { guests: &[], ties, presses };
-        guests.clear();
-        ghosts.meet(&company, &body.state().positions, guests);
-        let company = ExternalNodes { guests, ..company };
-        body.step(FAST, &XpbdInput { gravity, company, ..XpbdInput::default() }).expect("a step");
-        let moved = body.company();
+        let Self { body, ghosts, ties, presses, ghost_nodes } = self;
+        let external_nodes = ExternalNodes { ghost_nodes: &[], ties, presses };
+        ghost_nodes.clear();
+        ghosts.begin_step(&external_nodes, &body.state().positions, ghost_nodes);
+        let external_nodes = ExternalNodes { ghost_nodes, ..external_nodes };
+        body.step(FAST, &XpbdInput { gravity, external_nodes, ..XpbdInput::default() }).expect("a step");
+        let moved = body.external_nodes();
         let lost: f64 =
             moved.ties.iter().map(|tied| tied.lost).chain(moved.presses.iter().map(|p| p.lost)).sum();
-        ghosts.met(FAST, &moved.guests, lost);
+        ghosts.end_step(FAST, &moved.ghost_nodes, lost);
     }
 
     fn momentum(&self) -> Vector3<f64> {
@@ -52,7 +54,7 @@ impl Faster {
     /// Its own, and that of the springs.
     fn energy(&self) -> f64 {
         let apart = |tie: &Tie| {
-            let at = tie.guests.iter().fold(Vector3::zeros(), |sum, &(ghost, weight)| {
+            let at = tie.ghost_nodes.iter().fold(Vector3::zeros(), |sum, &(ghost, weight)| {
                 sum + self.ghosts.positions()[ghost as usize].coords * weight
             });
             self.body.state().positions[tie.node as usize].coords - at
@@ -63,7 +65,7 @@ impl Faster {
 }
 
 fn tie(node: u32, ghost: u32, stiffness: f64, damping: f64) -> Tie {
-    Tie { node, guests: [(ghost, 1.0), (ghost, 0.0), (ghost, 0.0), (ghost, 0.0)], stiffness, damping }
+    Tie { node, ghost_nodes: [(ghost, 1.0), (ghost, 0.0), (ghost, 0.0), (ghost, 0.0)], stiffness, damping }
 }
 
 /// Free-flying point masses.
@@ -95,8 +97,8 @@ impl Mass {
         Self { mass, place, velocity, taken, last: taken, received: 0.0, given_work: 0.0 }
     }
 
-    fn tell(&self, ghosts: &mut Ghosts) {
-        let news = News {
+    fn tell(&self, ghosts: &mut GhostNodes) {
+        let news = SlowBodyReport {
             positions: &[self.place],
             velocities: &[self.velocity],
             expected: &[self.velocity + self.last / self.mass],
@@ -108,10 +110,10 @@ impl Mass {
             steps: ghosts.steps(),
             step: SLOW,
         };
-        ghosts.hear(&news).expect("numbers");
+        ghosts.receive(&news).expect("numbers");
     }
 
-    fn step(&mut self, ghosts: &mut Ghosts) {
+    fn step(&mut self, ghosts: &mut GhostNodes) {
         let impulse = ghosts.given()[0] - self.taken;
         let before = self.velocity;
         self.velocity += impulse / self.mass;
@@ -264,7 +266,7 @@ impl Organ {
         energies.kinetic + energies.elastic
     }
 
-    fn tell(&mut self, ghosts: &mut Ghosts, gravity: Vector3<f64>) {
+    fn tell(&mut self, ghosts: &mut GhostNodes, gravity: Vector3<f64>) {
         let inputs = Inputs { forces: &self.forces, acceleration: gravity, ..Inputs::default() };
         let mut all = Vec::new();
         self.body.expected(SLOW, &inputs, &mut all);
@@ -279,7 +281,7 @@ impl Organ {
         let nodes: Vec<u32> = active.iter().map(|&ghost| self.ghosts[ghost]).collect();
         let yielding = self.body.yielding(SLOW, &nodes);
         active.iter().zip(yielding).for_each(|(&ghost, yielding)| mobilities[ghost] = yielding);
-        let news = News {
+        let news = SlowBodyReport {
             positions: &self.places(),
             velocities: &velocities,
             expected: &expected,
@@ -291,16 +293,16 @@ impl Organ {
             steps: self.steps,
             step: SLOW,
         };
-        ghosts.hear(&news).expect("numbers");
+        ghosts.receive(&news).expect("numbers");
     }
 
-    fn tell_when(&mut self, now: bool, ghosts: &mut Ghosts, gravity: Vector3<f64>) {
+    fn tell_when(&mut self, now: bool, ghosts: &mut GhostNodes, gravity: Vector3<f64>) {
         if now {
             self.tell(ghosts, gravity);
         }
     }
 
-    fn step(&mut self, ghosts: &Ghosts, gravity: Vector3<f64>) {
+    fn step(&mut self, ghosts: &GhostNodes, gravity: Vector3<f64>) {
         self.forces.clear();
         let owed = ghosts.given().iter().zip(&self.taken).map(|(given, taken)| (given - taken) / SLOW);
         self.forces.extend(self.ghosts.iter().copied().zip(owed));
@@ -397,7 +399,8 @@ fn what_hangs_from_finite_elements_hangs_still() {
                 organ.tell_when(step == late, &mut fast.ghosts, Vector3::zeros());
                 fast.step(pull);
                 if period >= 350 {
-                    heights.push([fast.body.state().positions[0].z, fast.body.company().ties[0].force.z]);
+                    heights
+                        .push([fast.body.state().positions[0].z, fast.body.external_nodes().ties[0].force.z]);
                 }
             }
             organ.step(&fast.ghosts, Vector3::zeros());
@@ -447,8 +450,8 @@ fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it
         let mut organ = Organ::new(|at| at.z < 1e-9, config);
         let (mut fast, gravity) = laid(&organ, tilt);
         let top = organ.top();
-        let rule = LyingRule { thickness: 5e-4, stiffness: 500.0, friction };
-        let mut lying = Lying::new(rule, &Surface::new(&organ.places(), &top).expect("the top"));
+        let rule = SurfaceContactParams { thickness: 5e-4, stiffness: 500.0, friction };
+        let mut lying = SurfaceContacts::new(rule, &Surface::new(&organ.places(), &top).expect("the top"));
         let (mut pressed, mut fastest, mut count) = (Vector3::zeros(), 0.0_f64, 0);
         let mut settled = fast.body.state().positions.clone();
         let periods = if stays { 150 } else { 12 };
@@ -460,11 +463,21 @@ fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it
                 let surface = Surface::new(&places, &top).expect("the top");
                 lying.find(&surface, &[0, 1, 2], positions, velocities, FAST, &mut fast.presses);
                 fast.step(gravity);
-                let moved = fast.body.company();
-                lying.met(&fast.presses, &moved.presses, &moved.guests, &fast.body.state().positions);
+                let moved = fast.body.external_nodes();
+                lying.end_step(
+                    &fast.presses,
+                    &moved.presses,
+                    &moved.ghost_nodes,
+                    &fast.body.state().positions,
+                );
                 if period >= 100 {
-                    pressed +=
-                        fast.body.company().presses.iter().map(|pressed| pressed.force).sum::<Vector3<f64>>();
+                    pressed += fast
+                        .body
+                        .external_nodes()
+                        .presses
+                        .iter()
+                        .map(|pressed| pressed.force)
+                        .sum::<Vector3<f64>>();
                     count += 1;
                     let speeds = fast.body.state().velocities.iter().map(|v| v.norm());
                     fastest = fastest.max(speeds.fold(0.0, f64::max));
@@ -510,7 +523,7 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
     let (_, mut ghosts) = run(false);
     let before = ghosts.clone();
     let (places, none) = ([Point3::origin(); 16], [Vector3::zeros(); 16]);
-    let news = News {
+    let news = SlowBodyReport {
         positions: &places,
         velocities: &none,
         expected: &none,
@@ -522,16 +535,22 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
         steps: 0,
         step: SLOW,
     };
-    let short = News { velocities: &none[..3], ..news };
-    assert_eq!(ghosts.hear(&short), Err(GhostsError::Size { what: "velocities", found: 3, expected: 16 }));
-    let nan = [Vector3::repeat(f64::NAN); 16];
-    assert_eq!(ghosts.hear(&News { last: &nan, ..news }), Err(GhostsError::Number("an impulse")));
-    let negative = News { mobilities: &[-1.0; 16], ..news };
-    assert_eq!(ghosts.hear(&negative), Err(GhostsError::Number("a time or a mobility")));
+    let short = SlowBodyReport { velocities: &none[..3], ..news };
     assert_eq!(
-        ghosts.hear(&News { step: f64::NAN, ..news }),
-        Err(GhostsError::Number("a time or a mobility"))
+        ghosts.receive(&short),
+        Err(GhostNodesError::Size { what: "velocities", found: 3, expected: 16 })
+    );
+    let nan = [Vector3::repeat(f64::NAN); 16];
+    assert_eq!(
+        ghosts.receive(&SlowBodyReport { last: &nan, ..news }),
+        Err(GhostNodesError::Number("an impulse"))
+    );
+    let negative = SlowBodyReport { mobilities: &[-1.0; 16], ..news };
+    assert_eq!(ghosts.receive(&negative), Err(GhostNodesError::Number("a time or a mobility")));
+    assert_eq!(
+        ghosts.receive(&SlowBodyReport { step: f64::NAN, ..news }),
+        Err(GhostNodesError::Number("a time or a mobility"))
     );
     assert_eq!(ghosts, before);
-    assert_eq!(Ghosts::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostsError::Number("a place")));
+    assert_eq!(GhostNodes::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostNodesError::Number("a place")));
 }

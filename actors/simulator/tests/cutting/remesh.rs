@@ -8,11 +8,12 @@ use proptest::prelude::*;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::tet_mesh::{
-    Birth, BoxCells, MeshRules, Moving, Slit, Stars, Sweep, TetMesh, Volume, VolumeChange, box_cells,
+    BoxCells, MeshRules, NodeAdjacency, NodeMotion, NodeOrigin, OpenCut, Sweep, TetMesh, Volume,
+    VolumeChange, box_cells,
 };
 use trocar_simulator::cutting::{Sheet, TopologyChange};
 use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, MassSpring, Network, Patch, SurfaceMaterial, TooLarge, VolumeMaterial,
+    ChangedMesh, Config, Input, Integrator, MassSpring, Network, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 use trocar_simulator::xpbd::{Body, Elasticity, SplitTets, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
@@ -27,7 +28,7 @@ fn explicit() -> Config {
     Config { integrator: Integrator::Explicit { too_large }, lag: 1e-4, damping: 1.0, ..Config::default() }
 }
 
-fn carry(state: &mut State, born: &[Birth]) {
+fn carry(state: &mut State, born: &[NodeOrigin]) {
     for birth in born {
         state.positions.push(birth.mix(&state.positions, |a, b, share| a + (b - a) * share));
         state.velocities.push(birth.mix(&state.velocities, |a, b, share| a + (b - a) * share));
@@ -60,11 +61,11 @@ fn event() -> impl Strategy<Value = Event> {
 /// A volume that is cut, with the two solvers updated incrementally.
 struct Apart {
     volume: Volume,
-    slit: Slit,
+    slit: OpenCut,
     size: f64,
     tets: Vec<[u32; 4]>,
     altered: Vec<Alteration>,
-    stars: Stars,
+    stars: NodeAdjacency,
     held: usize,
     springs: MassSpring,
     positions: Xpbd,
@@ -87,10 +88,10 @@ impl Apart {
         let positions = Xpbd::new(&body, &held, XpbdConfig::default()).expect("a solver");
         Self {
             volume: Volume::new(&mesh),
-            slit: Slit::default(),
+            slit: OpenCut::default(),
             size,
             altered: vec![Alteration::NONE; tets.len()],
-            stars: Stars::new(rest.len(), (0..).zip(tets.iter().copied())),
+            stars: NodeAdjacency::new(rest.len(), (0..).zip(tets.iter().copied())),
             tets,
             held: held.len(),
             springs,
@@ -134,7 +135,7 @@ impl Apart {
                 let by = Vector3::from(along.map(|share| (share - 0.5) * size));
                 let sweep = Sweep { before: blade, after: blade.map(|end| end + by) };
                 let moved = vec![Vector3::zeros(); self.volume.rest().len()];
-                let mut nodes = Moving { positions: self.springs.state().positions.clone(), moved };
+                let mut nodes = NodeMotion { positions: self.springs.state().positions.clone(), moved };
                 let mut change = VolumeChange::default();
                 self.volume.cut(&mut nodes, &[sweep], &mut self.slit, &mut change).expect("a cut");
                 self.split(&change);
@@ -176,11 +177,11 @@ impl Apart {
         }
     }
 
-    fn follow(&mut self, mut stale: Vec<u32>, born: &[Birth]) {
+    fn follow(&mut self, mut stale: Vec<u32>, born: &[NodeOrigin]) {
         stale.sort_unstable();
         stale.dedup();
         let (altered, stars, held) = (&self.altered, &self.stars, self.held as u32);
-        let patch = Patch {
+        let patch = ChangedMesh {
             rest: self.volume.rest(),
             elements: &self.tets,
             altered: &|tet| altered[tet as usize],
@@ -366,7 +367,7 @@ impl Cloth {
         stale.sort_unstable();
         stale.dedup();
         let (altered, sheet) = (&self.altered, &self.sheet);
-        let patch = Patch {
+        let patch = ChangedMesh {
             rest: sheet.rest(),
             elements: sheet.triangles(),
             altered: &|triangle| altered[triangle as usize],

@@ -9,7 +9,7 @@ use trocar_scene::{
     VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::{
-    Coagulated, CoagulatedElements, DynamicFemController, MassSpringController, RemovedElements,
+    CoagulatedElement, CoagulatedElements, DynamicFemController, MassSpringController, RemovedElements,
     SurfaceElements, VolumeCuts, XpbdController,
 };
 
@@ -136,7 +136,7 @@ fn coagulates<C: Controller>(
         let mut stage = Stage::new(scene(&column(body, "", "probe")), 200.0, build);
         let all = 0..stage.get::<TetMesh>("column").tets.len() as u32;
         stage.tick();
-        let elements = all.map(|element| Coagulated { element, stiffness, length }).collect();
+        let elements = all.map(|element| CoagulatedElement { element, stiffness, length }).collect();
         stage.put("column", CoagulatedElements { elements: Arc::new(elements) });
         run(&mut stage, 300);
         if kill {
@@ -320,7 +320,7 @@ fn burns_as_a_membrane<C: Controller>(
         // The left half shrinks and pulls the middle towards itself.
         let left = first.iter().enumerate().filter(|(_, t)| t.iter().all(|&n| rest[n as usize].x < 1e-6));
         let elements =
-            left.map(|(at, _)| Coagulated { element: at as u32, stiffness: 3.0, length }).collect();
+            left.map(|(at, _)| CoagulatedElement { element: at as u32, stiffness: 3.0, length }).collect();
         stage.put("column", CoagulatedElements { elements: Arc::new(elements) });
         run(&mut stage, 200);
         let drawn = drawn(&stage);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_dynamics::elasticity::Elastic;
-use trocar_dynamics::tet_mesh::{Birth, BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, NodeOrigin, TetMesh, box_cells};
 use trocar_scene::{
     BuildContext, ControllerError, Frozen, JawState, Pose, VertexPositions, VertexVelocities,
 };
@@ -21,7 +21,7 @@ const DT: f64 = 1e-3;
 struct Bar {
     whole: TetMesh,
     slit: TetMesh,
-    born: Vec<Birth>,
+    born: Vec<NodeOrigin>,
     fixed: Vec<u32>,
     elastic: Elastic,
 }
@@ -51,7 +51,7 @@ impl Bar {
             }
         }
         rest.extend(lips.iter().map(|&node| own[node as usize]));
-        let born = lips.iter().map(|&node| Birth { of: [node; 2], share: 0.0 }).collect();
+        let born = lips.iter().map(|&node| NodeOrigin { of: [node; 2], share: 0.0 }).collect();
         let rules = MeshRules { coincident_within: None, ..MeshRules::default() };
         let slit = TetMesh::new(&rest, &tets, &rules).expect("a mesh");
         let elastic = Elastic::new(2e4, 0.4).expect("a material");
@@ -69,7 +69,7 @@ impl Bar {
     }
 
     fn cut(&self, body: &mut DynamicFem) {
-        body.come_apart(self.slit.clone(), &self.fixed, &self.born, |_| {}).expect("it comes apart");
+        body.split_nodes(self.slit.clone(), &self.fixed, &self.born, |_| {}).expect("it comes apart");
     }
 }
 
@@ -93,7 +93,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
     let config = Config { mass_damping: 2.0, stiffness_damping: 1e-3, ..Config::default() };
     let (mut lent, mut at_once) = (bar.hanging(&config), bar.hanging(&config));
     bar.cut(&mut lent);
-    assert!(lent.is_lent() && lent.has_factor());
+    assert!(lent.has_stale_factor() && lent.has_factor());
     // The control has its own factor from the first step on.
     bar.cut(&mut at_once);
     let own = |body: &DynamicFem| {
@@ -103,7 +103,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
     };
     let analysis = own(&at_once);
     at_once.take_over(analysis, &[]).expect("room");
-    assert!(!at_once.is_lent());
+    assert!(!at_once.has_stale_factor());
     let (mut most, mut first) = (0.0_f64, [0; 2]);
     for step in 0..60 {
         let (mut swapped, is_swap) = (None, step % 10 == 3);
@@ -111,7 +111,7 @@ fn a_factor_that_is_lent_bears_a_cut_and_nothing_jumps_when_another_takes_over()
             // An identical body, apart from the factor.
             let mut twin = bar.hanging(&config);
             bar.cut(&mut twin);
-            twin.go_on(&lent.state());
+            twin.resume(&lent.state());
             let analysis = own(&twin);
             twin.take_over(analysis, &[]).expect("room");
             swapped = Some(twin);

@@ -4,12 +4,12 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::tet_mesh::{Birth, BoxCells, box_cells};
+use trocar_dynamics::tet_mesh::{BoxCells, NodeOrigin, box_cells};
 use trocar_scene::{Activation, HeatFrozen, Pose, RestPositions, Temperature, TetMesh, VertexPositions};
 use trocar_simulator::controller::ElectrosurgeryController;
 use trocar_simulator::controller::cutting::volume::VolumeCuts;
 use trocar_simulator::electrosurgery::{
-    BODY, Electrode, Electrosurgery, LatticeConfig, Mode, Parted, ThermalMaterial, Tissue,
+    BODY, CutTissue, Electrode, Electrosurgery, LatticeConfig, Mode, ThermalMaterial, Tissue,
 };
 
 type Elements<const N: usize> = Vec<[u32; N]>;
@@ -38,7 +38,7 @@ struct CutMesh<const N: usize> {
     positions: Vec<Point3<f64>>,
     elements: Elements<N>,
     of: Vec<u32>,
-    births: Vec<Birth>,
+    births: Vec<NodeOrigin>,
 }
 
 fn cut<const N: usize>(
@@ -56,7 +56,7 @@ fn cut<const N: usize>(
     for (vertex, at) in (0..).zip(positions).filter(|(_, at)| at.x.abs() < 1e-9 && is_cut(at)) {
         twins[vertex as usize] = Some(cut.positions.len() as u32);
         cut.positions.push(*at);
-        cut.births.push(Birth { of: [vertex; 2], share: 0.0 });
+        cut.births.push(NodeOrigin { of: [vertex; 2], share: 0.0 });
     }
     for element in &mut cut.elements {
         if element.iter().any(|vertex| positions[*vertex as usize].x < -1e-9) {
@@ -67,9 +67,9 @@ fn cut<const N: usize>(
 }
 
 impl CutMesh<4> {
-    fn parted(&self) -> Parted<'_> {
+    fn parted(&self) -> CutTissue<'_> {
         let tissue = Tissue::Volume { positions: &self.positions, tets: &self.elements };
-        Parted { tissue, of: &self.of, births: &self.births }
+        CutTissue { tissue, of: &self.of, births: &self.births }
     }
 
     /// Halves every element at the cut at its longest edge, as a blade's path may do.
@@ -87,7 +87,7 @@ impl CutMesh<4> {
                 let ends = longest.map(|corner| tet[corner]);
                 let middle = self.positions.len() as u32;
                 self.positions.push(nalgebra::center(&corners[longest[0]], &corners[longest[1]]));
-                self.births.push(Birth { of: ends, share: 0.5 });
+                self.births.push(NodeOrigin { of: ends, share: 0.5 });
                 // All that have the edge.
                 for other in 0..self.elements.len() {
                     if ends.iter().all(|end| self.elements[other].contains(end)) {
@@ -182,7 +182,7 @@ fn a_cut_membrane_keeps_its_cold_side_cold() {
     let CutMesh { positions: places, elements, of, births } = &parted;
     let mut heat = fresh(&first);
     let tissue = Tissue::Membrane { positions: places, triangles: elements, thickness: 1e-3 };
-    heat.part(&Parted { tissue, of, births }).expect("a parted membrane");
+    heat.part(&CutTissue { tissue, of, births }).expect("a parted membrane");
     burn(&mut heat, 3.0, 10.0);
     assert_balanced(&heat);
     let [left, right] = sides(&heat, places, elements);
@@ -222,7 +222,7 @@ fn what_is_warm_stays_so_when_it_is_cut_and_goes_on_from_a_state_to_the_bit() {
     assert_balanced(&late);
     // Invalid input is rejected by name.
     let of = vec![99_999; further.of.len()];
-    let wrong = Parted { of: &of, ..further.parted() };
+    let wrong = CutTissue { of: &of, ..further.parted() };
     let error = late.part(&wrong).expect_err("no such element");
     assert!(error.to_string().starts_with("parted: a part of element 99999"), "{error}");
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::tet_mesh::NodeOrigin;
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events,
     Frozen, JawState, Jobs, Measured, ParticleKind, Particles, Pose, RestPositions, SimTime, Store, TetMesh,
@@ -170,7 +170,7 @@ fn who_burns_the_tissue_about_a_vessel_burns_the_vessel_and_what_was_cut_counts_
     halves.push([a, half, c, d]);
     cut.put("liver", TetMesh { tets: Arc::new(halves) });
     cut.put("liver", RestPositions { positions: Arc::new(positions) });
-    let births = Arc::new(vec![Birth { of: [a, b], share: 0.5 }]);
+    let births = Arc::new(vec![NodeOrigin { of: [a, b], share: 0.5 }]);
     let parts_of = Arc::new(vec![near[0]]);
     cut.put("liver", VolumeCuts { births, parts_of, first: tets, ..VolumeCuts::default() });
     assert_eq!(burned(&mut cut, &near[..1]), one);

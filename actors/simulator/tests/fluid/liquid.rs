@@ -38,7 +38,7 @@ fn there_are_never_too_many_and_what_leaves_is_counted() {
     assert_eq!(fluid.state().numbers.iter().min(), Some(&50), "the oldest went");
     assert_eq!(fluid.add(Point3::new(1.0, 0.0, 0.0), Vector3::zeros()), None);
     assert_eq!(fluid.add(Point3::origin(), Vector3::new(f64::NAN, 0.0, 0.0)), None);
-    let sucked = fluid.suck(&Point3::new(0.05, 0.0, 0.0), 0.0055, u64::MAX);
+    let sucked = fluid.remove_within(&Point3::new(0.05, 0.0, 0.0), 0.0055, u64::MAX);
     assert!(sucked >= 10, "{sucked}");
     for _ in 0..40 {
         fluid.step(0.01).expect("a step");

@@ -5,7 +5,9 @@ use nalgebra::{Point3, Vector3};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, OutOfValidity, Pose, VertexPositions,
 };
-use trocar_simulator::controller::{Coagulated, CoagulatedElements, LinearFemController, RemovedElements};
+use trocar_simulator::controller::{
+    CoagulatedElement, CoagulatedElements, LinearFemController, RemovedElements,
+};
 
 const HZ: f64 = 60.0;
 
@@ -239,7 +241,7 @@ fn what_is_stiffened_and_more_than_can_be_corrected_for_are_blended_in_unfelt() 
         assert!(gone.len() > 64 + more, "{}", gone.len());
         let gone = &gone[..8 + more];
         let stiff = all.filter(|tet| !gone.contains(tet) && beside(-0.006, middle(&mesh[*tet as usize])));
-        let stiff = stiff.map(|element| Coagulated { element, stiffness: 7.0, length: 0.99 });
+        let stiff = stiff.map(|element| CoagulatedElement { element, stiffness: 7.0, length: 0.99 });
         if coagulates {
             stage.put("pad", CoagulatedElements { elements: std::sync::Arc::new(stiff.collect()) });
         }

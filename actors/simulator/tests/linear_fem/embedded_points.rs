@@ -11,7 +11,7 @@ use trocar_scene::{
     VertexPositions,
 };
 use trocar_simulator::controller::{DynamicFemController, LinearFemController, PinPlaces, RemovedElements};
-use trocar_simulator::linear_algebra::SparseCholesky;
+use trocar_simulator::linear_algebra::SupernodalCholesky;
 use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;
@@ -95,7 +95,7 @@ fn a_hook_that_is_driven_into_an_organ_feels_the_force_of_a_direct_solve() {
         .collect();
     let material = Elastic::new(2e4, 0.3).expect("a material");
     let k = stiffness(&mesh, &material, &numbers, next as usize);
-    let mut factor = SparseCholesky::new(k.pattern(), 1).expect("room");
+    let mut factor = SupernodalCholesky::new(k.pattern(), 1).expect("room");
     factor.factor(k.pattern(), k.values()).expect("definite");
     let inside = POINTS.map(|point| mesh.locate(&Point3::from(point)).expect("inside"));
     let mut w = nalgebra::DMatrix::zeros(6, 6);

@@ -5,8 +5,8 @@
 use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
-use trocar_dynamics::tet_mesh::{FaceOf, TetMesh, Volume};
-use trocar_simulator::linear_algebra::SparseCholesky;
+use trocar_dynamics::tet_mesh::{TetFace, TetMesh, Volume};
+use trocar_simulator::linear_algebra::SupernodalCholesky;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, LinearFemError, Load, patch};
 use trocar_simulator::stiffness::stiffness;
 
@@ -23,7 +23,7 @@ fn fresh(mesh: &TetMesh, parents: &[u32], fixed: &[u32], alterations: &[Alterati
 }
 
 /// The beam with a slit at an x, from a height on \[m\]: its mesh, and the originals of its new nodes.
-struct Slit {
+struct OpenCut {
     whole: TetMesh,
     mesh: TetMesh,
     parents: Vec<u32>,
@@ -35,7 +35,7 @@ fn middle(mesh: &TetMesh, nodes: &[u32; 4]) -> Point3<f64> {
 }
 
 /// Faces between elements on the two sides of a plane.
-fn faces_at(whole: &TetMesh, volume: &Volume, x: f64, from: f64) -> Vec<FaceOf> {
+fn faces_at(whole: &TetMesh, volume: &Volume, x: f64, from: f64) -> Vec<TetFace> {
     let mut faces = Vec::new();
     for (tet, nodes) in volume.tets() {
         for corner in 0..4_u8 {
@@ -52,7 +52,7 @@ fn faces_at(whole: &TetMesh, volume: &Volume, x: f64, from: f64) -> Vec<FaceOf> 
     faces
 }
 
-impl Slit {
+impl OpenCut {
     fn new(cells: [usize; 3], x: f64, from: f64) -> Self {
         let whole = beam::mesh(cells);
         let mut volume = Volume::new(&whole);
@@ -68,7 +68,7 @@ impl Slit {
     /// The former inverse, corrected.
     fn serving(&self) -> LinearFem {
         let mut fem = body(&self.whole, &self.wall);
-        fem.come_apart(&self.mesh, &self.parents).expect("it becomes that");
+        fem.split_nodes(&self.mesh, &self.parents).expect("it becomes that");
         while fem.can_release() {
             assert!(fem.release_nodes(7).expect("room") > 0);
         }
@@ -107,7 +107,7 @@ fn direct(mesh: &TetMesh, wall: &[u32], forces: &[Vector3<f64>]) -> Vec<Vector3<
         })
         .collect();
     let matrix = stiffness(mesh, &beam::material(), &numbers, next as usize);
-    let mut factor = SparseCholesky::new(matrix.pattern(), 1).expect("room");
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), 1).expect("room");
     factor.factor(matrix.pattern(), matrix.values()).expect("definite");
     let mut right = vec![0.0; 3 * next as usize];
     for (number, force) in numbers.iter().zip(forces) {
@@ -124,7 +124,7 @@ fn direct(mesh: &TetMesh, wall: &[u32], forces: &[Vector3<f64>]) -> Vec<Vector3<
 
 #[test]
 fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_slit_mesh() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.01);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.01);
     // Two layers of the nodes of the upper half; those at the root of the slit stay one.
     assert_eq!(slit.parents.len(), 2 * 5);
     let force = Vector3::new(0.001, 0.002, -0.02);
@@ -161,7 +161,7 @@ fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_sli
     assert!(apart(&whole, &exact[..born]) > 0.05 * most(&exact));
     // With nodes split in the mesh only, it bends as an unsplit one.
     let mut together = body(&slit.whole, &slit.wall);
-    together.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    together.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(together.waiting(), slit.parents.len());
     let moved = bent(&mut together);
     assert!(apart(&moved[..born], &whole) < 1e-12 * most(&whole));
@@ -170,7 +170,7 @@ fn a_bar_that_is_slit_across_half_its_section_bends_as_a_direct_solve_of_the_sli
 
 #[test]
 fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.01);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.01);
     let born = slit.whole.rest().len() as u32;
     let grasp = |fem: &LinearFem, x: f64| {
         let mesh = fem.mesh();
@@ -209,7 +209,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
     assert!(apart(&there, &then) < 1e-4 * most(&then));
     // The control: an unsplit bar gives another force.
     let mut whole = body(&slit.whole, &slit.wall);
-    whole.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    whole.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     // Both lips at one position: the second of them cannot be constrained elsewhere.
     let handle = whole.hold(Attachment::node(born + 3, Hold::Point)).expect("held");
     let other = whole.hold(Attachment::node(slit.parents[3], Hold::Point));
@@ -221,7 +221,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
     let handle = during.hold(Attachment { weights: grasp(&during, 0.09), hold: Hold::Point }).expect("held");
     during.set_target(handle, Vector3::new(0.0, 0.0, 0.002)).expect("held");
     let before = during.solve(&[]).expect("solved").reactions[0].force;
-    during.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    during.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(during.solve(&[]).expect("solved").reactions[0].force, before);
     during.release_nodes(4).expect("room");
     during.remove(&[700]).expect("it is there");
@@ -240,7 +240,7 @@ fn what_holds_a_slit_bar_is_felt_alike_before_and_after_the_next_inverse() {
 
 #[test]
 fn what_burns_and_what_is_cut_are_corrected_for_in_any_order() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.01);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.01);
     let near = |tet: &[u32; 4]| {
         let at = middle(&slit.mesh, tet);
         at.x > 0.044 && at.x < 0.056 && at.z > 0.014
@@ -264,7 +264,7 @@ fn what_burns_and_what_is_cut_are_corrected_for_in_any_order() {
         if order == 0 {
             fem.remove(&gone).expect("they are there");
         }
-        fem.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+        fem.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
         if order == 1 {
             fem.release_nodes(3).expect("room");
             fem.remove(first).expect("they are there");
@@ -285,7 +285,7 @@ fn what_burns_and_what_is_cut_are_corrected_for_in_any_order() {
 
 #[test]
 fn a_bar_that_is_cut_through_is_two_pieces_of_which_one_is_held_by_nothing() {
-    let slit = Slit::new([20, 4, 4], 0.05, 0.0);
+    let slit = OpenCut::new([20, 4, 4], 0.05, 0.0);
     assert_eq!(slit.parents.len(), 25);
     let (mut serving, mut new) = (slit.serving(), slit.fresh());
     let pulls = Vector3::new(0.0005, 0.001, 0.002);
@@ -346,17 +346,17 @@ fn beam_half(whole: &TetMesh) -> (TetMesh, Vec<u32>) {
 
 #[test]
 fn more_than_can_be_corrected_for_waits_and_meshes_that_it_does_not_become_are_refused() {
-    let slit = Slit::new([40, 12, 12], 0.05, 0.0);
+    let slit = OpenCut::new([40, 12, 12], 0.05, 0.0);
     assert_eq!(slit.parents.len(), 169);
     let mut fem = body(&slit.whole, &slit.wall);
-    fem.come_apart(&slit.mesh, &slit.parents).expect("it becomes that");
+    fem.split_nodes(&slit.mesh, &slit.parents).expect("it becomes that");
     assert_eq!(fem.release_nodes(1000).expect("room"), 128);
     assert_eq!((fem.waiting(), fem.can_release(), fem.removable()), (41, false, 0));
     assert_eq!(fem.release_nodes(1000), Ok(0));
     assert_eq!(fem.remove(&[5]), Err(LinearFemError::TooManyRemoved));
     let mut other = body(&slit.whole, &slit.wall);
-    assert_eq!(other.come_apart(&slit.mesh, &slit.parents[1..]), Err(LinearFemError::OtherMesh));
+    assert_eq!(other.split_nodes(&slit.mesh, &slit.parents[1..]), Err(LinearFemError::OtherMesh));
     let ahead = vec![slit.mesh.rest().len() as u32; slit.parents.len()];
-    assert_eq!(other.come_apart(&slit.mesh, &ahead), Err(LinearFemError::OtherMesh));
+    assert_eq!(other.split_nodes(&slit.mesh, &ahead), Err(LinearFemError::OtherMesh));
     assert!(!other.is_corrected());
 }

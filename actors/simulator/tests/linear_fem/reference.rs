@@ -37,9 +37,9 @@ fn deflections_lead_to_the_answer_of_quadratic_elements() {
     let orders = [0, 1, 2].map(|mesh| (errors[mesh] / errors[mesh + 1]).log2());
     assert!(orders[0] > 1.1 && orders[1] > 1.5 && (1.9..2.1).contains(&orders[2]), "{orders:?}");
     for (meshes, tolerance) in [([1, 2], 0.02), ([2, 3], 1e-3)] {
-        let led = meshes.map(|mesh| found[mesh]);
-        let led_to = led[1] + (led[1] - led[0]) / 3.0;
-        assert!((led_to / answer - 1.0).abs() < tolerance, "{led:?} lead to {led_to}");
+        let driven = meshes.map(|mesh| found[mesh]);
+        let led_to = driven[1] + (driven[1] - driven[0]) / 3.0;
+        assert!((led_to / answer - 1.0).abs() < tolerance, "{driven:?} lead to {led_to}");
     }
 }
 

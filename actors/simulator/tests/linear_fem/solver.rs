@@ -153,7 +153,8 @@ fn ten_grasped_nodes_read_back_the_force_of_a_direct_solve() {
         })
         .collect();
     let inner = stiffness(&mesh, &beam::material(), &numbers, next as usize);
-    let mut factor = trocar_simulator::linear_algebra::SparseCholesky::new(inner.pattern(), 1).expect("room");
+    let mut factor =
+        trocar_simulator::linear_algebra::SupernodalCholesky::new(inner.pattern(), 1).expect("room");
     factor.factor(inner.pattern(), inner.values()).expect("definite");
     let mut u = vec![Vector3::zeros(); count];
     tip.iter().zip(&targets).for_each(|(&node, target)| u[node as usize] = *target);

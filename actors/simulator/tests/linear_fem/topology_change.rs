@@ -10,7 +10,7 @@ use trocar_scene::{
     VertexPositions,
 };
 use trocar_simulator::controller::LinearFemController;
-use trocar_simulator::linear_algebra::SparseCholesky;
+use trocar_simulator::linear_algebra::SupernodalCholesky;
 use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;
@@ -208,7 +208,7 @@ fn after_the_next_inverse_it_is_where_a_direct_solve_of_the_slit_mesh_has_it() {
         })
         .collect();
     let inner = stiffness(&mesh, &material, &numbers, next as usize);
-    let mut factor = SparseCholesky::new(inner.pattern(), 1).expect("room");
+    let mut factor = SupernodalCholesky::new(inner.pattern(), 1).expect("room");
     factor.factor(inner.pattern(), inner.values()).expect("definite");
     let mut right = vec![0.0; 3 * next as usize];
     for (node, number) in numbers.iter().enumerate().filter(|(node, _)| near(*node)) {

@@ -288,8 +288,8 @@ fn the_factor_of_the_cloth_at_rest_does_most_of_the_work_of_the_iteration() {
         let mut most = 0;
         for step in 1..=40 {
             let position = points[65 * 64] + Vector3::new(0.0, 0.0, 2e-4 * f64::from(step));
-            let led = [Prescribed { node: 65 * 64, position }];
-            let input = Input { gravity: DOWN, prescribed: &led, ..Input::default() };
+            let driven = [Prescribed { node: 65 * 64, position }];
+            let input = Input { gravity: DOWN, prescribed: &driven, ..Input::default() };
             most = most.max(solver.step(1e-3, &input).expect("a step").iterations);
         }
         (most, solver.state().clone())
@@ -387,8 +387,8 @@ fn led_nodes_are_where_they_have_to_be_and_pull_the_rest_along() {
         let mut solver = MassSpring::new(network, points.clone(), &[], config).expect("valid");
         for step in 1..=500 {
             let position = points[0] + Vector3::new(0.0, 0.0, 1e-4 * f64::from(step));
-            let led = [Prescribed { node: 0, position }, Prescribed { node: 5, position: points[5] }];
-            solver.step(1e-3, &Input { prescribed: &led, ..Input::default() }).expect("a step");
+            let driven = [Prescribed { node: 0, position }, Prescribed { node: 5, position: points[5] }];
+            solver.step(1e-3, &Input { prescribed: &driven, ..Input::default() }).expect("a step");
             assert_eq!(solver.state().positions[0], position);
             assert_eq!(solver.state().positions[5], points[5]);
         }

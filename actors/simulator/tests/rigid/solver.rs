@@ -1,7 +1,7 @@
 //! Rigid bodies against closed forms: free rotation, a struck rod, bouncing, rolling, rest.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_simulator::rigid::{
     ContactConfig, Integrator, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
 };
@@ -118,11 +118,11 @@ fn a_rod_struck_at_its_end_moves_and_turns() {
     let moment = 0.1 * 0.2 * 0.2 / 12.0;
     let rod = RigidMass { mass: 0.1, inertia: Vector3::new(1e-6, moment, moment) };
     let mut body = bodies(&[rod], &[at(0.0, 0.0, 0.0)], Vector3::zeros(), Integrator::default());
-    body.strike(0, &Vector3::new(0.0, 0.05, 0.0), &Point3::new(0.1, 0.0, 0.0)).expect("a body");
+    body.apply_impulse(0, &Vector3::new(0.0, 0.05, 0.0), &Point3::new(0.1, 0.0, 0.0)).expect("a body");
     let state = body.states()[0];
     assert!((rod.velocity(&state) - Vector3::new(0.0, 0.5, 0.0)).norm() < 1e-12);
     assert!((rod.angular_velocity(&state) - Vector3::new(0.0, 0.0, 15.0)).norm() < 1e-9);
-    assert!(body.strike(1, &Vector3::zeros(), &Point3::origin()).is_err());
+    assert!(body.apply_impulse(1, &Vector3::zeros(), &Point3::origin()).is_err());
 }
 
 #[test]

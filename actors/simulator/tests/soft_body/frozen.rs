@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::support::freezing::{Build, GRAVITY, positions, two};
 use crate::support::stage::{Stage, context, scene};
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::picking::{Held, Pick, Picks};
+use trocar_dynamics::picking::{HeldVertex, Pick, Picks};
 use trocar_dynamics::rigid_bodies::RigidBodiesController;
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
@@ -206,7 +206,7 @@ fn a_linear_organ_of_which_a_step_makes_no_number_is_frozen_in_that_step_and_the
         .collect();
     let vertices = (0..top.len() as u32)
         .filter(|vertex| is_up(*vertex))
-        .map(|vertex| Held { vertex, in_instrument: instrument_from_world * top[vertex as usize] })
+        .map(|vertex| HeldVertex { vertex, in_instrument: instrument_from_world * top[vertex as usize] })
         .collect();
     let instrument = stage.entity("grasper").to_bits();
     let picks = Picks { picks: vec![Pick { instrument, triangles, vertices }], shut: Vec::new() };

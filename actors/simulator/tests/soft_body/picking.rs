@@ -76,11 +76,11 @@ fn what_is_picked_follows_the_instrument_as_a_rigid_body() {
     picks.update(&triangles, &points, &[jaws(1, before, [&[4, 5], &[4, 5]])]).expect("heard");
     // A restored session keeps its grasp.
     let picks: Picks = serde_json::from_str(&serde_json::to_string(&picks).expect("text")).expect("picks");
-    let led = picks.led(&[jaws(1, after, [&[], &[]])]);
-    assert_eq!(led.iter().map(|led| led.vertex).collect::<Vec<_>>(), [4, 5, 6, 7]);
-    for led in led {
-        let wanted = after * before.inverse_transform_point(&points[led.vertex as usize]);
-        assert!((led.position_in_world - wanted).norm() < 1e-15);
+    let driven = picks.driven(&[jaws(1, after, [&[], &[]])]);
+    assert_eq!(driven.iter().map(|driven| driven.vertex).collect::<Vec<_>>(), [4, 5, 6, 7]);
+    for driven in driven {
+        let wanted = after * before.inverse_transform_point(&points[driven.vertex as usize]);
+        assert!((driven.position_in_world - wanted).norm() < 1e-15);
     }
 }
 
@@ -96,9 +96,12 @@ fn of_two_instruments_the_first_keeps_what_both_want() {
     assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
     // Each vertex is prescribed once, shared ones by the first instrument.
     let moved = [left, Jaws { pose_in_world: Isometry3::translation(0.0, 0.0, 0.1), ..right }];
-    let led = picks.led(&moved);
-    assert!(led.windows(2).all(|pair| pair[0].vertex < pair[1].vertex));
-    assert!(led.iter().all(|led| (led.position_in_world.z > 0.05) == (led.vertex > 6)), "{led:?}");
+    let driven = picks.driven(&moved);
+    assert!(driven.windows(2).all(|pair| pair[0].vertex < pair[1].vertex));
+    assert!(
+        driven.iter().all(|driven| (driven.position_in_world.z > 0.05) == (driven.vertex > 6)),
+        "{driven:?}"
+    );
     // When the first releases, the other keeps its own; closed again, the first finds those taken.
     let open = Jaws { closed: false, ..left };
     picks.update(&triangles, &points, &[open, right]).expect("heard");
@@ -143,19 +146,21 @@ fn a_held_sheet_follows_through_a_solver_and_a_cut() {
             picks.follow(&change.triangles, sheet.triangles(), &solver.state().positions, &[now]);
             assert!(picks.of(9).expect("a pick").triangles.len() > 2);
         }
-        let led = picks.led(&[now]);
-        let prescribed: Vec<_> =
-            led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world }).collect();
+        let driven = picks.driven(&[now]);
+        let prescribed: Vec<_> = driven
+            .iter()
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world })
+            .collect();
         solver.step(1e-3, &Input { prescribed: &prescribed, ..Input::default() }).expect("a step");
-        for led in led {
-            assert_eq!(solver.state().positions[led.vertex as usize], led.position_in_world);
+        for driven in driven {
+            assert_eq!(solver.state().positions[driven.vertex as usize], driven.position_in_world);
         }
     }
     let held = picks.of(9).expect("a pick").vertices[0].vertex as usize;
     assert!((solver.state().positions[held].z - 0.0199).abs() < 1e-9);
     let open = Jaws { closed: false, ..jaws(9, pose(200), [touched, touched]) };
     picks.update(sheet.triangles(), &solver.state().positions, &[open]).expect("heard");
-    assert!(picks.led(&[open]).is_empty());
+    assert!(picks.driven(&[open]).is_empty());
 }
 
 #[test]

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
-use trocar_simulator::linear_algebra::{BlockMatrix, SparseCholesky};
+use trocar_simulator::linear_algebra::{BlockMatrix, SupernodalCholesky};
 use trocar_simulator::stiffness::stiffness;
 
 /// Numbers of the nodes that are not fixed.
@@ -19,8 +19,8 @@ pub fn numbers(mesh: &TetMesh, fixed: &[u32]) -> (Vec<Option<u32>>, usize) {
     (numbers.collect(), next as usize)
 }
 
-pub fn factored(matrix: &BlockMatrix) -> SparseCholesky {
-    let mut factor = SparseCholesky::new(matrix.pattern(), 1).expect("room");
+pub fn factored(matrix: &BlockMatrix) -> SupernodalCholesky {
+    let mut factor = SupernodalCholesky::new(matrix.pattern(), 1).expect("room");
     factor.factor(matrix.pattern(), matrix.values()).expect("positive definite");
     factor
 }

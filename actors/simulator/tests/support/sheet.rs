@@ -3,7 +3,7 @@
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_simulator::cutting::{Sheet, TopologyChange};
-use trocar_simulator::mass_spring::{Followed, MassSpring, Patch, SurfaceMaterial};
+use trocar_simulator::mass_spring::{ChangedMesh, MassSpring, NetworkChange, SurfaceMaterial};
 
 /// Updates a spring solver to a changed sheet.
 pub fn follow(
@@ -11,10 +11,10 @@ pub fn follow(
     sheet: &Sheet,
     change: &TopologyChange,
     material: &SurfaceMaterial,
-) -> Followed {
+) -> NetworkChange {
     let mut pinned = solver.pinned().to_vec();
     change.carry_members(&mut pinned, solver.state().positions.len());
-    let patch = Patch {
+    let patch = ChangedMesh {
         rest: sheet.rest(),
         elements: sheet.triangles(),
         altered: &|_| Alteration::NONE,

@@ -6,7 +6,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
-    Bite, ChannelPoint, Event, Place, Resistance, StepInputs, Suture, SutureReport, SutureState, Tip, Tissue,
+    Bite, ChannelPoint, Event, MaterialPoint, Resistance, StepInputs, Suture, SutureReport, SutureState, Tip,
+    Tissue,
 };
 use trocar_simulator::suture_thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
@@ -46,13 +47,13 @@ fn sewn(line: &[Point3<f64>], bites: &[[f64; 2]], resistance: Resistance, tissue
     for (number, [from, to]) in bites.iter().enumerate() {
         let number = number as u32;
         let count = ((to - from) / resistance.spacing).round() as usize;
-        let places: Vec<(Place, f64)> = (0..=count)
+        let places: Vec<(MaterialPoint, f64)> = (0..=count)
             .map(|i| {
                 let distance = to - (to - from) * i as f64 / count as f64;
                 (tissue.locate(&at(distance)), -distance)
             })
             .collect();
-        let surface = |place: &Place| tissue.nearest(&tissue.at_rest(place));
+        let surface = |place: &MaterialPoint| tissue.nearest(&tissue.at_rest(place));
         state.channel.extend(places.iter().map(|(place, along)| ChannelPoint {
             place: *place,
             along: *along,

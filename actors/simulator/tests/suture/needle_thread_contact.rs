@@ -66,7 +66,7 @@ fn radii() -> f64 {
 
 /// Moves both ends of the span across down by this much, with jaws on the needle's tail; returns their force on the
 /// needle and that of the hands on the thread \[N\].
-fn led(down: f64) -> (Suture, [Vector3<f64>; 2]) {
+fn driven(down: f64) -> (Suture, [Vector3<f64>; 2]) {
     let (state, turn) = laid();
     let shape = straight();
     let at = state.needle.pose();
@@ -93,7 +93,7 @@ fn led(down: f64) -> (Suture, [Vector3<f64>; 2]) {
 
 #[test]
 fn a_strand_drawn_over_the_wire_stays_outside_and_presses_it() {
-    let (suture, [grip, hands]) = led(3e-3);
+    let (suture, [grip, hands]) = driven(3e-3);
     // The hands pull the thread down, and the jaws support the needle: the forces balance.
     assert!(grip.z > 0.1 && hands.z < -0.1, "{grip:?} N, {hands:?} N");
     assert!((grip + hands).norm() < 0.02 * grip.norm(), "{grip:?} N, {hands:?} N");
@@ -101,7 +101,7 @@ fn a_strand_drawn_over_the_wire_stays_outside_and_presses_it() {
     let pressed: Vector3<f64> = suture.state().strand_contacts.iter().map(|contact| contact.force).sum();
     assert!((pressed.z + hands.z).abs() < 0.05 * pressed.z, "{pressed:?} N on the strand, {hands:?} N");
     // Moved only almost into contact, there is no force.
-    let (_, [grip, _]) = led(0.2e-3);
+    let (_, [grip, _]) = driven(0.2e-3);
     assert!(grip.norm() < 5e-3, "{grip:?} N");
 }
 

@@ -9,7 +9,7 @@ use trocar_simulator::suture_thread::elastic::ElasticBody;
 use trocar_simulator::suture_thread::initial_shape::{Throws, throws};
 use trocar_simulator::suture_thread::knot::{KnotKind, identify};
 use trocar_simulator::suture_thread::{
-    Elastic, Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadReport, ThreadState,
+    ElasticObstacle, Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadReport, ThreadState,
 };
 
 const RADIUS: f64 = 4e-3;
@@ -35,7 +35,7 @@ fn step(thread: &mut Thread, body: &mut ElasticBody, holds: &[Hold], friction: f
     let around = Surroundings {
         holds,
         obstacles: &obstacles,
-        elastic: Some(Elastic { obstacle: 0, body }),
+        elastic: Some(ElasticObstacle { obstacle: 0, body }),
         ..Surroundings::default()
     };
     let report = thread.step(dt, &around).expect("a step");
@@ -218,7 +218,7 @@ fn what_is_no_surface_of_a_body_that_stays_is_refused_by_name() {
         (&[still, ball][..], 1, "that obstacle is not its surface"),
         (&[moving][..], 0, "it has to stay in its place"),
     ] {
-        let elastic = Some(Elastic { obstacle, body: &body });
+        let elastic = Some(ElasticObstacle { obstacle, body: &body });
         let error = thread
             .step(1e-3, &Surroundings { obstacles, elastic, ..Surroundings::default() })
             .expect_err("it makes no sense");

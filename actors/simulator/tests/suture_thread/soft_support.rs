@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use trocar_dynamics::coupling::external_nodes::{GhostNode, Path};
+use trocar_dynamics::coupling::external_nodes::{GhostNode, PredictedPath};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
@@ -213,12 +213,12 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
             .collect(),
     );
     let mass = 2e-6;
-    let mut guests: Vec<GhostNode> = nodes
+    let mut ghost_nodes: Vec<GhostNode> = nodes
         .iter()
         .map(|position| GhostNode {
             position: *position,
             mobility: 1.0 / mass,
-            path: Path { position: *position, ..Path::default() },
+            path: PredictedPath { position: *position, ..PredictedPath::default() },
             ..GhostNode::default()
         })
         .collect();
@@ -236,18 +236,19 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
     let before = of_thread(thread.state());
     let mut surface = SoftSurface::default();
     for _ in 0..40 {
-        let positions: Vec<Point3<f64>> = guests.iter().map(|guest| guest.position).collect();
-        surface.begin(guests.iter().copied(), std::iter::empty(), &triangles);
+        let positions: Vec<Point3<f64>> = ghost_nodes.iter().map(|ghost_node| ghost_node.position).collect();
+        surface.begin(ghost_nodes.iter().copied(), std::iter::empty(), &triangles);
         let shape = Shape::Mesh { from: &positions, to: &positions, triangles: &triangles, radius: 0.0 };
         let obstacles = [Obstacle::fixed(shape, Isometry3::identity(), 0.3)];
         let around = Surroundings { obstacles: &obstacles, ..Surroundings::default() };
         thread.step_on(5e-4, &around, 0, &mut surface).expect("a step");
-        for (guest, moved) in guests.iter_mut().zip(surface.moved()) {
-            (guest.position, guest.velocity, guest.path) = (moved.position, moved.velocity, moved.path);
+        for (ghost_node, moved) in ghost_nodes.iter_mut().zip(surface.moved()) {
+            (ghost_node.position, ghost_node.velocity, ghost_node.path) =
+                (moved.position, moved.velocity, moved.path);
         }
     }
     let after = of_thread(thread.state());
-    let has: Vector3<f64> = guests.iter().map(|guest| guest.velocity * mass).sum();
+    let has: Vector3<f64> = ghost_nodes.iter().map(|ghost_node| ghost_node.velocity * mass).sum();
     let lost = before - after;
     assert!(has.norm() > 0.3 * before.norm(), "{has:?} of {before:?} kg·m/s");
     // Friction has dragged it along as well.
@@ -255,7 +256,7 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
     assert!((has - lost).norm() <= 1e-6 * has.norm(), "{has:?} for {lost:?} kg·m/s");
     // Together they have no more energy than the thread had.
     let energy = |velocity: &Vector3<f64>| 0.5 * mass * velocity.norm_squared();
-    let sum: f64 = guests.iter().map(|guest| energy(&guest.velocity)).sum();
+    let sum: f64 = ghost_nodes.iter().map(|ghost_node| energy(&ghost_node.velocity)).sum();
     let had = 0.5 * 0.01 * material.mass_per_length * 0.26;
     assert!(sum < had, "{sum} J of {had} J");
 }

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use trocar_dynamics::tet_mesh::{
-    BoxCells, MeshRules, Moving, RefineError, Slit, Sweep, TetMesh, Volume, VolumeChange, VolumeError,
+    BoxCells, MeshRules, NodeMotion, OpenCut, RefineError, Sweep, TetMesh, Volume, VolumeChange, VolumeError,
     box_cells, refined,
 };
 use trocar_simulator::mass_spring::{
@@ -159,11 +159,11 @@ fn a_refined_mesh_is_fine_where_it_is_asked_to_be_and_as_sound_as_before() {
 
 /// Sweeps a straight blade, which points along y from `x0` on, through a block in this many ticks, its path tilted by
 /// `slope`; everything moves by `drift` in each tick.
-fn drawn(ticks: u32, slope: f64, drift: Vector3<f64>) -> (Volume, Slit, Point3<f64>, Vector3<f64>) {
+fn drawn(ticks: u32, slope: f64, drift: Vector3<f64>) -> (Volume, OpenCut, Point3<f64>, Vector3<f64>) {
     let mesh = block([6, 3, 3]);
     let mut volume = Volume::new(&mesh);
-    let (mut slit, mut change) = (Slit::default(), VolumeChange::default());
-    let mut nodes = Moving { positions: mesh.rest().to_vec(), moved: vec![drift; mesh.rest().len()] };
+    let (mut slit, mut change) = (OpenCut::default(), VolumeChange::default());
+    let mut nodes = NodeMotion { positions: mesh.rest().to_vec(), moved: vec![drift; mesh.rest().len()] };
     // Through the middle of the block, from above to below.
     let middle = Point3::new(0.0287, 0.0, 0.015);
     let way = Vector3::new(slope, 0.0, -1.0);
@@ -239,9 +239,9 @@ fn a_blade_cuts_where_it_passes_and_not_where_elements_meet() {
 fn a_thousand_random_cuts_leave_no_sliver() {
     let mesh = block([4, 4, 4]);
     let mut volume = Volume::new(&mesh);
-    let (mut slit, mut change) = (Slit::default(), VolumeChange::default());
+    let (mut slit, mut change) = (OpenCut::default(), VolumeChange::default());
     let mut nodes =
-        Moving { positions: mesh.rest().to_vec(), moved: vec![Vector3::zeros(); mesh.rest().len()] };
+        NodeMotion { positions: mesh.rest().to_vec(), moved: vec![Vector3::zeros(); mesh.rest().len()] };
     let mut random = Pcg64Mcg::seed_from_u64(11);
     for round in 0..1000 {
         let mut point = || Point3::from([0; 3].map(|_| random.random_range(-0.005..0.045)));

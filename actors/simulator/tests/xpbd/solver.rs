@@ -66,7 +66,7 @@ fn what_hangs_in_jaws_weighs_what_it_weighs() {
             .filter(|&node| body.rest[node as usize].x < 0.011)
             .map(|node| Prescribed { node, position: body.rest[node as usize] })
             .collect();
-        let nodes: Vec<u32> = held.iter().map(|led| led.node).collect();
+        let nodes: Vec<u32> = held.iter().map(|driven| driven.node).collect();
         let config = XpbdConfig { parts: 20, damping: 20.0, ..XpbdConfig::default() };
         let mut solver = Xpbd::new(&body, &[], config).expect("a body");
         for _ in 0..1000 {
@@ -227,8 +227,8 @@ fn the_bits_are_the_same_on_any_number_of_threads_and_after_a_restart() {
     assert!(tets.len() > 100_000 && distances.len() > 10_000);
     let body =
         Body { rest: &points, tets: &tets, elasticity: Some(SOFT), distances: &distances, ..Body::default() };
-    let led = [Prescribed { node: 0, position: points[0] + Vector3::new(0.001, 0.002, 0.0) }];
-    let input = XpbdInput { gravity: DOWN, prescribed: &led, ..XpbdInput::default() };
+    let driven = [Prescribed { node: 0, position: points[0] + Vector3::new(0.001, 0.002, 0.0) }];
+    let input = XpbdInput { gravity: DOWN, prescribed: &driven, ..XpbdInput::default() };
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| {
@@ -250,7 +250,7 @@ fn the_bits_are_the_same_on_any_number_of_threads_and_after_a_restart() {
         })
     };
     let one = run(1);
-    assert_eq!(one.positions[0], led[0].position);
+    assert_eq!(one.positions[0], driven[0].position);
     assert_eq!(one.positions[5], points[5]);
     assert!(one == run(2) && one == run(3));
 }
@@ -321,14 +321,14 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     masses[0] = 0.5e-4;
     let mut second = body(&chain(10, 19), &masses, &[]);
     let of_second = |node: u32| OF_BODY + 11 + 1 + node;
-    let guests = [(of_second(0), 1.0), (of_second(1), 0.0), (of_second(2), 0.0), (of_second(3), 0.0)];
-    let ties = [Tie { node: 10, guests, stiffness: 1e5, damping: 0.0 }];
-    let company = ExternalNodes { ties: &ties, ..ExternalNodes::default() };
+    let ghost_nodes = [(of_second(0), 1.0), (of_second(1), 0.0), (of_second(2), 0.0), (of_second(3), 0.0)];
+    let ties = [Tie { node: 10, ghost_nodes, stiffness: 1e5, damping: 0.0 }];
+    let external_nodes = ExternalNodes { ties: &ties, ..ExternalNodes::default() };
     let mut state = ExternalNodesState::default();
     for _ in 0..600 {
         whole.step(0.01, &input).expect("a step");
         let mut members = [Member { body: &mut first, input }, Member { body: &mut second, input }];
-        step_together(0.01, &mut members, &company, &mut state).expect("a step");
+        step_together(0.01, &mut members, &external_nodes, &mut state).expect("a step");
     }
     let end = |body: &Xpbd| *body.state().positions.last().expect("an end");
     let (one, two) = (end(&whole), end(&second));
@@ -353,17 +353,17 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     let damped = momentum(&first, &second);
     let still = XpbdInput::default();
     let mut members = [Member { body: &mut first, input: still }, Member { body: &mut second, input: still }];
-    step_together(0.01, &mut members, &company, &mut state).expect("a step");
+    step_together(0.01, &mut members, &external_nodes, &mut state).expect("a step");
     // Damping removes the same fraction of everything: 40 substeps of a quarter millisecond at 2 1/s.
     let kept = (1.0 + 2.0 * 0.01 / 40.0_f64).powi(-40);
     let after = momentum(&first, &second);
     assert!((after - damped * kept).norm() < 1e-9 * damped.norm(), "{after:?} of {:?}", damped * kept);
     assert!(state_of(&first).velocities[10].norm() > 0.01, "the one draws the other along");
     // A tie to a missing node is rejected, and nothing has moved.
-    let wrong = [Tie { guests: [(OF_BODY + 99, 1.0); 4], ..ties[0] }];
-    let company = ExternalNodes { ties: &wrong, ..ExternalNodes::default() };
+    let wrong = [Tie { ghost_nodes: [(OF_BODY + 99, 1.0); 4], ..ties[0] }];
+    let external_nodes = ExternalNodes { ties: &wrong, ..ExternalNodes::default() };
     let before = (state_of(&first), state_of(&second));
     let mut members = [Member { body: &mut first, input: still }, Member { body: &mut second, input: still }];
-    assert!(step_together(0.01, &mut members, &company, &mut state).is_err());
+    assert!(step_together(0.01, &mut members, &external_nodes, &mut state).is_err());
     assert_eq!((state_of(&first), state_of(&second)), before);
 }

@@ -8,7 +8,7 @@ use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
 
 use super::penalty::RespondingBody;
 use super::rigid::RigidProxy;
-use super::tracking::{Place, Shape};
+use super::tracking::{Shape, SurfacePoint};
 use super::{ContactSums, ImpulseTotals, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
@@ -17,22 +17,22 @@ use crate::soft_body::method::ContactParams;
 pub(crate) struct AppliedImpulses {
     pub giver: Entity,
     pub vertices: Vec<ContactSums>,
-    pub wholes: Vec<ImpulseTotals>,
+    pub rigid_totals: Vec<ImpulseTotals>,
 }
 
 /// A body under contact: one of this controller, or of another.
-pub(crate) struct Mover<'a> {
+pub(crate) struct ContactBody<'a> {
     pub entity: Entity,
     pub friction: Option<f64>,
     pub stiffness: f64,
     /// Time until its impulses take effect \[s\].
     pub step: f64,
-    matter: Matter<'a>,
+    dynamics: ContactDynamics<'a>,
 }
 
-enum Matter<'a> {
-    Vertices(Vertices<'a>),
-    RigidProxy(RigidProxy),
+enum ContactDynamics<'a> {
+    Soft(Vertices<'a>),
+    Rigid(RigidProxy),
 }
 
 /// A contact point on a mover.
@@ -51,16 +51,16 @@ struct Vertices<'a> {
     rotation: UnitQuaternion<f64>,
     velocities: &'a [Vector3<f64>],
     masses_inverse: &'a [f64],
-    before: Before<'a>,
+    before: FreeMotion<'a>,
     places: BTreeMap<u32, usize>,
     /// Velocities in world \[m/s\], and inverse masses \[1/kg\].
     touched: Vec<(Vector3<f64>, f64)>,
 }
 
 /// Motion of vertices without contacts.
-enum Before<'a> {
-    RespondingBody {
-        led: &'a [DrivenVertex],
+enum FreeMotion<'a> {
+    Local {
+        driven: &'a [DrivenVertex],
         /// Velocity that gravity adds, in the body's frame \[m/s\].
         falls: Vector3<f64>,
         period: f64,
@@ -83,8 +83,8 @@ impl Vertices<'_> {
         let mut speed = self.velocities.get(at).copied().unwrap_or_default();
         let mut mass = self.masses_inverse.get(at).copied().unwrap_or(0.0);
         match &self.before {
-            Before::RespondingBody { led, falls, period, forces } => {
-                if led.binary_search_by_key(&node, |led| led.vertex).is_ok() {
+            FreeMotion::Local { driven, falls, period, forces } => {
+                if driven.binary_search_by_key(&node, |driven| driven.vertex).is_ok() {
                     mass = 0.0;
                 }
                 if mass > 0.0 {
@@ -96,7 +96,7 @@ impl Vertices<'_> {
                 }
                 (self.rotation * speed, mass)
             }
-            Before::Remote { entity, falls, given, taken } => {
+            FreeMotion::Remote { entity, falls, given, taken } => {
                 let mut speed = self.rotation * speed;
                 if mass > 0.0 {
                     speed += falls;
@@ -125,7 +125,7 @@ impl Vertices<'_> {
     }
 }
 
-impl<'a> Mover<'a> {
+impl<'a> ContactBody<'a> {
     /// A body of this controller that answers contacts.
     pub fn of(body: &RespondingBody<'a>, period: f64) -> Self {
         let mut forces = body.forces.clone();
@@ -133,9 +133,9 @@ impl<'a> Mover<'a> {
         forces.sort_by_key(|(vertex, _)| *vertex);
         let ContactParams { masses_inverse, stiffness, friction } = body.terms;
         let falls = body.gravity_in_body * period;
-        let before = Before::RespondingBody { led: body.led, falls, period, forces };
-        let matter = Matter::Vertices(Vertices::new(&body.shape, masses_inverse, before));
-        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, matter }
+        let before = FreeMotion::Local { driven: body.driven, falls, period, forces };
+        let dynamics = ContactDynamics::Soft(Vertices::new(&body.shape, masses_inverse, before));
+        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, dynamics }
     }
 
     /// A deformable body of another controller that has published its masses.
@@ -148,38 +148,38 @@ impl<'a> Mover<'a> {
         if told.masses_inverse.len() != shape.velocities.len() {
             return None;
         }
-        let before = Before::Remote { entity, falls: *falls, given, taken: &told.taken };
-        let matter = Matter::Vertices(Vertices::new(&shape, &told.masses_inverse, before));
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, matter })
+        let before = FreeMotion::Remote { entity, falls: *falls, given, taken: &told.taken };
+        let dynamics = ContactDynamics::Soft(Vertices::new(&shape, &told.masses_inverse, before));
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, dynamics })
     }
 
     /// A rigid body whose controller takes impulses.
-    pub fn whole(
+    pub fn rigid(
         (scene, entity): (&Snapshot, Entity),
         when: (SimTime, f64),
         given: &[AppliedImpulses],
     ) -> Option<Self> {
-        let matter = Matter::RigidProxy(RigidProxy::of(scene, entity, when, given)?);
+        let dynamics = ContactDynamics::Rigid(RigidProxy::of(scene, entity, when, given)?);
         // Its state includes the impulses not yet taken, so that it responds immediately.
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, matter })
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, dynamics })
     }
 
-    pub fn is_whole(&self) -> bool {
-        matches!(self.matter, Matter::RigidProxy(_))
+    pub fn is_rigid(&self) -> bool {
+        matches!(self.dynamics, ContactDynamics::Rigid(_))
     }
 
     /// Extrapolated pose `world_from_body` and velocity of a body that moves as a whole.
-    pub fn whole_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
-        match &self.matter {
-            Matter::RigidProxy(whole) => Some((whole.pose, whole.of_origin())),
-            Matter::Vertices(_) => None,
+    pub fn rigid_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
+        match &self.dynamics {
+            ContactDynamics::Rigid(rigid) => Some((rigid.pose, rigid.of_origin())),
+            ContactDynamics::Soft(_) => None,
         }
     }
 
     /// Prepares a contact point; `mover` is the body's index. A body that moves as a whole is pushed at `at_in_world`.
-    pub fn hold(&mut self, mover: usize, place: &Place, at_in_world: &Point3<f64>) -> ContactTarget {
+    pub fn hold(&mut self, mover: usize, place: &SurfacePoint, at_in_world: &Point3<f64>) -> ContactTarget {
         let mut nodes = [(0, 0.0); 3];
-        if let Matter::Vertices(vertices) = &mut self.matter {
+        if let ContactDynamics::Soft(vertices) = &mut self.dynamics {
             for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
                 *node = (vertices.touch(vertex), share);
             }
@@ -189,9 +189,9 @@ impl<'a> Mover<'a> {
 
     /// Mobility of the point along a direction, and at most across it \[1/kg\].
     pub fn yields(&self, handle: &ContactTarget, normal: &Vector3<f64>) -> [f64; 2] {
-        match &self.matter {
-            Matter::RigidProxy(whole) => whole.yields(&handle.at_in_world, normal),
-            Matter::Vertices(Vertices { touched, .. }) => {
+        match &self.dynamics {
+            ContactDynamics::Rigid(rigid) => rigid.yields(&handle.at_in_world, normal),
+            ContactDynamics::Soft(Vertices { touched, .. }) => {
                 [handle.shares().map(|(place, share)| share * share * touched[place].1).sum(); 2]
             }
         }
@@ -199,9 +199,9 @@ impl<'a> Mover<'a> {
 
     /// Velocity of the point \[m/s\].
     pub fn speed(&self, handle: &ContactTarget) -> Vector3<f64> {
-        match &self.matter {
-            Matter::RigidProxy(whole) => whole.speed(&handle.at_in_world),
-            Matter::Vertices(Vertices { touched, .. }) => {
+        match &self.dynamics {
+            ContactDynamics::Rigid(rigid) => rigid.speed(&handle.at_in_world),
+            ContactDynamics::Soft(Vertices { touched, .. }) => {
                 handle.shares().map(|(place, share)| touched[place].0 * share).sum()
             }
         }
@@ -209,9 +209,9 @@ impl<'a> Mover<'a> {
 
     /// Applies an impulse at the point \[N·s\].
     pub fn push(&mut self, handle: &ContactTarget, impulse: &Vector3<f64>) {
-        match &mut self.matter {
-            Matter::RigidProxy(whole) => whole.push(&handle.at_in_world, impulse),
-            Matter::Vertices(Vertices { touched, .. }) => {
+        match &mut self.dynamics {
+            ContactDynamics::Rigid(rigid) => rigid.push(&handle.at_in_world, impulse),
+            ContactDynamics::Soft(Vertices { touched, .. }) => {
                 for (place, share) in handle.shares() {
                     let (speed, mass) = &mut touched[place];
                     *speed += impulse * (share * *mass);
@@ -222,7 +222,7 @@ impl<'a> Mover<'a> {
 }
 
 impl<'a> Vertices<'a> {
-    fn new(shape: &Shape<'a>, masses_inverse: &'a [f64], before: Before<'a>) -> Self {
+    fn new(shape: &Shape<'a>, masses_inverse: &'a [f64], before: FreeMotion<'a>) -> Self {
         Self {
             rotation: shape.world_from_body.rotation,
             velocities: shape.velocities,
@@ -241,7 +241,7 @@ impl ContactTarget {
 }
 
 /// The distinct vertices of a point.
-fn joint(place: &Place) -> impl Iterator<Item = (u32, f64)> {
+fn joint(place: &SurfacePoint) -> impl Iterator<Item = (u32, f64)> {
     let ([a, b, c], [u, v, w]) = (place.nodes, place.weights);
     let first = u + if b == a { v } else { 0.0 } + if c == a { w } else { 0.0 };
     let second = if b == a { 0.0 } else { v + if c == b { w } else { 0.0 } };

@@ -16,8 +16,8 @@
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot};
 
-use super::bodies::{AppliedImpulses, ContactTarget, Mover};
-use super::tracking::{ContactPair, FOUND_MAX, Shape, Surroundings, answers, rows};
+use super::bodies::{AppliedImpulses, ContactBody, ContactTarget};
+use super::tracking::{AdjacencyCache, ContactPair, FOUND_MAX, Shape, answers, rows};
 use super::{ContactSums, ImpulseTotals, PersistentContact, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
@@ -34,7 +34,7 @@ pub(crate) struct RespondingBody<'a> {
     pub entity: Entity,
     pub shape: Shape<'a>,
     pub terms: ContactParams<'a>,
-    pub led: &'a [DrivenVertex],
+    pub driven: &'a [DrivenVertex],
     pub gravity_in_body: Vector3<f64>,
     /// Forces on it in this tick; its contact forces are added, in its frame \[N\].
     pub forces: Vec<(u32, Vector3<f64>)>,
@@ -83,12 +83,12 @@ struct Row {
 /// Solves all contacts of a controller's bodies.
 pub(crate) fn answer<'a>(
     own: &mut [RespondingBody<'a>],
-    surroundings: &mut Surroundings,
+    surroundings: &mut AdjacencyCache,
     scene: &'a Snapshot,
     (now, period, me): (SimTime, f64, Entity),
 ) {
     take(own, scene, period);
-    listen(own, surroundings, scene, (now, period, me));
+    read_detections(own, surroundings, scene, (now, period, me));
     for body in own.iter_mut() {
         body.pressed = (0.0, 0);
         let presses = [body.memory.force_in_world, body.taken].iter().any(|force| *force != Vector3::zeros());
@@ -102,17 +102,17 @@ pub(crate) fn answer<'a>(
     let given = |body: &mut RespondingBody<'_>| AppliedImpulses {
         giver: body.entity,
         vertices: std::mem::take(&mut body.memory.given),
-        wholes: std::mem::take(&mut body.memory.given_whole),
+        rigid_totals: std::mem::take(&mut body.memory.given_whole),
     };
     let given: Vec<AppliedImpulses> = own.iter_mut().map(given).collect();
-    let mut movers: Vec<Mover<'_>> = own.iter().map(|body| Mover::of(body, period)).collect();
-    let mut rows = meet(own, surroundings, scene, (now, period), &given, &mut movers);
+    let mut movers: Vec<ContactBody<'_>> = own.iter().map(|body| ContactBody::of(body, period)).collect();
+    let mut rows = contact_geometry(own, surroundings, scene, (now, period), &given, &mut movers);
     for _ in 0..SWEEPS {
         rows.iter_mut().for_each(|row| row.press(&mut movers));
     }
-    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_whole())).collect();
+    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_rigid())).collect();
     for (body, given) in own.iter_mut().zip(given) {
-        (body.memory.given, body.memory.given_whole) = (given.vertices, given.wholes);
+        (body.memory.given, body.memory.given_whole) = (given.vertices, given.rigid_totals);
     }
     give(own, &rows, &pushed, now, period);
 }
@@ -141,9 +141,9 @@ fn take(own: &mut [RespondingBody<'_>], scene: &Snapshot, period: f64) {
 }
 
 /// Reads the detectors' lists since the last call.
-fn listen(
+fn read_detections(
     own: &mut [RespondingBody<'_>],
-    surroundings: &mut Surroundings,
+    surroundings: &mut AdjacencyCache,
     scene: &Snapshot,
     (now, period, me): (SimTime, f64, Entity),
 ) {
@@ -202,13 +202,13 @@ fn listen(
 }
 
 /// Computes the current geometry of all contacts, and drops those that have ended.
-fn meet<'a>(
+fn contact_geometry<'a>(
     own: &mut [RespondingBody<'_>],
-    surroundings: &mut Surroundings,
+    surroundings: &mut AdjacencyCache,
     scene: &'a Snapshot,
     (now, period): (SimTime, f64),
     given: &'a [AppliedImpulses],
-    movers: &mut Vec<Mover<'a>>,
+    movers: &mut Vec<ContactBody<'a>>,
 ) -> Vec<Row> {
     let shapes: Vec<(Entity, Shape<'_>)> = own.iter().map(|body| (body.entity, body.shape.clone())).collect();
     let mut rows = Vec::new();
@@ -225,7 +225,7 @@ fn meet<'a>(
             let other = match mine {
                 Some(mine) => Some(mine),
                 None if answers(scene, held.other) => {
-                    let new = || Mover::remote((scene, held.other), &falls, given);
+                    let new = || ContactBody::remote((scene, held.other), &falls, given);
                     match known.or_else(|| new().map(|new| add(movers, new))) {
                         Some(remote) => Some(remote),
                         // It has not published its masses yet.
@@ -236,12 +236,12 @@ fn meet<'a>(
                     }
                 }
                 None => known.or_else(|| {
-                    let new = Mover::whole((scene, held.other), (now, period), given);
+                    let new = ContactBody::rigid((scene, held.other), (now, period), given);
                     new.map(|new| add(movers, new))
                 }),
             };
             let mut shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
-            if let Some((pose, motion)) = other.and_then(|other| movers[other].whole_motion()) {
+            if let Some((pose, motion)) = other.and_then(|other| movers[other].rigid_motion()) {
                 (shape.world_from_body, shape.motion) = (pose, motion);
             }
             if held.is_followed() {
@@ -249,7 +249,7 @@ fn meet<'a>(
                 surroundings.look(held.other, &shape.triangles);
             }
             let stars = [surroundings.of(body.entity), surroundings.of(held.other)];
-            let Some(met) = held.meet([&body.shape, &shape], stars) else { return false };
+            let Some(met) = held.contact_geometry([&body.shape, &shape], stars) else { return false };
             if let Some(mut row) = Row::new(met, [Some(index), other], movers, period) {
                 let leaving = row.slip(movers).dot(&met.normal_in_world);
                 held.slack = match std::mem::replace(&mut held.is_in, met.depth > 0.0) {
@@ -270,7 +270,7 @@ fn meet<'a>(
     rows
 }
 
-fn add<'a>(movers: &mut Vec<Mover<'a>>, mover: Mover<'a>) -> usize {
+fn add<'a>(movers: &mut Vec<ContactBody<'a>>, mover: ContactBody<'a>) -> usize {
     movers.push(mover);
     movers.len() - 1
 }
@@ -329,7 +329,7 @@ impl Row {
     fn new(
         met: ContactPair,
         sides: [Option<usize>; 2],
-        movers: &mut [Mover<'_>],
+        movers: &mut [ContactBody<'_>],
         period: f64,
     ) -> Option<Self> {
         let handles = [0, 1].map(|side| {
@@ -368,7 +368,7 @@ impl Row {
         })
     }
 
-    fn slip(&self, movers: &[Mover<'_>]) -> Vector3<f64> {
+    fn slip(&self, movers: &[ContactBody<'_>]) -> Vector3<f64> {
         let speed = |side: usize| {
             let carried = self.met.places[side].carried;
             self.handles[side].map_or(carried, |handle| movers[handle.mover].speed(&handle))
@@ -376,7 +376,7 @@ impl Row {
         speed(0) - speed(1)
     }
 
-    fn push(&self, movers: &mut [Mover<'_>], force: &Vector3<f64>) {
+    fn push(&self, movers: &mut [ContactBody<'_>], force: &Vector3<f64>) {
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
             if let Some(handle) = self.handles[side] {
                 movers[handle.mover].push(&handle, &(force * (sign * self.step)));
@@ -385,7 +385,7 @@ impl Row {
     }
 
     /// One Gauss-Seidel update of the contact's force.
-    fn press(&mut self, movers: &mut [Mover<'_>]) {
+    fn press(&mut self, movers: &mut [ContactBody<'_>]) {
         let normal = self.met.normal_in_world;
         let gives = self.yields[0] * self.step;
         let leaving = self.slip(movers).dot(&normal) - self.normal * gives;

@@ -8,11 +8,12 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Component, ComponentError, Entity, Frozen, SimTime, Snapshot, Velocity};
 
 use super::SoftContacts;
 use super::bodies::AppliedImpulses;
-use crate::rigid_world::{Inertia, Wrench, most_across};
+use crate::rigid_world::{Inertia, tangential_mobility_max};
 
 /// Cumulative impulse on a body that moves as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -86,7 +87,7 @@ impl RigidContacts {
     }
 
     /// Updates the acceleration by everything else from a step, linear and angular; returns whether it changed.
-    pub(crate) fn learn(&mut self, pull: [Vector3<f64>; 2]) -> bool {
+    pub(crate) fn update_acceleration(&mut self, pull: [Vector3<f64>; 2]) -> bool {
         let before = std::mem::replace(&mut self.last_pull, pull);
         // A persistent acceleration occurs in two consecutive steps.
         let goes_on = |side: usize| {
@@ -196,7 +197,7 @@ impl RigidProxy {
         let is_own = |giver: Entity| own.iter().any(|given| given.giver == giver);
         let others = scene.iter::<SoftContacts>().filter(|(giver, _)| !is_own(*giver));
         let others = others.map(|(giver, contacts)| (giver, &contacts.given_whole));
-        let all = others.chain(own.iter().map(|given| (given.giver, &given.wholes)));
+        let all = others.chain(own.iter().map(|given| (given.giver, &given.rigid_totals)));
         let mut late = [Vector3::zeros(); 2];
         for (giver, given) in all {
             for given in given.iter().filter(|given| given.body == Some(entity)) {
@@ -218,7 +219,7 @@ impl RigidProxy {
             * UnitQuaternion::from_scaled_axis(turned)
             * Translation3::from(-centre.coords);
         let there = turn * pose;
-        let whole = Self {
+        let rigid = Self {
             pose: there,
             centre: there * inertia.centre_in_body,
             velocity: linear + told.pull[0] * (since + period) + faster,
@@ -226,7 +227,7 @@ impl RigidProxy {
             mass_inverse: inertia.mass_inverse,
             inertia_inverse: inertia.inverse_in_world(&there),
         };
-        Some(whole)
+        Some(rigid)
     }
 
     /// Velocity of its origin.
@@ -239,7 +240,7 @@ impl RigidProxy {
     pub fn yields(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> [f64; 2] {
         let lever = (at - self.centre).cross_matrix();
         let feels = Matrix3::identity() * self.mass_inverse - lever * self.inertia_inverse * lever;
-        [normal.dot(&(feels * normal)), most_across(&feels, normal)]
+        [normal.dot(&(feels * normal)), tangential_mobility_max(&feels, normal)]
     }
 
     /// Velocity of a point \[m/s\].

@@ -27,7 +27,7 @@ use trocar_scene::{
 };
 
 use super::{ImpulseTotals, RigidContacts};
-use crate::tet_mesh::Stars;
+use crate::tet_mesh::NodeAdjacency;
 
 /// Maximum number of answered contacts of a body.
 pub const FOUND_MAX: usize = 256;
@@ -174,7 +174,7 @@ pub(crate) struct Shape<'a> {
 
 /// Current position of a point on a body.
 #[derive(Clone, Copy)]
-pub(crate) struct Place {
+pub(crate) struct SurfacePoint {
     pub nodes: [u32; 3],
     /// Zero for a body without vertices.
     pub weights: [f64; 3],
@@ -204,16 +204,16 @@ impl<'a> Shape<'a> {
         self.positions.get(vertex as usize).map(|point| self.world_from_body * point)
     }
 
-    fn place(&self, nodes: [u32; 3], weights: [f64; 3]) -> Option<Place> {
+    fn place(&self, nodes: [u32; 3], weights: [f64; 3]) -> Option<SurfacePoint> {
         let mut at = Vector3::zeros();
         for (node, weight) in nodes.into_iter().zip(weights) {
             at += self.vertex(node)?.coords * weight;
         }
-        Some(Place { nodes, weights, at_in_world: at.into(), carried: self.carried(&at) })
+        Some(SurfacePoint { nodes, weights, at_in_world: at.into(), carried: self.carried(&at) })
     }
 
     /// Velocity of a point \[m/s\].
-    pub fn speed(&self, place: &Place) -> Vector3<f64> {
+    pub fn speed(&self, place: &SurfacePoint) -> Vector3<f64> {
         let shares = place.nodes.into_iter().zip(place.weights).filter(|(_, weight)| *weight != 0.0);
         let own = shares.filter_map(|(node, weight)| Some(self.velocities.get(node as usize)? * weight));
         place.carried + self.world_from_body.rotation * own.sum::<Vector3<f64>>()
@@ -225,20 +225,20 @@ impl<'a> Shape<'a> {
     }
 
     /// Unit normal of the face of a feature.
-    fn face(&self, spot: &Feature) -> Option<Vector3<f64>> {
-        let Feature::Between(nodes, _) = spot else { return None };
+    fn face(&self, feature: &Feature) -> Option<Vector3<f64>> {
+        let Feature::Between(nodes, _) = feature else { return None };
         let [a, b, c] = nodes.map(|node| self.vertex(node));
         let (a, b, c) = (a?, b?, c?);
         (b - a).cross(&(c - a)).try_normalize(0.0)
     }
 
     /// The feature for a primitive that was touched at a point.
-    fn spot(
+    fn feature(
         &self,
         part: Primitive,
         then: &Point3<f64>,
         is_followed: bool,
-        stars: Option<&Stars>,
+        stars: Option<&NodeAdjacency>,
     ) -> Option<Feature> {
         match part {
             Primitive::Vertex(vertex) if is_followed => self.vertex(vertex).map(|_| Feature::Vertex(vertex)),
@@ -285,7 +285,7 @@ impl<'a> Shape<'a> {
 
 /// Nearest point to a vertex so far: squared distance \[m²\], triangle and weights.
 #[derive(Clone, Copy)]
-struct Nearest {
+struct NearestPoint {
     far: f64,
     candidate: u32,
     weights: [f64; 3],
@@ -297,7 +297,7 @@ struct Nearest {
 #[derive(Clone, Copy)]
 pub(crate) struct ContactPair {
     /// On the body and on the other.
-    pub places: [Place; 2],
+    pub places: [SurfacePoint; 2],
     pub normal_in_world: Vector3<f64>,
     pub depth: f64,
 }
@@ -310,7 +310,7 @@ impl PersistentContact {
         side: usize,
         writer: Entity,
         shapes: [&Shape<'_>; 2],
-        stars: [Option<&Stars>; 2],
+        stars: [Option<&NodeAdjacency>; 2],
     ) -> Option<Self> {
         let parts =
             if side == 0 { [row.primitive_a, row.primitive_b] } else { [row.primitive_b, row.primitive_a] };
@@ -320,8 +320,8 @@ impl PersistentContact {
         );
         let points = [row.points_in_world[side], row.points_in_world[1 - side]];
         let towards = if side == 0 { -row.normal_in_world } else { row.normal_in_world };
-        let spot = |at: usize| shapes[at].spot(parts[at], &points[at], is_followed, stars[at]);
-        let spots = [spot(0)?, spot(1)?];
+        let feature = |at: usize| shapes[at].feature(parts[at], &points[at], is_followed, stars[at]);
+        let spots = [feature(0)?, feature(1)?];
         let normal_in_world = towards.try_normalize(0.5)?;
         let along = |at: usize| shapes[at].face(&spots[at]).map(|face| face.dot(&normal_in_world).abs());
         if let (Some(one), Some(two)) = (along(0), along(1))
@@ -353,7 +353,7 @@ impl PersistentContact {
     }
 
     pub(crate) fn is_followed(&self) -> bool {
-        self.spots.iter().any(|spot| matches!(spot, Feature::Triangle(_)))
+        self.spots.iter().any(|feature| matches!(feature, Feature::Triangle(_)))
     }
 
     /// Whether it has expired.
@@ -362,10 +362,10 @@ impl PersistentContact {
     }
 
     /// Its current geometry; a followed contact is tracked. `None` when it has ended.
-    pub(crate) fn meet(
+    pub(crate) fn contact_geometry(
         &mut self,
         shapes: [&Shape<'_>; 2],
-        stars: [Option<&Stars>; 2],
+        stars: [Option<&NodeAdjacency>; 2],
     ) -> Option<ContactPair> {
         let (vertex, face) = match self.spots {
             [Feature::Vertex(_), Feature::Triangle(_)] => (0, 1),
@@ -381,7 +381,7 @@ impl PersistentContact {
         let push = if vertex == 0 { self.normal_in_world } else { -self.normal_in_world };
         let own = *shapes[face].triangles.get(triangle as usize)?;
         let about = own.iter().flat_map(|&node| stars[face].map_or(&[][..], |stars| stars.about(node)));
-        let mut nearest: Option<Nearest> = None;
+        let mut nearest: Option<NearestPoint> = None;
         for candidate in std::iter::once(triangle).chain(about.copied()) {
             let Some(nodes) = shapes[face].triangles.get(candidate as usize) else { continue };
             if std::ptr::eq(shapes[0].positions, shapes[1].positions) && nodes.contains(&number) {
@@ -396,11 +396,16 @@ impl PersistentContact {
             let found = closest_on_triangle(&point, &[a, b, c]);
             let far = (found.point - point).norm_squared();
             if nearest.is_none_or(|nearest| far < nearest.far) {
-                nearest =
-                    Some(Nearest { far, candidate, weights: found.weights, on_face: found.point, normal });
+                nearest = Some(NearestPoint {
+                    far,
+                    candidate,
+                    weights: found.weights,
+                    on_face: found.point,
+                    normal,
+                });
             }
         }
-        let Nearest { candidate, weights, on_face, normal, .. } = nearest?;
+        let NearestPoint { candidate, weights, on_face, normal, .. } = nearest?;
         let depth = (on_face - point).dot(&normal);
         if ((on_face - point) - normal * depth).norm() > ASIDE {
             return None;
@@ -420,7 +425,7 @@ impl PersistentContact {
             Feature::InFrame(point) => {
                 let at_in_world = shapes[side].world_from_body * point;
                 let carried = shapes[side].carried(&at_in_world.coords);
-                Some(Place { nodes: [0; 3], weights: [0.0; 3], at_in_world, carried })
+                Some(SurfacePoint { nodes: [0; 3], weights: [0.0; 3], at_in_world, carried })
             }
             Feature::Triangle(_) => None,
         };
@@ -433,23 +438,23 @@ impl PersistentContact {
 
 /// Cached vertex-to-triangle adjacency of each surface.
 #[derive(Default)]
-pub(crate) struct Surroundings(BTreeMap<Entity, Surrounded>);
+pub(crate) struct AdjacencyCache(BTreeMap<Entity, CachedAdjacency>);
 
-struct Surrounded {
+struct CachedAdjacency {
     triangles: Arc<Vec<[u32; 3]>>,
-    stars: Stars,
+    stars: NodeAdjacency,
 }
 
-impl Surroundings {
+impl AdjacencyCache {
     pub fn look(&mut self, entity: Entity, triangles: &Arc<Vec<[u32; 3]>>) {
         let known = self.0.get(&entity).is_some_and(|known| Arc::ptr_eq(&known.triangles, triangles));
         if !known {
-            let stars = Stars::new(0, (0..).zip(triangles.iter().copied()));
-            self.0.insert(entity, Surrounded { triangles: triangles.clone(), stars });
+            let stars = NodeAdjacency::new(0, (0..).zip(triangles.iter().copied()));
+            self.0.insert(entity, CachedAdjacency { triangles: triangles.clone(), stars });
         }
     }
 
-    pub fn of(&self, entity: Entity) -> Option<&Stars> {
+    pub fn of(&self, entity: Entity) -> Option<&NodeAdjacency> {
         self.0.get(&entity).map(|known| &known.stars)
     }
 }

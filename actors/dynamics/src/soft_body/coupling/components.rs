@@ -12,7 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Entity, SimTime};
 
-use crate::coupling::{Anchor, Ghosts};
+use crate::coupling::{GhostNodes, StickPoint};
 
 /// Maximum number of bodies that one body is coupled with.
 pub const BODIES_MAX: usize = 8;
@@ -105,7 +105,7 @@ impl CoupledBody {
 /// A vertex joined to a point in an element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Graft {
+pub struct VertexAttachment {
     /// A vertex of the body itself.
     pub vertex: u32,
     /// A tetrahedron of the other body.
@@ -117,19 +117,19 @@ pub struct Graft {
 /// State of the faster side of a coupling: impulses given, and what a restart needs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct GivenTo {
+pub struct GivenImpulses {
     /// The other body.
     pub body: Option<Entity>,
     /// Vertices of the other body, in the order of the ghosts.
     pub vertices: Arc<Vec<u32>>,
     /// The ghost nodes, in the body's own frame.
-    pub ghosts: Ghosts,
+    pub ghosts: GhostNodes,
     /// Ghosts with active or imminent forces.
     pub near: Vec<u32>,
     /// The joints.
-    pub grafts: Arc<Vec<Graft>>,
+    pub grafts: Arc<Vec<VertexAttachment>>,
     /// Stick points of friction.
-    pub anchors: Vec<Anchor>,
+    pub anchors: Vec<StickPoint>,
     /// Number of the last report from the slower body.
     pub heard: u64,
 }
@@ -140,13 +140,13 @@ pub struct GivenTo {
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingGiven {
     /// Couplings with bodies of other controllers, in the order of [`CoupledBody::with`].
-    pub to: Vec<GivenTo>,
+    pub to: Vec<GivenImpulses>,
 }
 
 /// Impulses that a body has taken from one faster body, by ghost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct TakenFrom {
+pub struct TakenImpulses {
     /// The giver.
     pub body: Option<Entity>,
     /// Cumulative impulses, in the giver's frame \[N·s\].
@@ -159,7 +159,7 @@ pub struct TakenFrom {
     pub mobilities: Vec<f64>,
     /// Inverse mass of each vertex \[1/kg\].
     pub masses_inverse: Vec<f64>,
-    /// [`Ghosts::steps`] and [`Ghosts::work`] \[J\] as of the impulses taken.
+    /// [`GhostNodes::steps`] and [`GhostNodes::work`] \[J\] as of the impulses taken.
     pub steps: u64,
     /// See above.
     pub given_work: f64,
@@ -179,5 +179,5 @@ pub struct CouplingTaken {
     /// Length of its steps \[s\].
     pub step: f64,
     /// By giver, in order.
-    pub from: Vec<TakenFrom>,
+    pub from: Vec<TakenImpulses>,
 }

@@ -4,23 +4,23 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_scene::{Access, Commands, Entity, EntitySet, Registry, Snapshot};
 
-use super::components::{GivenTo, TakenFrom};
+use super::components::{GivenImpulses, TakenImpulses};
 use super::{CouplingGiven, CouplingTaken};
 use crate::soft_body::Deformable;
-use crate::soft_body::method::{Outlook, StepContext};
+use crate::soft_body::method::{StepContext, StepPrediction};
 
 /// The slower side of a body's couplings.
-pub struct Answering {
+pub struct SlowSide {
     me: Entity,
     told: CouplingTaken,
     /// Vertices with active or imminent external forces, ascending.
     active: Vec<u32>,
     /// Velocities of the coupled vertices before the step, for each giver.
     before: Vec<Vec<Vector3<f64>>>,
-    outlook: Outlook,
+    outlook: StepPrediction,
 }
 
-impl Answering {
+impl SlowSide {
     /// For a body of the scene; empty if nothing is coupled with it.
     #[must_use]
     pub fn new(body: &Deformable, scene: &Snapshot) -> Option<Self> {
@@ -34,11 +34,12 @@ impl Answering {
             .iter()
             .map(|giver| {
                 let of = known.iter().find(|from| from.body == Some(*giver));
-                of.cloned().unwrap_or_else(|| TakenFrom { body: Some(*giver), ..TakenFrom::default() })
+                of.cloned()
+                    .unwrap_or_else(|| TakenImpulses { body: Some(*giver), ..TakenImpulses::default() })
             })
             .collect();
         let before = vec![Vec::new(); givers.len()];
-        Some(Self { me: body.entity, told, active: Vec::new(), before, outlook: Outlook::default() })
+        Some(Self { me: body.entity, told, active: Vec::new(), before, outlook: StepPrediction::default() })
     }
 
     /// Reads and writes of the slower side.
@@ -49,7 +50,7 @@ impl Answering {
             .writes::<CouplingTaken>(EntitySet::Of(bodies.to_vec()))
     }
 
-    fn given<'a>(&self, scene: &'a Snapshot, giver: Entity) -> Option<&'a GivenTo> {
+    fn given<'a>(&self, scene: &'a Snapshot, giver: Entity) -> Option<&'a GivenImpulses> {
         scene.get::<CouplingGiven>(giver)?.to.iter().find(|to| to.body == Some(self.me))
     }
 
@@ -96,19 +97,19 @@ impl Answering {
     }
 
     /// Predicts the next step, for the vertices with active or imminent external forces.
-    pub fn look(&mut self, look: impl FnOnce(&[u32], &mut Outlook)) {
+    pub fn look(&mut self, look: impl FnOnce(&[u32], &mut StepPrediction)) {
         look(&self.active, &mut self.outlook);
     }
 
     /// Publishes the results of the step and the prediction. Velocities are those after it \[m/s\].
-    pub fn tell(
+    pub fn publish(
         &mut self,
         site: &StepContext<'_>,
         stays: &[bool],
         velocities: &[Vector3<f64>],
         out: &mut Commands,
     ) {
-        let Outlook { expected, yielding, masses } = &self.outlook;
+        let StepPrediction { expected, yielding, masses } = &self.outlook;
         for index in 0..self.told.from.len() {
             let Some(giver) = self.told.from[index].body else { continue };
             let Some(to) = self.given(site.scene, giver) else { continue };
@@ -122,7 +123,7 @@ impl Answering {
                 let now = velocities.get(at).copied().unwrap_or_default();
                 from.received += (body_from_giver * last).dot(&(0.5 * (before + now)));
                 from.expected.push(expected.get(at).copied().unwrap_or(now));
-                let is_led = site.led.binary_search_by_key(&vertex, |led| led.vertex).is_ok();
+                let is_led = site.driven.binary_search_by_key(&vertex, |driven| driven.vertex).is_ok();
                 let holds = is_led || stays.get(at).copied().unwrap_or(true);
                 let mass = masses.get(at).copied().filter(|mass| *mass > 0.0 && !holds);
                 let alone = mass.map_or(0.0, f64::recip);

@@ -5,21 +5,21 @@ use nalgebra::Isometry3;
 use trocar_collision::primitive::closest_on_triangle;
 use trocar_dynamics::coupling::external_nodes::{OF_BODY, Tie};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::coupling::components::{Graft, JOINED_MAX};
+use trocar_dynamics::soft_body::coupling::components::{JOINED_MAX, VertexAttachment};
 use trocar_dynamics::soft_body::coupling::{CoupledWith, Joined};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{Entity, Snapshot};
 
 /// A body of the same controller, onto which a body has grown.
-pub struct Fused {
+pub struct FusedBody {
     /// The body.
     pub entity: Entity,
     rule: Joined,
-    grafts: Vec<Graft>,
+    grafts: Vec<VertexAttachment>,
 }
 
-impl Fused {
+impl FusedBody {
     pub(crate) fn new(
         body: &Deformable,
         other: &Deformable,
@@ -55,8 +55,8 @@ impl Fused {
             if is_loose(body, graft.vertex) || corners.iter().any(|corner| is_loose(other, *corner)) {
                 return None;
             }
-            let guests = [0, 1, 2, 3].map(|k| (OF_BODY + others + corners[k], graft.weights[k]));
-            Some(Tie { node: first + graft.vertex, guests, stiffness, damping })
+            let ghost_nodes = [0, 1, 2, 3].map(|k| (OF_BODY + others + corners[k], graft.weights[k]));
+            Some(Tie { node: first + graft.vertex, ghost_nodes, stiffness, damping })
         }));
     }
 }
@@ -67,7 +67,7 @@ pub(crate) fn grafts(
     other: &Deformable,
     body_from_other: &Isometry3<f64>,
     joined: &Joined,
-) -> Result<Vec<Graft>, String> {
+) -> Result<Vec<VertexAttachment>, String> {
     let rules = MeshRules { mean_ratio_min: 0.0, coincident_within: None };
     let mesh = TetMesh::new(&other.rest, &other.tets, &rules).map_err(|error| error.to_string())?;
     let mut grafts = Vec::new();
@@ -83,7 +83,7 @@ pub(crate) fn grafts(
             continue;
         }
         if let Some((element, weights)) = mesh.locate(&place) {
-            grafts.push(Graft { vertex, element: element as u32, weights });
+            grafts.push(VertexAttachment { vertex, element: element as u32, weights });
         }
     }
     match grafts.len() {

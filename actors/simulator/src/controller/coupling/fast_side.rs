@@ -7,12 +7,12 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
 use trocar_dynamics::coupling::external_nodes::{
-    ExternalNodes, GhostImpulses, GhostMoved, GhostNode, Press, Tie,
+    ExternalNodes, GhostImpulses, GhostMoved, GhostNode, NodeContact, Tie,
 };
-use trocar_dynamics::coupling::{Lying, LyingRule, News};
+use trocar_dynamics::coupling::{SlowBodyReport, SurfaceContactParams, SurfaceContacts};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::coupling::components::GivenTo;
+use trocar_dynamics::soft_body::coupling::components::GivenImpulses;
 use trocar_dynamics::soft_body::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined};
 use trocar_dynamics::soft_body::method::{Measures, StepContext};
 use trocar_scene::soft_body::one_of;
@@ -21,7 +21,7 @@ use trocar_scene::{
     VertexVelocities,
 };
 
-use super::attachment::{Fused, grafts};
+use super::attachment::{FusedBody, grafts};
 use crate::controller::thermal_damage::RemovedElements;
 
 /// Maximum age of a report; afterwards its ghosts are treated as immovable \[s\].
@@ -31,19 +31,19 @@ const STALE: f64 = 0.5;
 pub(crate) struct Partner {
     pub(crate) entity: Entity,
     rule: CoupledWith,
-    pub(crate) given: GivenTo,
+    pub(crate) given: GivenImpulses,
     /// The ghost of each coupled vertex.
     ghost_of: BTreeMap<u32, u32>,
     tets: Arc<Vec<[u32; 4]>>,
     triangles: Arc<Vec<[u32; 3]>>,
     /// The other body's surface in ghost numbers, if the body lies on it.
     pub(crate) surface: Vec<[u32; 3]>,
-    lying: Option<Lying>,
+    lying: Option<SurfaceContacts>,
     pub(crate) is_wall: bool,
     /// In ghost numbers.
     ties: Vec<Tie>,
-    presses: Vec<Press>,
-    guests: Vec<GhostNode>,
+    presses: Vec<NodeContact>,
+    ghost_nodes: Vec<GhostNode>,
     /// Ghosts that take part in the current step, and the results of all ghosts.
     used: Vec<u32>,
     moved: Vec<GhostMoved>,
@@ -51,20 +51,20 @@ pub(crate) struct Partner {
 }
 
 /// All couplings of a body.
-pub struct Coupled {
+pub struct FastSide {
     with: Vec<Partner>,
-    fused: Vec<Fused>,
+    fused: Vec<FusedBody>,
     /// Force of the joints within the island, in the last step \[N\].
     fused_force: f64,
     /// Surface vertices that can touch other bodies; valid while the body has these triangles.
     outside: Vec<u32>,
     triangles: Arc<Vec<[u32; 3]>>,
-    guests: Vec<GhostNode>,
+    ghost_nodes: Vec<GhostNode>,
     ties: Vec<Tie>,
-    presses: Vec<Press>,
+    presses: Vec<NodeContact>,
 }
 
-impl Coupled {
+impl FastSide {
     /// For a body of the scene; `None` if it is coupled with nothing.
     ///
     /// # Errors
@@ -77,7 +77,7 @@ impl Coupled {
             let told = |why: String| format!("it is coupled with '{}': {why}", rule.body);
             let other = other(body, rule, scene).map_err(told)?;
             if scene.soft_body(other.entity).is_some_and(|(_, of)| of.couples) {
-                fused.push(Fused::new(body, &other, rule, scene).map_err(told)?);
+                fused.push(FusedBody::new(body, &other, rule, scene).map_err(told)?);
                 continue;
             }
             let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(other.entity)));
@@ -89,7 +89,7 @@ impl Coupled {
             fused_force: 0.0,
             outside: Vec::new(),
             triangles: Arc::default(),
-            guests: Vec::new(),
+            ghost_nodes: Vec::new(),
             ties: Vec::new(),
             presses: Vec::new(),
         };
@@ -120,43 +120,51 @@ impl Coupled {
     ///
     /// # Errors
     /// Why it cannot continue.
-    pub fn meet(&mut self, body: &Deformable, state: &State, site: &StepContext<'_>) -> Result<(), String> {
+    pub fn begin_step(
+        &mut self,
+        body: &Deformable,
+        state: &State,
+        site: &StepContext<'_>,
+    ) -> Result<(), String> {
         self.look_outside(body);
-        self.guests.clear();
+        self.ghost_nodes.clear();
         self.ties.clear();
         self.presses.clear();
         for partner in &mut self.with {
             partner.follow(site)?;
-            partner.hear(body.entity, site)?;
+            partner.receive(body.entity, site)?;
             partner.touch(body, &self.outside, state, site.period_secs())?;
-            partner.join(self.guests.len() as u32, &mut self.ties, &mut self.presses);
-            let (guests, used) = (&partner.guests, &partner.used);
-            self.guests.extend(used.iter().map(|&ghost| guests[ghost as usize]));
+            partner.join(self.ghost_nodes.len() as u32, &mut self.ties, &mut self.presses);
+            let (ghost_nodes, used) = (&partner.ghost_nodes, &partner.used);
+            self.ghost_nodes.extend(used.iter().map(|&ghost| ghost_nodes[ghost as usize]));
         }
         Ok(())
     }
 
     /// The external nodes of the step.
     #[must_use]
-    pub fn company(&self) -> ExternalNodes<'_> {
-        ExternalNodes { guests: &self.guests, ties: &self.ties, presses: &self.presses }
+    pub fn external_nodes(&self) -> ExternalNodes<'_> {
+        ExternalNodes { ghost_nodes: &self.ghost_nodes, ties: &self.ties, presses: &self.presses }
     }
 
     /// After a step: processes the results of the external nodes.
-    pub fn met(&mut self, moved: &GhostImpulses, positions: &[Point3<f64>], dt: f64) {
-        let (mut guest, mut tie, mut press) = (0, 0, 0);
+    pub fn end_step(&mut self, moved: &GhostImpulses, positions: &[Point3<f64>], dt: f64) {
+        let (mut ghost_node, mut tie, mut press) = (0, 0, 0);
         for partner in &mut self.with {
-            let [guests, ties, presses] = [partner.used.len(), partner.ties.len(), partner.presses.len()];
+            let [ghost_nodes, ties, presses] =
+                [partner.used.len(), partner.ties.len(), partner.presses.len()];
             let ties_moved = &moved.ties[tie..tie + ties];
             let presses_moved = &moved.presses[press..press + presses];
             partner.moved.clear();
-            partner.moved.extend(partner.guests.iter().map(|guest| {
-                let mut alone = *guest;
+            partner.moved.extend(partner.ghost_nodes.iter().map(|ghost_node| {
+                let mut alone = *ghost_node;
                 alone.go(dt, &Vector3::zeros());
                 let GhostNode { position, velocity, path, .. } = alone;
                 GhostMoved { position, velocity, path, ..GhostMoved::default() }
             }));
-            for (&ghost, moved) in partner.used.iter().zip(&moved.guests[guest..guest + guests]) {
+            for (&ghost, moved) in
+                partner.used.iter().zip(&moved.ghost_nodes[ghost_node..ghost_node + ghost_nodes])
+            {
                 partner.moved[ghost as usize] = *moved;
             }
             partner.force = [
@@ -166,20 +174,20 @@ impl Coupled {
             if !partner.is_wall {
                 let lost = ties_moved.iter().map(|tied| tied.lost);
                 let lost: f64 = lost.chain(presses_moved.iter().map(|pressed| pressed.lost)).sum();
-                partner.given.ghosts.met(dt, &partner.moved, lost);
+                partner.given.ghosts.end_step(dt, &partner.moved, lost);
             }
             if let Some(lying) = &mut partner.lying {
-                lying.met(&partner.presses, presses_moved, &partner.moved, positions);
+                lying.end_step(&partner.presses, presses_moved, &partner.moved, positions);
                 partner.given.anchors.clear();
                 partner.given.anchors.extend_from_slice(lying.anchors());
             }
-            (guest, tie, press) = (guest + guests, tie + ties, press + presses);
+            (ghost_node, tie, press) = (ghost_node + ghost_nodes, tie + ties, press + presses);
         }
     }
 
     /// Bodies of the same island.
     #[must_use]
-    pub fn fused(&self) -> &[Fused] {
+    pub fn fused(&self) -> &[FusedBody] {
         &self.fused
     }
 
@@ -204,7 +212,7 @@ impl Coupled {
         let count: usize = self.with.iter().map(|partner| partner.ties.len()).sum();
         let fused: usize = self.fused.iter().map(|fused| fused.count()).sum();
         measures.put("joined_vertices", (count + fused) as f64);
-        let behind = self.with.iter().map(|partner| partner.given.ghosts.furthest_behind());
+        let behind = self.with.iter().map(|partner| partner.given.ghosts.position_error_max());
         let tank: f64 = self.with.iter().map(|partner| partner.given.ghosts.tank()).sum();
         measures.put("coupling_tank_j", tank);
         measures.put("coupling_behind_m", behind.fold(0.0, f64::max));
@@ -236,7 +244,7 @@ impl Partner {
         thickness: f64,
         rule: &CoupledWith,
         scene: &Snapshot,
-        known: Option<&GivenTo>,
+        known: Option<&GivenImpulses>,
     ) -> Result<Self, String> {
         let entity = other.entity;
         let body_from_other = scene.world_pose(body.entity).inverse() * scene.world_pose(entity);
@@ -247,7 +255,7 @@ impl Partner {
                     Some(joined) => grafts(body, other, &body_from_other, joined)?,
                     None => Vec::new(),
                 };
-                GivenTo { body: Some(entity), grafts: Arc::new(grafts), ..GivenTo::default() }
+                GivenImpulses { body: Some(entity), grafts: Arc::new(grafts), ..GivenImpulses::default() }
             }
         };
         let ghost_of = given.vertices.iter().zip(0..).map(|(&vertex, ghost)| (vertex, ghost)).collect();
@@ -263,17 +271,17 @@ impl Partner {
             is_wall: true,
             ties: Vec::new(),
             presses: Vec::new(),
-            guests: Vec::new(),
+            ghost_nodes: Vec::new(),
             used: Vec::new(),
             moved: Vec::new(),
             force: [0.0; 2],
         };
         partner.take_over(&other.tets, &other.triangles, &[], &other.positions, &body_from_other)?;
         if let Some(lies) = rule.lies {
-            let rule = LyingRule { thickness, stiffness: lies.stiffness, friction: lies.friction };
+            let rule = SurfaceContactParams { thickness, stiffness: lies.stiffness, friction: lies.friction };
             let places = partner.given.ghosts.positions();
             let surface = Surface::new(places, &partner.surface).map_err(|error| error.to_string())?;
-            let mut lying = Lying::new(rule, &surface);
+            let mut lying = SurfaceContacts::new(rule, &surface);
             lying.hold(&partner.given.anchors);
             partner.lying = Some(lying);
         }
@@ -319,8 +327,8 @@ impl Partner {
         self.ties.clear();
         self.ties.extend(self.given.grafts.iter().filter_map(|graft| {
             let corners = tets.get(graft.element as usize)?;
-            let guests = [0, 1, 2, 3].map(|k| (ghost(corners[k]), graft.weights[k]));
-            Some(Tie { node: graft.vertex, guests, stiffness, damping })
+            let ghost_nodes = [0, 1, 2, 3].map(|k| (ghost(corners[k]), graft.weights[k]));
+            Some(Tie { node: graft.vertex, ghost_nodes, stiffness, damping })
         }));
         Ok(())
     }
@@ -345,7 +353,7 @@ impl Partner {
     }
 
     /// Reads the other body's report of its last step.
-    pub(crate) fn hear(&mut self, me: Entity, site: &StepContext<'_>) -> Result<(), String> {
+    pub(crate) fn receive(&mut self, me: Entity, site: &StepContext<'_>) -> Result<(), String> {
         let scene = site.scene;
         self.is_wall = true;
         let Some(told) = scene.get::<CouplingTaken>(self.entity) else { return Ok(()) };
@@ -383,7 +391,7 @@ impl Partner {
         let padded_numbers = |list: &[f64]| -> Vec<f64> {
             list.iter().copied().chain(std::iter::repeat(0.0)).take(count).collect()
         };
-        let news = News {
+        let news = SlowBodyReport {
             positions: &positions,
             velocities: &velocities,
             expected: &expected,
@@ -395,7 +403,7 @@ impl Partner {
             steps: from.steps,
             step: told.step,
         };
-        self.given.ghosts.hear(&news).map_err(|error| error.to_string())?;
+        self.given.ghosts.receive(&news).map_err(|error| error.to_string())?;
         self.given.heard = told.number;
         Ok(())
     }
@@ -410,35 +418,35 @@ impl Partner {
                 .map_err(|error| error.to_string())?;
             lying.find(&surface, outside, positions, velocities, dt, &mut self.presses);
         }
-        self.guests.clear();
-        let company = ExternalNodes { guests: &[], ties: &self.ties, presses: &self.presses };
-        self.given.ghosts.meet(&company, positions, &mut self.guests);
+        self.ghost_nodes.clear();
+        let external_nodes = ExternalNodes { ghost_nodes: &[], ties: &self.ties, presses: &self.presses };
+        self.given.ghosts.begin_step(&external_nodes, positions, &mut self.ghost_nodes);
         if self.is_wall {
-            self.guests.iter_mut().for_each(|guest| *guest = guest.as_wall());
+            self.ghost_nodes.iter_mut().for_each(|ghost_node| *ghost_node = ghost_node.as_wall());
         }
         Ok(())
     }
 
-    /// Adds ties and contacts in guest numbers, of which `first` are taken, and records which ghosts these are.
-    fn join(&mut self, first: u32, ties: &mut Vec<Tie>, presses: &mut Vec<Press>) {
+    /// Adds ties and contacts in ghost node numbers, of which `first` are taken, and records which ghosts these are.
+    fn join(&mut self, first: u32, ties: &mut Vec<Tie>, presses: &mut Vec<NodeContact>) {
         self.used.clear();
-        self.used.extend(self.ties.iter().flat_map(|tie| tie.guests.map(|(ghost, _)| ghost)));
+        self.used.extend(self.ties.iter().flat_map(|tie| tie.ghost_nodes.map(|(ghost, _)| ghost)));
         let of_presses = self.presses.iter();
-        self.used
-            .extend(of_presses.flat_map(|press| press.guests.into_iter().chain(press.anchor)).map(|of| of.0));
+        self.used.extend(
+            of_presses.flat_map(|press| press.ghost_nodes.into_iter().chain(press.anchor)).map(|of| of.0),
+        );
         self.used.sort_unstable();
         self.used.dedup();
         self.given.near.clone_from(&self.used);
         let used = &self.used;
-        let guest = |ghost: u32| first + used.binary_search(&ghost).unwrap_or_default() as u32;
-        let of_three = |of: [(u32, f64); 3]| of.map(|(ghost, weight)| (guest(ghost), weight));
-        ties.extend(
-            self.ties
-                .iter()
-                .map(|tie| Tie { guests: tie.guests.map(|(ghost, weight)| (guest(ghost), weight)), ..*tie }),
-        );
-        presses.extend(self.presses.iter().map(|press| Press {
-            guests: of_three(press.guests),
+        let ghost_node = |ghost: u32| first + used.binary_search(&ghost).unwrap_or_default() as u32;
+        let of_three = |of: [(u32, f64); 3]| of.map(|(ghost, weight)| (ghost_node(ghost), weight));
+        ties.extend(self.ties.iter().map(|tie| Tie {
+            ghost_nodes: tie.ghost_nodes.map(|(ghost, weight)| (ghost_node(ghost), weight)),
+            ..*tie
+        }));
+        presses.extend(self.presses.iter().map(|press| NodeContact {
+            ghost_nodes: of_three(press.ghost_nodes),
             anchor: of_three(press.anchor),
             ..*press
         }));

@@ -12,7 +12,7 @@ use crate::cutting::{part_line, pieces, tear_line};
 
 /// Cutting and tearing criteria of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LineWeakness {
+pub struct LineFailureCriteria {
     /// Whether blades cut them.
     pub cut: bool,
     /// Stretch (length over rest length) at which a segment tears; absent: none tears.
@@ -21,7 +21,7 @@ pub struct LineWeakness {
 
 /// Cuts of a line, and the previous blades.
 pub struct LineCuts {
-    weakness: LineWeakness,
+    failure_criteria: LineFailureCriteria,
     cuts: Cuts,
     changed: bool,
     pieces: usize,
@@ -29,10 +29,10 @@ pub struct LineCuts {
 
 impl LineCuts {
     /// For a body of the scene.
-    pub fn new(body: &Deformable, weakness: LineWeakness, scene: &Snapshot) -> Self {
+    pub fn new(body: &Deformable, failure_criteria: LineFailureCriteria, scene: &Snapshot) -> Self {
         let known = scene.get::<Cuts>(body.entity);
         Self {
-            weakness,
+            failure_criteria,
             cuts: known.cloned().unwrap_or_default(),
             changed: known.is_none(),
             pieces: pieces(body.rest.len(), &body.segments),
@@ -42,7 +42,7 @@ impl LineCuts {
     /// Whether blades cut it.
     #[must_use]
     pub fn is_cut(&self) -> bool {
-        self.weakness.cut
+        self.failure_criteria.cut
     }
 
     /// Cuts where blades have swept since the last call, or tears an overstretched segment; updates the body. Returns
@@ -54,7 +54,7 @@ impl LineCuts {
         site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Option<Vec<u32>> {
-        let LineWeakness { cut, tears_at } = self.weakness;
+        let LineFailureCriteria { cut, tears_at } = self.failure_criteria;
         let cut = cut.then(|| self.cuts.sweeps(site.scene, site.world_from_body, &mut self.changed));
         let cut = cut.filter(|sweeps| !sweeps.is_empty());
         let parted = cut.and_then(|sweeps| part_line(positions, &body.segments, &sweeps));

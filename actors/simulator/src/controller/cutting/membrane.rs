@@ -9,17 +9,17 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext};
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::soft_body::method::{Measures, StepContext, SurfaceChange};
+use trocar_dynamics::tet_mesh::NodeOrigin;
 use trocar_scene::{
     Access, Commands, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
 use super::surface::Cuts;
 use crate::controller::cauterised::CauterisedBody;
-use crate::controller::thermal_damage::{self, Coagulated, Heated};
+use crate::controller::thermal_damage::{self, CoagulatedElement, ThermalDamage};
 use crate::cutting::{Sheet, TopologyChange, VertexChange};
-use crate::mass_spring::Patch;
+use crate::mass_spring::ChangedMesh;
 
 /// State of a membrane's topology changes that its mesh does not contain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
@@ -29,14 +29,14 @@ pub struct SurfaceElements {
     /// For each triangle, the triangle of the first mesh that it is a part of.
     pub elements: Arc<Vec<u32>>,
     /// Origins of the vertices added since the first mesh, in order.
-    pub births: Arc<Vec<Birth>>,
+    pub births: Arc<Vec<NodeOrigin>>,
     /// How many of the elements removed by heat have been taken out.
     pub taken: u32,
 }
 
 /// Cutting and tearing criteria of a membrane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct MembraneWeakness {
+pub struct MembraneFailureCriteria {
     /// Whether blades cut it.
     pub cut: bool,
     /// Stretch (length over rest length) at which it tears.
@@ -48,8 +48,8 @@ pub struct Membrane {
     sheet: Sheet,
     cuts: Cuts,
     of: SurfaceElements,
-    heated: Heated,
-    weakness: MembraneWeakness,
+    heated: ThermalDamage,
+    failure_criteria: MembraneFailureCriteria,
     /// Whether heat damages it.
     burns: bool,
     /// Areas of its pieces, largest first \[m²\].
@@ -57,7 +57,7 @@ pub struct Membrane {
     cuts_changed: bool,
 }
 
-impl Parted {
+impl MembraneChange {
     /// Sets the state of new vertices.
     pub fn carry(&self, state: &mut State) {
         self.change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
@@ -66,13 +66,13 @@ impl Parted {
 }
 
 /// Topology changes of a membrane in one tick.
-pub struct Parted {
+pub struct MembraneChange {
     /// Cuts and tears.
     pub change: TopologyChange,
     /// Corners of triangles that were changed, damaged, added or removed; ascending.
     pub stale: Vec<u32>,
     /// Renumbering of the triangles, if any has changed.
-    pub reshaped: Option<Reshaped>,
+    pub reshaped: Option<SurfaceChange>,
 }
 
 impl Membrane {
@@ -82,7 +82,7 @@ impl Membrane {
     /// It burns as a volume, or its mesh cannot be cut.
     pub fn new(
         body: &mut Deformable,
-        weakness: MembraneWeakness,
+        failure_criteria: MembraneFailureCriteria,
         scene: &Snapshot,
     ) -> Result<Option<Self>, String> {
         let burns = scene.get::<CauterisedBody>(body.entity);
@@ -92,7 +92,12 @@ impl Membrane {
         let burns = burns.is_some();
         let known = scene.get::<Cuts>(body.entity);
         let of = scene.get::<SurfaceElements>(body.entity);
-        if !(burns || weakness.cut || weakness.tears_at.is_some() || known.is_some() || of.is_some()) {
+        if !(burns
+            || failure_criteria.cut
+            || failure_criteria.tears_at.is_some()
+            || known.is_some()
+            || of.is_some())
+        {
             return Ok(None);
         }
         let of = of.filter(|of| of.elements.len() == body.triangles.len()).cloned();
@@ -109,9 +114,9 @@ impl Membrane {
         let mut cuts = known.cloned().unwrap_or_default();
         cuts.take(sheet.state());
         body.loose = unused(body);
-        let heated = Heated::known(scene, body.entity, of.taken as usize);
+        let heated = ThermalDamage::known(scene, body.entity, of.taken as usize);
         let (areas, cuts_changed) = (areas(&sheet), known.is_none());
-        Ok(Some(Self { sheet, cuts, of, heated, weakness, burns, areas, cuts_changed }))
+        Ok(Some(Self { sheet, cuts, of, heated, failure_criteria, burns, areas, cuts_changed }))
     }
 
     /// Reads and writes of a controller of divisible membranes.
@@ -123,7 +128,7 @@ impl Membrane {
     /// Whether blades cut it.
     #[must_use]
     pub fn is_cut(&self) -> bool {
-        self.weakness.cut
+        self.failure_criteria.cut
     }
 
     /// The mesh.
@@ -142,12 +147,12 @@ impl Membrane {
     }
 
     /// The local patch that a solver has to update.
-    pub fn follow<R>(&self, parted: &Parted, follow: impl FnOnce(&Patch<'_, 3>) -> R) -> R {
+    pub fn follow<R>(&self, parted: &MembraneChange, follow: impl FnOnce(&ChangedMesh<'_, 3>) -> R) -> R {
         let altered = |triangle: u32| {
             let element = self.of.elements.get(triangle as usize);
             element.map_or(Alteration::NONE, |&element| self.heated.alteration(element))
         };
-        follow(&Patch {
+        follow(&ChangedMesh {
             rest: self.sheet.rest(),
             elements: self.sheet.triangles(),
             altered: &altered,
@@ -166,8 +171,8 @@ impl Membrane {
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Parted>, String> {
-        let (gone, changed) = self.heated.news(site.scene, body.entity);
+    ) -> Result<Option<MembraneChange>, String> {
+        let (gone, changed) = self.heated.take_changes(site.scene, body.entity);
         let mut stale = Vec::new();
         let kept = (!gone.is_empty()).then(|| self.take_out(&gone, &mut stale));
         let change = self.part(positions, site)?;
@@ -179,7 +184,7 @@ impl Membrane {
         stale.sort_unstable();
         stale.dedup();
         if kept.is_none() && change.is_empty() {
-            return Ok(Some(Parted { change, stale, reshaped: None }));
+            return Ok(Some(MembraneChange { change, stale, reshaped: None }));
         }
         self.areas = areas(&self.sheet);
         self.cuts.take(self.sheet.state());
@@ -196,12 +201,12 @@ impl Membrane {
             self.of.taken = self.heated.removed.len() as u32;
             out.put(body.entity, self.of.clone());
         }
-        let reshaped = Some(Reshaped { kept, parents: change.triangles.clone() });
-        Ok(Some(Parted { change, stale, reshaped }))
+        let reshaped = Some(SurfaceChange { kept, parents: change.triangles.clone() });
+        Ok(Some(MembraneChange { change, stale, reshaped }))
     }
 
     /// Adds the corners of triangles that are parts of these elements.
-    fn altered(&self, changed: &[Coagulated], stale: &mut Vec<u32>) {
+    fn altered(&self, changed: &[CoagulatedElement], stale: &mut Vec<u32>) {
         if changed.is_empty() {
             return;
         }
@@ -215,13 +220,13 @@ impl Membrane {
     /// Cuts where blades have swept, or else tears where overstretched. A tear propagates from tick to tick.
     fn part(&mut self, positions: &[Point3<f64>], site: &StepContext<'_>) -> Result<TopologyChange, String> {
         let mut change = TopologyChange::default();
-        if self.weakness.cut {
+        if self.failure_criteria.cut {
             let sweeps = self.cuts.sweeps(site.scene, site.world_from_body, &mut self.cuts_changed);
             if !sweeps.is_empty() {
                 change = self.sheet.cut(positions, &sweeps).map_err(|error| error.to_string())?;
             }
         }
-        if let Some(stretch) = self.weakness.tears_at.filter(|_| change.is_empty()) {
+        if let Some(stretch) = self.failure_criteria.tears_at.filter(|_| change.is_empty()) {
             change = self.sheet.tear(positions, stretch).map_err(|error| error.to_string())?;
         }
         self.cuts.length += change.length;
@@ -242,8 +247,8 @@ impl Membrane {
         change.carry(Arc::make_mut(&mut body.velocities), |a, b, share| a + (b - a) * share);
         change.carry_triangles(Arc::make_mut(&mut self.of.elements));
         Arc::make_mut(&mut self.of.births).extend(change.vertices.iter().filter_map(|what| match *what {
-            VertexChange::Between { edge, share } => Some(Birth { of: edge, share }),
-            VertexChange::Copy { of } => Some(Birth { of: [of; 2], share: 0.0 }),
+            VertexChange::Between { edge, share } => Some(NodeOrigin { of: edge, share }),
+            VertexChange::Copy { of } => Some(NodeOrigin { of: [of; 2], share: 0.0 }),
             VertexChange::Moved { .. } => None,
         }));
         body.rest = Arc::new(self.sheet.rest().to_vec());
@@ -275,7 +280,9 @@ impl Membrane {
 
     /// Writes the state that a restart needs.
     pub fn publish(&mut self, body: &Deformable, out: &mut Commands) {
-        if std::mem::take(&mut self.cuts_changed) && (self.weakness.cut || self.weakness.tears_at.is_some()) {
+        if std::mem::take(&mut self.cuts_changed)
+            && (self.failure_criteria.cut || self.failure_criteria.tears_at.is_some())
+        {
             out.put(body.entity, self.cuts.clone());
         }
     }

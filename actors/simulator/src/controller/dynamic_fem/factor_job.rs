@@ -9,7 +9,7 @@ use trocar_scene::{Job, JobOutput, SimTime};
 
 use super::saved_state::{LentFactor, WantedFactor};
 use super::{DynamicFemBody, Solver};
-use crate::controller::thermal_damage::Heated;
+use crate::controller::thermal_damage::ThermalDamage;
 use crate::dynamic_fem::{Analysis, DynamicFem};
 
 /// Duration of a job in lock-step, however long it takes.
@@ -32,7 +32,7 @@ impl Former<'_> {
         kind: &DynamicFemBody,
         rest: &[Point3<f64>],
         pinned: &[u32],
-        heated: &Heated,
+        heated: &ThermalDamage,
     ) -> Result<DynamicFem, String> {
         let mesh = DynamicFemBody::mesh(&rest[..self.nodes.min(rest.len())], self.tets, true)?;
         let own: Vec<u32> = pinned.iter().copied().filter(|node| (*node as usize) < self.nodes).collect();
@@ -45,7 +45,7 @@ fn built(
     wanted: &WantedFactor,
     rest: &[Point3<f64>],
     pinned: &[u32],
-    heated: &Heated,
+    heated: &ThermalDamage,
 ) -> Built {
     let former = Former { tets: &wanted.tets, nodes: wanted.positions.len() };
     let mut solver = former.solver(kind, rest, pinned, heated)?;
@@ -55,8 +55,8 @@ fn built(
 
 impl Solver {
     /// After a restart: computes the factor in progress again, so that it is used from the same time.
-    pub(crate) fn resume(&mut self, body: &Deformable, heated: &Heated) {
-        if !self.solver.is_lent() {
+    pub(crate) fn resume(&mut self, body: &Deformable, heated: &ThermalDamage) {
+        if !self.solver.has_stale_factor() {
             self.memory.lent = None;
         }
         let wanted = self.memory.lent.as_ref().and_then(|lent| lent.wanted.as_ref());
@@ -68,7 +68,9 @@ impl Solver {
     /// # Errors
     /// Why it could not be computed.
     pub(crate) fn take_over(&mut self, site: &StepContext<'_>) -> Result<(), String> {
-        let Some(lent) = self.memory.lent.as_mut().filter(|_| self.solver.is_lent()) else { return Ok(()) };
+        let Some(lent) = self.memory.lent.as_mut().filter(|_| self.solver.has_stale_factor()) else {
+            return Ok(());
+        };
         let Some(wanted) = &lent.wanted else { return Ok(()) };
         if let Some(output) = site.tick.jobs.take(wanted.key) {
             self.ready = output.downcast::<Built>().ok().map(|built| *built);
@@ -87,8 +89,13 @@ impl Solver {
     }
 
     /// Submits a job for the current mesh, if the body uses an outdated factor.
-    pub(crate) fn ask(&mut self, body: &Deformable, site: &StepContext<'_>, heated: impl FnOnce() -> Heated) {
-        if !self.solver.is_lent() {
+    pub(crate) fn ask(
+        &mut self,
+        body: &Deformable,
+        site: &StepContext<'_>,
+        heated: impl FnOnce() -> ThermalDamage,
+    ) {
+        if !self.solver.has_stale_factor() {
             (self.memory.lent, self.ready) = (None, None);
             return;
         }

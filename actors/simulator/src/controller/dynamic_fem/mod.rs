@@ -8,16 +8,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::instrument_rods::Rod;
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, Outlook, Reshaped, StepContext};
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::method::{
+    ContactParams, Measures, StepContext, StepPrediction, SurfaceChange,
+};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, OutOfValidity, Snapshot, SoftAbilities,
 };
 
-use super::cutting::volume::{Elements, FailureCriteria, Parting, Split};
-use super::thermal_damage::{Coagulated, Heated};
+use super::cutting::divisible_volume::DivisibleVolume;
+use super::cutting::volume::{Elements, FailureCriteria, Split};
+use super::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use factor_job::{Built, Former};
 use saved_state::DynamicFemMemory;
@@ -80,7 +83,7 @@ impl Default for DynamicFemBody {
 }
 
 impl DynamicFemBody {
-    fn weakness(&self) -> Result<FailureCriteria, String> {
+    fn failure_criteria(&self) -> Result<FailureCriteria, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
         Ok(FailureCriteria {
@@ -104,7 +107,7 @@ impl DynamicFemBody {
         &self,
         mesh: TetMesh,
         pinned: &[u32],
-        heated: &Heated,
+        heated: &ThermalDamage,
     ) -> Result<DynamicFem, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let constitution =
@@ -126,10 +129,10 @@ impl DynamicFemBody {
         &self,
         body: &Deformable,
         memory: &DynamicFemMemory,
-        heated: &Heated,
+        heated: &ThermalDamage,
     ) -> Result<DynamicFem, String> {
         let state = memory.state(&body.positions, &body.velocities);
-        if let Some(lent) = memory.lent.as_ref().filter(|_| memory.lends_to(body.rest.len())) {
+        if let Some(lent) = memory.lent.as_ref().filter(|_| memory.fits(body.rest.len())) {
             let DynamicFemMemory { factor_positions, factor_dt, factor_couplings, .. } = memory;
             let former = Former { tets: &lent.tets, nodes: factor_positions.len() };
             let mut solver = former.solver(self, &body.rest, &body.pinned, heated)?;
@@ -137,9 +140,9 @@ impl DynamicFemBody {
                 .factor_at(factor_positions, *factor_dt, factor_couplings)
                 .map_err(|error| error.to_string())?;
             let mesh = Self::mesh(&body.rest, &body.tets, true)?;
-            let done = solver.come_apart(mesh, &body.pinned, &lent.births, |solver| heat(solver, heated));
+            let done = solver.split_nodes(mesh, &body.pinned, &lent.births, |solver| heat(solver, heated));
             done.map_err(|error| error.to_string())?;
-            solver.go_on(&state);
+            solver.resume(&state);
             return Ok(solver);
         }
         let mesh = Self::mesh(&body.rest, &body.tets, body.is_parted)?;
@@ -158,7 +161,7 @@ impl DynamicFemBody {
     }
 }
 
-pub(super) fn heat(solver: &mut DynamicFem, heated: &Heated) {
+pub(super) fn heat(solver: &mut DynamicFem, heated: &ThermalDamage) {
     heated.coagulated.iter().for_each(|of| solver.alter(of.element, of.stiffness, of.length));
     solver.remove(&heated.removed);
 }
@@ -186,7 +189,7 @@ impl Elements for Solver {
         Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+    fn alter(&mut self, elements: &[CoagulatedElement]) -> Result<(), String> {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
         Ok(())
     }
@@ -197,7 +200,7 @@ impl Elements for Solver {
             let former = self.solver.mesh();
             self.memory.split(split.born, || former.tets().to_vec());
         }
-        let done = self.solver.come_apart(mesh, &body.pinned, split.born, |solver| heat(solver, &heated));
+        let done = self.solver.split_nodes(mesh, &body.pinned, split.born, |solver| heat(solver, &heated));
         done.map_err(|error| error.to_string())?;
         self.memory.take(&self.solver);
         Ok(())
@@ -207,7 +210,7 @@ impl Elements for Solver {
 /// Dynamic finite elements for one body.
 pub struct DynamicFemMethod {
     of: Solver,
-    parting: Option<Parting>,
+    divisible: Option<DivisibleVolume>,
     /// Inverse mass of each node, 0 where it is anchored \[1/kg\].
     mobility: Vec<f64>,
     contacts: Vec<Contact>,
@@ -224,24 +227,24 @@ impl SoftMethod for DynamicFemMethod {
 
     fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();
-        let parting = Parting::new(body, kind.weakness()?, scene)?;
-        let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
+        let divisible = DivisibleVolume::new(body, kind.failure_criteria()?, scene)?;
+        let heated = divisible.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let mobility = mobility(&solver, body);
         let mut of = Solver { kind: *kind, solver, memory, ready: None };
         of.resume(body, &heated);
         let (contacts, prescribed) = (Vec::new(), Vec::new());
-        Ok(Self { of, parting, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
+        Ok(Self { of, divisible, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        Parting::access(access, bodies)
+        DivisibleVolume::access(access, bodies)
             .writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
             .writes::<OutOfValidity>(EntitySet::Of(bodies.to_vec()))
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.parting.as_ref().is_some_and(Parting::is_cut)
+        self.divisible.as_ref().is_some_and(DivisibleVolume::is_cut)
     }
 
     fn reshape(
@@ -249,11 +252,11 @@ impl SoftMethod for DynamicFemMethod {
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
-        let Some(parting) = &mut self.parting else { return Ok(None) };
+    ) -> Result<Option<SurfaceChange>, String> {
+        let Some(divisible) = &mut self.divisible else { return Ok(None) };
         self.of.take_over(site)?;
-        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
-        self.of.ask(body, site, || parting.heated());
+        let reshaped = divisible.reshape(&mut self.of, body, site, out)?;
+        self.of.ask(body, site, || divisible.heated());
         if reshaped.is_some() {
             self.mobility = mobility(&self.of.solver, body);
         }
@@ -267,7 +270,7 @@ impl SoftMethod for DynamicFemMethod {
 
     fn publish(&mut self, body: &Deformable, site: &StepContext<'_>, out: &mut Commands) {
         if self.unsolved[0] == UNSOLVED_MAX && site.scene.get::<OutOfValidity>(body.entity).is_none() {
-            out.put(body.entity, OutOfValidity { reason: self.doubt(), since: site.tick.time });
+            out.put(body.entity, OutOfValidity { reason: self.validity_warning(), since: site.tick.time });
         }
         let Solver { solver, memory, .. } = &mut self.of;
         memory.take(solver);
@@ -282,8 +285,8 @@ impl SoftMethod for DynamicFemMethod {
         self.of.solver.velocities()
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
-        Skin {
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+        ContactSurface {
             positions: self.positions(),
             triangles: &body.triangles,
             segments: &[],
@@ -301,7 +304,7 @@ impl SoftMethod for DynamicFemMethod {
         self.contacts.clear();
         self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.of.kind)));
         self.prescribed.clear();
-        self.prescribed.extend(site.led.iter().map(|led| (led.vertex, led.position_in_world)));
+        self.prescribed.extend(site.driven.iter().map(|driven| (driven.vertex, driven.position_in_world)));
         let inputs = inputs(&self.contacts, &self.prescribed, site);
         let report = self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
         self.report = Some(report);
@@ -317,7 +320,7 @@ impl SoftMethod for DynamicFemMethod {
         _body: &Deformable,
         site: &StepContext<'_>,
         active: &[u32],
-        outlook: &mut Outlook,
+        outlook: &mut StepPrediction,
     ) {
         let (solver, dt) = (&mut self.of.solver, site.period_secs());
         solver.expected(dt, &inputs(&self.contacts, &self.prescribed, site), &mut outlook.expected);
@@ -339,20 +342,20 @@ impl SoftMethod for DynamicFemMethod {
         measures.put("kinetic_energy_j", energies.kinetic);
         measures.put("elastic_energy_j", energies.elastic);
         measures.put("unsolved_steps", f64::from(self.unsolved[1]));
-        measures.put("lent_factor", f64::from(u8::from(self.of.solver.is_lent())));
+        measures.put("lent_factor", f64::from(u8::from(self.of.solver.has_stale_factor())));
         measures.put("analysed_in_ticks", f64::from(self.of.solver.analysed()));
         if let Some(report) = &self.report {
             measures.put("residual", report.residual);
             measures.put("inverted_elements", f64::from(report.inverted));
         }
-        self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.divisible.iter().for_each(|divisible| divisible.measure(measures));
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
     }
 }
 
 impl DynamicFemMethod {
-    fn doubt(&self) -> String {
+    fn validity_warning(&self) -> String {
         let residual = self.report.map_or(0.0, |report| report.residual);
         let inverted = self.report.and_then(|report| Some((report.inverted, report.first_inverted?)));
         let inverted = inverted.map_or_else(String::new, |(count, first)| {
@@ -390,7 +393,7 @@ fn inputs<'a>(
 }
 
 /// Contact plane: tangent to the rod at the point nearest to the body.
-fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
+fn contact(touch: &RodContact, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
     let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
     let weights =
         if b == a { [(a, 1.0), (a, 0.0), (a, 0.0), (a, 0.0)] } else { [(a, u), (b, v), (c, w), (a, 0.0)] };

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::tet_mesh::NodeOrigin;
 use trocar_scene::{Component, SimTime};
 
 use crate::dynamic_fem::{Coupling, DynamicFem, DynamicFemState};
@@ -38,7 +38,7 @@ pub struct LentFactor {
     /// Its elements; its nodes are the first ones of the body.
     pub tets: Arc<Vec<[u32; 4]>>,
     /// Origins of all nodes added since.
-    pub births: Arc<Vec<Birth>>,
+    pub births: Arc<Vec<NodeOrigin>>,
     /// The factor in progress.
     pub wanted: Option<WantedFactor>,
 }
@@ -71,13 +71,13 @@ impl DynamicFemMemory {
         }
         self.factor_dt = factor_dt;
         self.factor_couplings = factor_couplings;
-        if !solver.is_lent() {
+        if !solver.has_stale_factor() {
             self.lent = None;
         }
     }
 
     /// Adds new vertices: the factor is now one of the former mesh, with the elements `before` if it was up to date.
-    pub fn split(&mut self, born: &[Birth], before: impl FnOnce() -> Vec<[u32; 4]>) {
+    pub fn split(&mut self, born: &[NodeOrigin], before: impl FnOnce() -> Vec<[u32; 4]>) {
         let lent =
             self.lent.get_or_insert_with(|| LentFactor { tets: Arc::new(before()), ..LentFactor::default() });
         Arc::make_mut(&mut lent.births).extend_from_slice(born);
@@ -85,7 +85,7 @@ impl DynamicFemMemory {
 
     /// Checks the factor's data against a body with this many nodes.
     #[must_use]
-    pub fn lends_to(&self, nodes: usize) -> bool {
+    pub fn fits(&self, nodes: usize) -> bool {
         let Some(lent) = &self.lent else { return false };
         let known = self.factor_positions.len();
         let is_of =

@@ -14,8 +14,8 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused, freeze};
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody, freeze};
+use trocar_dynamics::tet_mesh::NodeOrigin;
 use trocar_scene::disjoint_sets::DisjointSets;
 use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;
@@ -29,7 +29,7 @@ use super::cauterised::{CauterisedBody, ElectrodeTip};
 use super::cutting::membrane::SurfaceElements;
 use super::cutting::volume::VolumeCuts;
 use super::rest_position::rest_place;
-use super::thermal_damage::{Coagulated, CoagulatedElements, RemovedElements};
+use super::thermal_damage::{CoagulatedElement, CoagulatedElements, RemovedElements};
 use crate::electrosurgery::{
     Contact, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, Tissue, shares,
 };
@@ -65,7 +65,7 @@ struct Body {
     tissue: Electrosurgery,
     triangles: Arc<Vec<[u32; 3]>>,
     removed: Vec<u32>,
-    coagulated: Arc<Vec<Coagulated>>,
+    coagulated: Arc<Vec<CoagulatedElement>>,
     /// Whether a controller moves it: that one then owns its surface, and decides whether it is frozen.
     is_moved: bool,
     plume: Plume,
@@ -227,11 +227,11 @@ impl Body {
     /// Updates the coagulated elements; returns whether the change is worth publishing.
     fn coagulates(&mut self) -> bool {
         let elements = 0..self.tissue.removed().len() as u32;
-        let now: Vec<Coagulated> = elements
+        let now: Vec<CoagulatedElement> = elements
             .filter_map(|element| {
                 let factors = self.tissue.factors(element);
                 let is_changed = factors.stiffness > 1.0 + COAGULATED_CHANGE && !factors.is_removed;
-                is_changed.then_some(Coagulated {
+                is_changed.then_some(CoagulatedElement {
                     element,
                     stiffness: factors.stiffness,
                     length: factors.length,
@@ -282,7 +282,7 @@ impl Body {
 }
 
 /// Interpolates vertex values of the first mesh to the added vertices.
-fn grow(births: &[Birth], values: [&mut Vec<f64>; 2]) {
+fn grow(births: &[NodeOrigin], values: [&mut Vec<f64>; 2]) {
     for values in values {
         births.iter().for_each(|birth| values.push(birth.mix(values, |a, b, share| a + (b - a) * share)));
     }
@@ -325,7 +325,7 @@ pub struct ElectrosurgeryController {
     bodies: Vec<Body>,
     /// Contact of the current electrode with each body.
     contacts: Vec<Contact>,
-    refused: Vec<Refused>,
+    refused: Vec<RejectedBody>,
 }
 
 impl ElectrosurgeryController {
@@ -340,7 +340,7 @@ impl ElectrosurgeryController {
             let mut body = match Body::read(context.scene, entity, kind) {
                 Ok(body) => body,
                 Err(error) => {
-                    refused.push(Refused::of(context, entity, FrozenPart::Heat, error)?);
+                    refused.push(RejectedBody::of(context, entity, FrozenPart::Heat, error)?);
                     continue;
                 }
             };
@@ -469,7 +469,7 @@ impl Controller for ElectrosurgeryController {
             }
             body.measure(&mut measured.values);
         }
-        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }

@@ -4,17 +4,17 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use nalgebra::Point3;
-use trocar_dynamics::tet_mesh::Birth;
+use trocar_dynamics::tet_mesh::NodeOrigin;
 use trocar_scene::{Entity, RestPositions, Snapshot, SurfaceMesh, TetMesh};
 
 use crate::controller::cutting::membrane::SurfaceElements;
 use crate::controller::cutting::volume::VolumeCuts;
-use crate::electrosurgery::{Parted, Tissue};
+use crate::electrosurgery::{CutTissue, Tissue};
 
 /// The current mesh of a body, with the mapping to the first one.
 pub(crate) struct PartedMesh {
     rest: Arc<Vec<Point3<f64>>>,
-    births: Arc<Vec<Birth>>,
+    births: Arc<Vec<NodeOrigin>>,
     elements: Elements,
     of: Vec<u32>,
 }
@@ -25,7 +25,7 @@ enum Elements {
 }
 
 /// Origins of the vertices added since a body's first mesh; `None` if it was never cut.
-pub(crate) fn births(scene: &Snapshot, entity: Entity) -> Option<&Arc<Vec<Birth>>> {
+pub(crate) fn births(scene: &Snapshot, entity: Entity) -> Option<&Arc<Vec<NodeOrigin>>> {
     let of_volume = scene.get::<VolumeCuts>(entity).map(|cuts| &cuts.births);
     of_volume
         .or_else(|| scene.get::<SurfaceElements>(entity).map(|of| &of.births))
@@ -77,7 +77,7 @@ impl PartedMesh {
     }
 
     /// In the form that the method takes.
-    pub(crate) fn parted(&self) -> Parted<'_> {
+    pub(crate) fn parted(&self) -> CutTissue<'_> {
         let positions: &[Point3<f64>] = &self.rest;
         let tissue = match &self.elements {
             Elements::Tets(tets) => Tissue::Volume { positions, tets },
@@ -85,6 +85,6 @@ impl PartedMesh {
                 Tissue::Membrane { positions, triangles, thickness: *thickness }
             }
         };
-        Parted { tissue, of: &self.of, births: &self.births }
+        CutTissue { tissue, of: &self.of, births: &self.births }
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody, freeze};
 use trocar_dynamics::soft_body::jaws::holds;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
@@ -132,7 +132,7 @@ struct Body {
 /// Simulates the bleeding of every vessel.
 pub struct BleedingController {
     vessels: Vec<Body>,
-    refused: Vec<Refused>,
+    refused: Vec<RejectedBody>,
 }
 
 fn length(line: &[Point3<f64>]) -> f64 {
@@ -201,7 +201,7 @@ impl Body {
     }
 
     /// Opens the wall where the tissue around it was removed.
-    fn burn_through(&mut self, scene: &Snapshot, tissue: Entity, body_from_tissue: &Isometry3<f64>) {
+    fn perforate(&mut self, scene: &Snapshot, tissue: Entity, body_from_tissue: &Isometry3<f64>) {
         let (Some(gone), Some(rest)) = (scene.get::<RemovedElements>(tissue), rest_of(scene, tissue)) else {
             return;
         };
@@ -301,7 +301,7 @@ impl Body {
         let tissue =
             self.vessel.tissue.map(|tissue| (tissue, world_from_body.inverse() * scene.world_pose(tissue)));
         if let Some((tissue, body_from_tissue)) = &tissue {
-            self.burn_through(scene, *tissue, body_from_tissue);
+            self.perforate(scene, *tissue, body_from_tissue);
         }
         let Some((place, direction, vertices)) = along(&self.line, self.state.hole) else {
             return Err("its line has no length left".into());
@@ -377,7 +377,7 @@ impl BleedingController {
         for (entity, vessel) in context.scene.iter::<Vessel>() {
             match Body::read(context.scene, entity, *vessel) {
                 Ok(body) => vessels.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+                Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if vessels.is_empty() && refused.is_empty() {
@@ -442,7 +442,7 @@ impl Controller for BleedingController {
             let named = values.into_iter().map(|(what, value)| (format!("{}.{what}", vessel.name), value));
             measured.values.extend(named);
         }
-        self.refused.iter_mut().for_each(|vessel| vessel.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|vessel| vessel.report(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }

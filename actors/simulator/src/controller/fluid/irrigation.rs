@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Activation, Component, ComponentError, ControllerError, Entity, Snapshot};
 
-use crate::fluid::{Fluid, Hole, Spout};
+use crate::fluid::{Emitter, Fluid, Hole};
 
 /// An irrigator: a tube at an instrument, along its axis, that emits the scene's liquid while it is switched on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
@@ -70,19 +70,19 @@ fn level(scene: &Snapshot, entity: Entity) -> f64 {
 
 impl Irrigator {
     /// Emits liquid for `dt` seconds.
-    pub(crate) fn pour(
+    pub(crate) fn emit(
         &self,
         (scene, entity): (&Snapshot, Entity),
         liquid_from_world: &Isometry3<f64>,
         dt: f64,
-        spout: &mut Spout,
+        emitter: &mut Emitter,
         fluid: &mut Fluid,
     ) {
         let liquid_from_tip = liquid_from_world * scene.world_pose(entity);
         let place = liquid_from_tip * Point3::origin();
         let hole = Hole { place, outwards: liquid_from_tip * Vector3::z(), area: self.area };
-        let given = spout.given + self.rate * level(scene, entity) * dt;
-        spout.pour(given, dt, &hole, fluid);
+        let given = emitter.given + self.rate * level(scene, entity) * dt;
+        emitter.emit(given, dt, &hole, fluid);
     }
 
     fn ranges(&self) -> Result<(), ComponentError> {
@@ -93,7 +93,7 @@ impl Irrigator {
 
 impl Sucker {
     /// Removes liquid for `dt` seconds, nearest particles first.
-    pub(crate) fn suck(
+    pub(crate) fn remove_within(
         &self,
         (scene, entity): (&Snapshot, Entity),
         liquid_from_world: &Isometry3<f64>,
@@ -105,7 +105,7 @@ impl Sucker {
         // Suction that lacked liquid is not made up for later.
         suction.waiting = if now > 0.0 { suction.waiting.min(particle) + now } else { 0.0 };
         let tip = liquid_from_world * scene.world_pose(entity) * Point3::origin();
-        let taken = fluid.suck(&tip, self.reach, (suction.waiting / particle).floor() as u64);
+        let taken = fluid.remove_within(&tip, self.reach, (suction.waiting / particle).floor() as u64);
         suction.taken += taken;
         suction.waiting -= taken as f64 * particle;
     }

@@ -16,7 +16,7 @@ use trocar_scene::{
 use super::bleeding::{VesselState, rest_of};
 use super::irrigation::{self, Irrigator, Sucker, Suction};
 use crate::fluid::boundary_samples::{WallSample, sample};
-use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
+use crate::fluid::{Emitter, Fluid, FluidConfig, FluidState};
 
 /// Maximum number of samples per wall.
 const SAMPLES_MAX: usize = 200_000;
@@ -92,7 +92,7 @@ pub struct LiquidState {
     /// The particles.
     pub fluid: Arc<FluidState>,
     /// Emission of each vessel and irrigator so far.
-    pub spouts: Vec<(Entity, Spout)>,
+    pub spouts: Vec<(Entity, Emitter)>,
     /// Suction of each sucker so far.
     #[serde(default)]
     pub suctions: Vec<(Entity, Suction)>,
@@ -114,7 +114,7 @@ pub struct FluidController {
     look: Particles,
     fluid: Fluid,
     gravity_in_world: Vector3<f64>,
-    spouts: BTreeMap<Entity, Spout>,
+    spouts: BTreeMap<Entity, Emitter>,
     suctions: BTreeMap<Entity, Suction>,
     walls: Vec<Wall>,
     places: Vec<Point3<f64>>,
@@ -155,9 +155,9 @@ impl FluidController {
         let (mut spouts, mut suctions) = (BTreeMap::new(), BTreeMap::new());
         if let Some(known) = scene.get::<LiquidState>(liquid) {
             fluid.restore(&known.fluid).map_err(|error| wrong(error.to_string()))?;
-            for (entity, spout) in &known.spouts {
-                spout.check().map_err(|error| wrong(error.to_string()))?;
-                spouts.insert(*entity, *spout);
+            for (entity, emitter) in &known.spouts {
+                emitter.check().map_err(|error| wrong(error.to_string()))?;
+                spouts.insert(*entity, *emitter);
             }
             suctions.extend(known.suctions.iter().copied());
         }
@@ -281,22 +281,22 @@ impl FluidController {
         for (entity, vessel) in scene.iter::<VesselState>() {
             let liquid_from_vessel = world_from_liquid.inverse() * scene.world_pose(entity);
             let hole = vessel.hole_in(&liquid_from_vessel);
-            self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
+            self.spouts.entry(entity).or_default().emit(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
         }
         let liquid_from_world = world_from_liquid.inverse();
         for (entity, irrigator) in scene.iter::<Irrigator>() {
-            let spout = self.spouts.entry(entity).or_default();
-            irrigator.pour((scene, entity), &liquid_from_world, dt, spout, &mut self.fluid);
+            let emitter = self.spouts.entry(entity).or_default();
+            irrigator.emit((scene, entity), &liquid_from_world, dt, emitter, &mut self.fluid);
         }
         for (entity, sucker) in scene.iter::<Sucker>() {
             let suction = self.suctions.entry(entity).or_default();
-            sucker.suck((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
+            sucker.remove_within((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
         }
         self.fluid.step(dt).map(drop).map_err(|error| error.to_string())
     }
 
     /// Restores the scene's state: discards the emission of a failed step.
-    fn go_back(&mut self, scene: &Snapshot) {
+    fn restore(&mut self, scene: &Snapshot) {
         let Some(known) = scene.get::<LiquidState>(self.liquid) else { return };
         if self.fluid.restore(&known.fluid).is_ok() {
             self.spouts = known.spouts.iter().copied().collect();
@@ -305,7 +305,7 @@ impl FluidController {
     }
 
     /// Reports once that a wall in the scene is invalid.
-    fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
+    fn validity_warning(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
         let Some(wall) = self.held.first().filter(|_| scene.get::<OutOfValidity>(self.liquid).is_none())
         else {
             return;
@@ -347,8 +347,8 @@ impl FluidController {
         let mut put = |what: &str, value: f64| values.insert(format!("{}.{what}", self.name), value);
         let volume = self.fluid.particle_volume();
         let state = self.fluid.state();
-        let emitted: u64 = self.spouts.values().map(|spout| spout.emitted).sum();
-        let given: f64 = self.spouts.values().map(|spout| spout.given).sum();
+        let emitted: u64 = self.spouts.values().map(|emitter| emitter.emitted).sum();
+        let given: f64 = self.spouts.values().map(|emitter| emitter.given).sum();
         put("volume_m3", state.numbers.len() as f64 * volume);
         put("particles", state.numbers.len() as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
@@ -401,16 +401,16 @@ impl Controller for FluidController {
             && let Err(reason) = self.step(dt, scene)
         {
             self.frozen = true;
-            self.go_back(scene);
+            self.restore(scene);
             freeze(self.liquid, FrozenPart::Body, reason, tick, out);
         }
         if !self.frozen {
-            self.doubt(tick, scene, out);
+            self.validity_warning(tick, scene, out);
             let was_empty = self.look.positions.is_empty();
             self.show();
             if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {
                 out.put(self.liquid, self.look.clone());
-                let spouts = self.spouts.iter().map(|(entity, spout)| (*entity, *spout)).collect();
+                let spouts = self.spouts.iter().map(|(entity, emitter)| (*entity, *emitter)).collect();
                 let suctions = self.suctions.iter().map(|(entity, suction)| (*entity, *suction)).collect();
                 let fluid = Arc::new(self.fluid.state().clone());
                 out.put(self.liquid, LiquidState { fluid, spouts, suctions });

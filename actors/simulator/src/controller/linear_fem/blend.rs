@@ -9,14 +9,14 @@
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::contacts::Answer;
-use super::warm_start::Holding;
+use super::contacts::ConstraintReaction;
+use super::warm_start::HeldConstraints;
 use crate::linear_fem::{Attachment, LinearFem, LinearFemError};
 
 /// Maximum change of the contact force per tick, relative to it.
 const CHANGE: f64 = 0.02;
 /// Minimum contact force for that limit \[N\].
-const FELT_MIN: f64 = 1e-3;
+const CONTACT_FORCE_MIN: f64 = 1e-3;
 /// Minimum and maximum blend step: 500 ticks at most.
 const STEP: [f64; 2] = [0.002, 0.25];
 
@@ -29,30 +29,30 @@ pub(crate) fn catch_up(
 ) -> Result<(), LinearFemError> {
     let missing = mesh.rest().len().saturating_sub(solver.mesh().rest().len());
     match parents.len().checked_sub(missing) {
-        Some(known) if missing > 0 => solver.come_apart(mesh, &parents[known..]),
+        Some(known) if missing > 0 => solver.split_nodes(mesh, &parents[known..]),
         _ => Ok(()),
     }
 }
 
 /// An old inverse that is blended out.
-pub(crate) struct Fading {
+pub(crate) struct InverseBlend {
     old: Box<LinearFem>,
     /// Weight of the new inverse.
     share: f64,
     /// The old inverse's held places and their factor.
-    holding: Holding,
+    holding: HeldConstraints,
     forces: Vec<Vector3<f64>>,
     /// Magnitude of the contact force, and its difference between the two inverses \[N\].
-    felt: f64,
+    contact_force: f64,
     change: f64,
     moved: Vec<Vector3<f64>>,
 }
 
-impl Fading {
+impl InverseBlend {
     /// From an inverse that was just replaced.
     pub fn new(old: Box<LinearFem>) -> Self {
-        let (holding, forces, moved) = (Holding::default(), Vec::new(), Vec::new());
-        Self { old, share: 0.0, holding, forces, felt: 0.0, change: 0.0, moved }
+        let (holding, forces, moved) = (HeldConstraints::default(), Vec::new(), Vec::new());
+        Self { old, share: 0.0, holding, forces, contact_force: 0.0, change: 0.0, moved }
     }
 
     /// Removes elements from the old inverse too, at most this many and as far as it can be corrected; the others are
@@ -75,27 +75,32 @@ impl Fading {
     }
 
     /// Applies a topology change to the old inverse, by at most this many nodes.
-    pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32], most: usize) -> Result<(), LinearFemError> {
+    pub fn split_nodes(
+        &mut self,
+        mesh: &TetMesh,
+        parents: &[u32],
+        most: usize,
+    ) -> Result<(), LinearFemError> {
         catch_up(&mut self.old, mesh, parents)?;
         self.old.release_nodes(most).map(drop)
     }
 
     /// Nodes still joined to their parents, while the new inverse has no weight.
     pub fn waiting(&self) -> Option<usize> {
-        self.is_unfelt().then(|| self.old.waiting())
+        self.has_no_weight().then(|| self.old.waiting())
     }
 
     /// Whether the new inverse has no weight yet.
-    pub fn is_unfelt(&self) -> bool {
+    pub fn has_no_weight(&self) -> bool {
         self.share == 0.0
     }
 
     /// Whether the new inverse has no weight yet, and the element is out of the old one.
     pub fn hides(&self, tet: u32) -> bool {
-        self.is_unfelt() && self.old.is_out(tet)
+        self.has_no_weight() && self.old.is_out(tet)
     }
 
-    /// Releases everything that is not kept from the last tick, as [`Holding::keep`] does.
+    /// Releases everything that is not kept from the last tick, as [`HeldConstraints::keep`] does.
     pub fn keep<'a>(&mut self, wanted: impl Iterator<Item = &'a Attachment>) -> Result<(), LinearFemError> {
         self.holding.keep(&mut self.old, wanted)
     }
@@ -116,8 +121,8 @@ impl Fading {
     }
 
     /// Blends the old inverse's forces into the new inverse's answers.
-    pub fn blend_forces(&mut self, answers: &mut [Answer]) -> Result<(), LinearFemError> {
-        (self.felt, self.change) = (0.0, 0.0);
+    pub fn blend_forces(&mut self, answers: &mut [ConstraintReaction]) -> Result<(), LinearFemError> {
+        (self.contact_force, self.change) = (0.0, 0.0);
         self.holding.forces(&mut self.old, &mut self.forces)?;
         for (place, (answer, old)) in answers.iter_mut().zip(&self.forces).enumerate() {
             if !self.holding.holds(place) {
@@ -125,7 +130,7 @@ impl Fading {
             }
             let new = answer.force;
             answer.force = old.lerp(&new, self.share);
-            self.felt += answer.force.norm();
+            self.contact_force += answer.force.norm();
             self.change += (new - old).norm();
         }
         Ok(())
@@ -144,7 +149,7 @@ impl Fading {
 
     /// Blended displacements of all nodes; `solver` is the new inverse.
     pub fn displacements(&mut self, solver: &mut LinearFem, moved: &mut Vec<Vector3<f64>>) {
-        if self.is_unfelt() {
+        if self.has_no_weight() {
             self.old.displacements(moved);
             return;
         }
@@ -158,7 +163,7 @@ impl Fading {
     /// Advances to the next tick; returns whether the blend is complete.
     pub fn is_over(&mut self) -> bool {
         let [least, most] = STEP;
-        let step = CHANGE * self.felt.max(FELT_MIN) / self.change.max(f64::MIN_POSITIVE);
+        let step = CHANGE * self.contact_force.max(CONTACT_FORCE_MIN) / self.change.max(f64::MIN_POSITIVE);
         self.share += step.clamp(least, most);
         self.share >= 1.0
     }

@@ -12,7 +12,7 @@ use trocar_dynamics::picking::Jaws;
 use trocar_dynamics::soft_body::grasp::Holder;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
 use trocar_dynamics::soft_body::method::StepContext;
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch, touches};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact, touches};
 use trocar_scene::{Component, Entity};
 
 use super::Body;
@@ -29,7 +29,7 @@ const PENETRATION_MAX: f64 = 1e-5;
 const PATCHES_APART: f64 = 1.0;
 /// A surface point that an instrument pressed on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Place {
+pub struct PressedPoint {
     /// The instrument.
     pub instrument: u64,
     /// Corners of the triangle; one vertex three times for a vertex.
@@ -44,37 +44,37 @@ pub struct Place {
 #[serde(default, deny_unknown_fields)]
 pub struct Contacts {
     /// In the order of detection.
-    pub places: Vec<Place>,
+    pub places: Vec<PressedPoint>,
 }
 
 impl Contacts {
     /// Saves the centres of loaded patches.
-    pub(crate) fn keep(&mut self, answers: &[Answer], rods: &[Rod], contact_radius: f64) {
+    pub(crate) fn keep(&mut self, answers: &[ConstraintReaction], rods: &[Rod], contact_radius: f64) {
         self.places.clear();
         let borne = answers.iter().filter(|answer| contact_radius > 0.0 && answer.force != Vector3::zeros());
         self.places.extend(borne.filter_map(|answer| {
-            let By::Touch(touch) = &answer.by else { return None };
+            let ConstraintSource::RodContact(touch) = &answer.by else { return None };
             let instrument = rods[touch.rod].instrument.to_bits();
-            Some(Place { instrument, nodes: touch.nodes, weights: touch.weights })
+            Some(PressedPoint { instrument, nodes: touch.nodes, weights: touch.weights })
         }));
     }
 }
 
 /// One constraint on the surface, and its force.
-pub(crate) struct Answer {
+pub(crate) struct ConstraintReaction {
     pub attachment: Attachment,
     /// Prescribed mean displacement, from rest \[m\].
     pub target: Vector3<f64>,
     /// Of a patch: how far its mean displacement lags behind that of its centre, the contact point \[m\].
     pub lag: f64,
-    pub by: By,
+    pub by: ConstraintSource,
     /// On the body \[N\].
     pub force: Vector3<f64>,
 }
 
-pub(crate) enum By {
+pub(crate) enum ConstraintSource {
     /// A rod contact.
-    Touch(Touch),
+    RodContact(RodContact),
     /// A vertex held by an instrument's jaws.
     Jaws(Entity, u32),
     /// A pinned point, by its number.
@@ -83,11 +83,14 @@ pub(crate) enum By {
 
 impl Body {
     /// The current constraints, persistent ones first: pinned points, held vertices, rod contacts.
-    pub(crate) fn ask(&mut self, site: &StepContext<'_>) -> Result<Vec<Answer>, String> {
+    pub(crate) fn collect_constraints(
+        &mut self,
+        site: &StepContext<'_>,
+    ) -> Result<Vec<ConstraintReaction>, String> {
         let rods = site.rods;
         let triangles = self.body.triangles.clone();
         let mut touched = Vec::new();
-        let skin = Skin {
+        let skin = ContactSurface {
             positions: &self.positions,
             triangles: &triangles,
             segments: &[],
@@ -99,26 +102,26 @@ impl Body {
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
         self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
         let mut answers = Vec::new();
-        self.pins.drive_in(site.scene, site.world_from_body);
-        let altered = self.parting.as_ref().map(|(_, altered)| altered);
+        self.pins.record_points(site.scene, site.world_from_body);
+        let altered = self.divisible.as_ref().map(|(_, altered)| altered);
         let is_gone = |tet| altered.is_some_and(|altered| altered.is_gone(tet));
-        let led = self.pins.led(site.scene, site.world_from_body, &self.mesh, is_gone);
-        answers.extend(led.map(|(number, attachment, target)| Answer {
+        let driven = self.pins.driven(site.scene, site.world_from_body, &self.mesh, is_gone);
+        answers.extend(driven.map(|(number, attachment, target)| ConstraintReaction {
             attachment,
             target,
             lag: 0.0,
-            by: By::Pin(number),
+            by: ConstraintSource::Pin(number),
             force: Vector3::zeros(),
         }));
         for pick in &self.grips.picks.picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
             for held in pick.vertices.iter().filter(|held| !self.is_pinned[held.vertex as usize]) {
                 let target = jaw.pose_in_world * held.in_instrument - self.body.rest[held.vertex as usize];
-                answers.push(Answer {
+                answers.push(ConstraintReaction {
                     attachment: Attachment::node(held.vertex, Hold::Point),
                     target,
                     lag: 0.0,
-                    by: By::Jaws(Entity::from_bits(pick.instrument), held.vertex),
+                    by: ConstraintSource::Jaws(Entity::from_bits(pick.instrument), held.vertex),
                     force: Vector3::zeros(),
                 });
             }
@@ -126,28 +129,34 @@ impl Body {
         touched.retain(|touch| self.can_be_pushed(touch, rods));
         touched.sort_by(|a, b| b.depth.total_cmp(&a.depth));
         touched.truncate(CONTACTS_MAX);
-        self.go_on_pressing(rods, &mut answers);
-        self.keep_out(&touched, rods, &mut answers);
+        self.continue_contacts(rods, &mut answers);
+        self.add_rod_constraints(&touched, rods, &mut answers);
         Ok(answers)
     }
 
     /// Adds contacts of rods elsewhere on the surface.
-    pub(crate) fn ask_more(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
+    pub(crate) fn collect_more_contacts(&self, rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
         let mut touched = Vec::new();
         let triangles = &self.body.triangles;
         touches(
             rods,
-            &Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true },
+            &ContactSurface {
+                positions: &self.positions,
+                triangles,
+                segments: &[],
+                thickness: 0.0,
+                closed: true,
+            },
             0.0,
             &mut touched,
         );
         touched.retain(|touch| touch.depth > PENETRATION_MAX && self.can_be_pushed(touch, rods));
         touched.truncate(CONTACTS_MAX.saturating_sub(answers.len()));
-        self.keep_out(&touched, rods, answers);
+        self.add_rod_constraints(&touched, rods, answers);
     }
 
     /// Jaws that hold do not push as well, and a held vertex cannot be pushed.
-    fn can_be_pushed(&self, touch: &Touch, rods: &[Rod]) -> bool {
+    fn can_be_pushed(&self, touch: &RodContact, rods: &[Rod]) -> bool {
         let holds = self.grips.picks.of(rods[touch.rod].instrument.to_bits()).is_some();
         !holds && touch.nodes.iter().any(|&node| !self.is_pinned[node as usize])
     }
@@ -162,7 +171,7 @@ impl Body {
     }
 
     /// Continues the contacts of the last tick, at their new positions.
-    fn go_on_pressing(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
+    fn continue_contacts(&self, rods: &[Rod], answers: &mut Vec<ConstraintReaction>) {
         for known in &self.contacts.places {
             let now = self.place(&known.nodes, &known.weights)[1];
             let own = rods.iter().enumerate().filter(|(_, rod)| rod.instrument.to_bits() == known.instrument);
@@ -174,14 +183,20 @@ impl Body {
             let Some(touch) = self.pressed(rod, rods, &known.nodes, &known.weights) else { continue };
             if touch.depth > -MARGIN && self.can_be_pushed(&touch, rods) && !self.is_covered(&touch, answers)
             {
-                answers.push(self.kept_out(touch, rods));
+                answers.push(self.rod_constraint(touch, rods));
             }
         }
     }
 
     /// The contact point and push direction of a rod last seen pressing on or near another point, found on the rest
     /// shape.
-    fn pressed(&self, index: usize, rods: &[Rod], nodes: &[u32; 3], weights: &[f64; 3]) -> Option<Touch> {
+    fn pressed(
+        &self,
+        index: usize,
+        rods: &[Rod],
+        nodes: &[u32; 3],
+        weights: &[f64; 3],
+    ) -> Option<RodContact> {
         let rod = &rods[index];
         let [rest, now] = self.place(nodes, weights);
         let along = closest_on_segment(&now, &rod.ends);
@@ -200,24 +215,29 @@ impl Body {
         let outward = if distance.abs() > 1e-6 { away / distance } else { outward };
         let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
         let (normal, depth, element) = (-outward, rod.radius - distance, Some(element as u32));
-        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+        Some(RodContact { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
     }
 
     /// Whether another patch of the same rod covers this point.
-    fn is_covered(&self, touch: &Touch, answers: &[Answer]) -> bool {
+    fn is_covered(&self, touch: &RodContact, answers: &[ConstraintReaction]) -> bool {
         let [place, _] = self.place(&touch.nodes, &touch.weights);
         answers.iter().any(|answer| match &answer.by {
-            By::Touch(other) => {
+            ConstraintSource::RodContact(other) => {
                 let apart = (self.place(&other.nodes, &other.weights)[0] - place).norm();
                 other.rod == touch.rod && apart < PATCHES_APART * self.kind.contact_radius
             }
-            By::Jaws(..) | By::Pin(_) => false,
+            ConstraintSource::Jaws(..) | ConstraintSource::Pin(_) => false,
         })
     }
 
     /// Adds constraints that keep surface points outside rods: all of `touched`, or those that other patches do not
     /// cover.
-    fn keep_out(&self, touched: &[Touch], rods: &[Rod], answers: &mut Vec<Answer>) {
+    fn add_rod_constraints(
+        &self,
+        touched: &[RodContact],
+        rods: &[Rod],
+        answers: &mut Vec<ConstraintReaction>,
+    ) {
         for touch in touched {
             // Most are covered already: only the others are examined.
             if self.is_covered(touch, answers) {
@@ -226,13 +246,13 @@ impl Body {
             let seen = || self.pressed(touch.rod, rods, &touch.nodes, &touch.weights);
             let touch = if self.kind.contact_radius > 0.0 { seen().unwrap_or(*touch) } else { *touch };
             if !self.is_covered(&touch, answers) {
-                answers.push(self.kept_out(touch, rods));
+                answers.push(self.rod_constraint(touch, rods));
             }
         }
     }
 
     /// A constraint that keeps a surface point outside a rod, with the patch around it.
-    fn kept_out(&self, touch: Touch, rods: &[Rod]) -> Answer {
+    fn rod_constraint(&self, touch: RodContact, rods: &[Rod]) -> ConstraintReaction {
         let [place, _] = self.place(&touch.nodes, &touch.weights);
         let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
         let patch = patch(&self.body.rest, &self.body.triangles, &place, self.kind.contact_radius);
@@ -240,23 +260,26 @@ impl Body {
         let weights =
             patch.unwrap_or_else(|_| if a == b { vec![(a, 1.0)] } else { vec![(a, u), (b, v), (c, w)] });
         let on_rod = touch.on_axis.coords + touch.normal * rods[touch.rod].radius;
-        Answer {
+        ConstraintReaction {
             target: on_rod - place.coords,
             lag: 0.0,
             attachment: Attachment { weights, hold: Hold::AtLeast(Unit::new_unchecked(touch.normal)) },
-            by: By::Touch(touch),
+            by: ConstraintSource::RodContact(touch),
             force: Vector3::zeros(),
         }
     }
 
     /// A patch constrains its mean displacement, and its centre is displaced further: the mean's target lags until the
     /// centre lies on the rod. Returns whether a target has changed.
-    pub(crate) fn advance_to_rod(&mut self, answers: &mut [Answer]) -> Result<bool, LinearFemError> {
+    pub(crate) fn advance_to_rod(
+        &mut self,
+        answers: &mut [ConstraintReaction],
+    ) -> Result<bool, LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(false) };
         let mut moves = false;
         for (index, answer) in answers.iter_mut().enumerate().filter(|(index, _)| self.holding.holds(*index))
         {
-            let By::Touch(touch) = &answer.by else { continue };
+            let ConstraintSource::RodContact(touch) = &answer.by else { continue };
             if answer.attachment.weights.len() <= 3 || answer.force.dot(&touch.normal) <= 0.0 {
                 continue;
             }
@@ -268,8 +291,8 @@ impl Body {
                 answer.lag += beyond;
                 let target = answer.target - touch.normal * answer.lag;
                 self.holding.set_target(solver, index, target)?;
-                if let Some(fading) = &mut self.fading {
-                    fading.set_target(index, target)?;
+                if let Some(blend) = &mut self.blend {
+                    blend.set_target(index, target)?;
                 }
                 moves = true;
             }

@@ -87,7 +87,7 @@ impl Pins {
     }
 
     /// Records the points in the frames of their entities, unless already recorded.
-    pub fn drive_in(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
+    pub fn record_points(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
         if self.places.in_entity.len() == self.pins.len() {
             return;
         }
@@ -97,7 +97,7 @@ impl Pins {
 
     /// The present constraints, each with its point's number: attachment and displacement from rest \[m\]. `is_gone`
     /// tells whether an element was removed.
-    pub fn led<'a>(
+    pub fn driven<'a>(
         &'a self,
         scene: &'a Snapshot,
         world_from_body: &'a Isometry3<f64>,
@@ -114,7 +114,7 @@ impl Pins {
     }
 
     /// The state that a restart needs, once.
-    pub fn news(&mut self) -> Option<PinPlaces> {
+    pub fn take_changes(&mut self) -> Option<PinPlaces> {
         let is_news = !self.told && !self.places.in_entity.is_empty();
         self.told |= is_news;
         is_news.then(|| self.places.clone())

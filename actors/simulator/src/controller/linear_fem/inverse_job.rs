@@ -36,11 +36,13 @@ pub(crate) fn built_as_job(
     progress: &Arc<AtomicU64>,
 ) -> Job {
     let (mesh, pinned) = (mesh.clone(), pinned.to_vec());
-    job(key, material, progress, move |material, tell| {
+    job(key, material, progress, move |material, report_progress| {
         let limits = Limits::default();
         match &cache {
-            Some(cache) => cache.body(mesh, material, &pinned, &limits, tell).map(|(body, _)| body),
-            None => LinearFem::new(mesh, material, &pinned, &limits, tell),
+            Some(cache) => {
+                cache.body(mesh, material, &pinned, &limits, report_progress).map(|(body, _)| body)
+            }
+            None => LinearFem::new(mesh, material, &pinned, &limits, report_progress),
         }
     })
 }
@@ -63,8 +65,16 @@ pub(crate) fn altered_as_job(
     progress: &Arc<AtomicU64>,
 ) -> Job {
     let (mesh, pinned) = (mesh.clone(), pinned.to_vec());
-    job(key, material, progress, move |material, tell| {
-        LinearFem::parted(mesh, material, &alterations, &parents, &pinned, &Limits::default(), tell)
+    job(key, material, progress, move |material, report_progress| {
+        LinearFem::parted(
+            mesh,
+            material,
+            &alterations,
+            &parents,
+            &pinned,
+            &Limits::default(),
+            report_progress,
+        )
     })
 }
 
@@ -78,13 +88,13 @@ fn job(
 ) -> Job {
     let progress = progress.clone();
     let work = move || {
-        let mut tell = |share: f64| {
+        let mut report_progress = |share: f64| {
             progress.store(share.to_bits(), Ordering::Relaxed);
             true
         };
         let material = Elastic::new(young_modulus, poisson_ratio).map_err(|error| error.to_string());
-        let built: Built =
-            material.and_then(|material| build(&material, &mut tell).map_err(|error| error.to_string()));
+        let built: Built = material
+            .and_then(|material| build(&material, &mut report_progress).map_err(|error| error.to_string()));
         Box::new(built) as trocar_scene::JobOutput
     };
     Job { key, takes: SimTime::from_secs_f64(JOB), work: Box::new(work) }

@@ -22,12 +22,12 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::is_blade;
 use trocar_dynamics::soft_body::method::{Measures, StepContext, finite_vertices};
-use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, Touch, collision};
+use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, RodContact, collision};
 use trocar_dynamics::soft_body::{Deformable, PinnedBody};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
@@ -36,14 +36,15 @@ use trocar_scene::{
     Pose, Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
-use super::cutting::volume::{FailureCriteria, Parting};
+use super::cutting::divisible_volume::DivisibleVolume;
+use super::cutting::volume::FailureCriteria;
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
-use blend::Fading;
-use contacts::{Answer, By, Contacts};
+use blend::InverseBlend;
+use contacts::{ConstraintReaction, ConstraintSource, Contacts};
 use embedded_points::{PinPlaces, Pins};
 use inverse_job::{altered_as_job, built, built_as_job};
-use topology_change::{Altered, AlteredAt};
-use warm_start::Holding;
+use topology_change::{MeshChanges, OrganElements};
+use warm_start::HeldConstraints;
 
 /// Maximum number of contact detection rounds per tick.
 const ROUNDS_MAX: usize = 8;
@@ -79,7 +80,7 @@ impl Default for LinearFemBody {
 }
 
 impl LinearFemBody {
-    fn weakness(&self) -> Result<FailureCriteria, String> {
+    fn failure_criteria(&self) -> Result<FailureCriteria, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
         let tears = self.strength.map(|strength| (strength, lame));
@@ -100,13 +101,13 @@ pub(super) struct Body {
     pub(super) mesh: TetMesh,
     pub(super) solver: Option<Box<LinearFem>>,
     /// Its constraints, and their forces [N].
-    pub(super) holding: Holding,
+    pub(super) holding: HeldConstraints,
     forces: Vec<Vector3<f64>>,
     /// The previous inverse, while it is blended out.
-    pub(super) fading: Option<Fading>,
+    pub(super) blend: Option<InverseBlend>,
     submitted: bool,
     /// For a body that can burn, be cut or tear.
-    pub(super) parting: Option<(Parting, Altered)>,
+    pub(super) divisible: Option<(DivisibleVolume, MeshChanges)>,
     /// Progress of the inverse's computation, as the bits of an f64.
     progress: Arc<AtomicU64>,
     pub(super) positions: Vec<Point3<f64>>,
@@ -125,7 +126,7 @@ pub(super) struct Body {
 pub struct LinearFemController {
     cache: Option<Cache>,
     bodies: Vec<Body>,
-    refused: Vec<Refused>,
+    refused: Vec<RejectedBody>,
     rods: Vec<Rod>,
 }
 
@@ -140,7 +141,7 @@ impl LinearFemController {
             let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
             match Body::read(kind, entity, context.scene) {
                 Ok(body) => bodies.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+                Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if bodies.is_empty() && refused.is_empty() {
@@ -155,7 +156,7 @@ impl Controller for LinearFemController {
     fn access(&self) -> Access {
         let refused = self.refused.iter().map(|body| body.entity);
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
-        Parting::access(Deformable::access(&bodies), &bodies)
+        DivisibleVolume::access(Deformable::access(&bodies), &bodies)
             .reads::<LinearFemBody>()
             .reads::<Pose>()
             .reads::<Velocity>()
@@ -189,23 +190,28 @@ impl Controller for LinearFemController {
                     rods: &self.rods,
                     touches: &[],
                     forces: &[],
-                    led: &[],
+                    driven: &[],
                 };
                 let done = body.step(index, self.cache.as_ref(), &site, out);
                 match done {
                     Ok(answers) => {
                         for answer in &answers {
-                            let driven_in = matches!(answer.by, By::Pin(_));
+                            let driven_in = matches!(answer.by, ConstraintSource::Pin(_));
                             forces[usize::from(driven_in)] += answer.force.norm();
-                            collisions.extend(body.told(answer, &self.rods, &world_from_body, tick.time));
+                            collisions.extend(body.collision_of(
+                                answer,
+                                &self.rods,
+                                &world_from_body,
+                                tick.time,
+                            ));
                         }
                         if body.solver.is_some() {
                             body.write(out);
                         }
-                        if body.goes_beyond(tick) {
+                        if body.leaves_linear_range(tick) {
                             out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
                             if scene.get::<OutOfValidity>(body.body.entity).is_none() {
-                                out.put(body.body.entity, body.doubt(tick));
+                                out.put(body.body.entity, body.validity_warning(tick));
                             }
                         }
                     }
@@ -219,7 +225,7 @@ impl Controller for LinearFemController {
             }
             body.measure(forces, &mut measured.values);
         }
-        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
         collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions, penetration_max: 0.0 });
@@ -237,12 +243,13 @@ impl Body {
             let rules = MeshRules { coincident_within, ..MeshRules::default() };
             TetMesh::new(&body.rest, &body.tets, &rules).map_err(|why| wrong(&body.name, why.to_string()))
         };
-        let weakness = kind.weakness().map_err(|why| wrong(&body.name, why))?;
-        let parting = Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?;
+        let failure_criteria = kind.failure_criteria().map_err(|why| wrong(&body.name, why))?;
+        let divisible =
+            DivisibleVolume::new(&mut body, failure_criteria, scene).map_err(|why| wrong(&body.name, why))?;
         let mesh = mesh(&body)?;
-        let parting = parting.map(|parting| {
-            let altered = Altered::new(mesh.tets().len(), &parting.heated(), parting.births());
-            (parting, altered)
+        let divisible = divisible.map(|divisible| {
+            let altered = MeshChanges::new(mesh.tets().len(), &divisible.heated(), divisible.births());
+            (divisible, altered)
         });
         let is_pinned = body.stays();
         let pins = Pins::read(scene, &body, &mesh).map_err(|why| wrong(&body.name, why))?;
@@ -251,11 +258,11 @@ impl Body {
             mesh,
             pins,
             solver: None,
-            holding: Holding::default(),
+            holding: HeldConstraints::default(),
             forces: Vec::new(),
-            fading: None,
+            blend: None,
             submitted: false,
-            parting,
+            divisible,
             progress: Arc::default(),
             positions: body.positions.to_vec(),
             grips: scene.get::<Grips>(entity).cloned().unwrap_or_default(),
@@ -275,20 +282,20 @@ impl Body {
         cache: Option<&Cache>,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Vec<Answer>, String> {
+    ) -> Result<Vec<ConstraintReaction>, String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
         self.wait(keys[0], cache, site.tick)?;
         self.alter(keys[1], site, out)?;
         if self.solver.is_none() {
             return Ok(Vec::new());
         }
-        let mut answers = self.ask(site)?;
+        let mut answers = self.collect_constraints(site)?;
         self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
         let mut asked = 0;
         for _ in 0..ROUNDS_MAX {
             let before = answers.len();
             self.answer(&mut answers, &mut asked).map_err(|error| error.to_string())?;
-            self.ask_more(site.rods, &mut answers);
+            self.collect_more_contacts(site.rods, &mut answers);
             let moved = self.advance_to_rod(&mut answers).map_err(|error| error.to_string())?;
             if answers.len() == before && !moved {
                 break;
@@ -296,9 +303,9 @@ impl Body {
         }
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
         // Results of the last evaluation are for the next tick.
-        self.look_inside(site.tick);
-        if !self.parting.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
-            self.fading.take_if(Fading::is_over);
+        self.evaluate_interior(site.tick);
+        if !self.divisible.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
+            self.blend.take_if(InverseBlend::is_over);
         }
         finite_vertices(&self.positions, &[])?;
         let bad = answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
@@ -307,28 +314,29 @@ impl Body {
 
     /// Applies thermal damage, cuts and tears to its elements.
     fn alter(&mut self, key: u64, site: &StepContext<'_>, out: &mut Commands) -> Result<(), String> {
-        let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
-        let fading = self.fading.as_ref();
-        let waits = |solver: &LinearFem| altered.waiting(fading) + altered.nodes_waiting(solver, fading);
+        let Some((divisible, altered)) = &mut self.divisible else { return Ok(()) };
+        let blend = self.blend.as_ref();
+        let waits = |solver: &LinearFem| altered.waiting(blend) + altered.nodes_waiting(solver, blend);
         let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
         let (positions, mesh) = (&mut self.positions, &mut self.mesh);
-        let mut elements = AlteredAt { altered, positions, mesh, has_followed };
-        if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
+        let mut elements = OrganElements { altered, positions, mesh, has_followed };
+        if let Some(reshaped) = divisible.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
             self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        if !altered.is_still(&self.mesh, solver) {
+        if !altered.is_up_to_date(&self.mesh, solver) {
             // Held constraints would be re-entered with every change.
             let nothing = std::iter::empty::<&Attachment>;
-            let let_go = |fading: &mut Fading| fading.keep(nothing());
+            let release = |blend: &mut InverseBlend| blend.keep(nothing());
             self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
-            self.fading.as_mut().map_or(Ok(()), let_go).map_err(|error| error.to_string())?;
+            self.blend.as_mut().map_or(Ok(()), release).map_err(|error| error.to_string())?;
         }
-        if let Some(became) = altered.follow(key, &self.mesh, solver, &mut self.fading, site.tick)? {
+        if let Some(mesh_change) = altered.follow(key, &self.mesh, solver, &mut self.blend, site.tick)? {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
-            let job = altered_as_job(key, &self.mesh, material, &self.body.pinned, became, &self.progress);
+            let job =
+                altered_as_job(key, &self.mesh, material, &self.body.pinned, mesh_change, &self.progress);
             altered.begun(site.tick.jobs.submit(job));
         }
         Ok(())
@@ -344,9 +352,9 @@ impl Body {
         } else if !self.submitted {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
             let (pinned, progress) = (&self.body.pinned, &self.progress);
-            let became = self.parting.as_ref().and_then(|(_, altered)| altered.became());
-            let job = match became {
-                Some(became) => altered_as_job(key, &self.mesh, material, pinned, became, progress),
+            let mesh_change = self.divisible.as_ref().and_then(|(_, altered)| altered.mesh_change());
+            let job = match mesh_change {
+                Some(mesh_change) => altered_as_job(key, &self.mesh, material, pinned, mesh_change, progress),
                 None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
             };
             self.submitted = tick.jobs.submit(job);
@@ -361,17 +369,21 @@ impl Body {
     ) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         self.holding.keep(solver, wanted.clone())?;
-        self.fading.as_mut().map_or(Ok(()), |fading| fading.keep(wanted))
+        self.blend.as_mut().map_or(Ok(()), |blend| blend.keep(wanted))
     }
 
     /// Holds the new constraints, and solves for all.
-    fn answer(&mut self, answers: &mut [Answer], asked: &mut usize) -> Result<(), LinearFemError> {
+    fn answer(
+        &mut self,
+        answers: &mut [ConstraintReaction],
+        asked: &mut usize,
+    ) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         for (index, answer) in answers.iter().enumerate().skip(*asked) {
             // If two jaws hold the same vertex, the first one has it.
             self.holding.hold(solver, index, &answer.attachment, answer.target)?;
-            if let Some(fading) = &mut self.fading {
-                fading.hold(index, &answer.attachment, answer.target)?;
+            if let Some(blend) = &mut self.blend {
+                blend.hold(index, &answer.attachment, answer.target)?;
             }
         }
         *asked = answers.len();
@@ -379,48 +391,48 @@ impl Body {
         for (answer, force) in answers.iter_mut().zip(&self.forces) {
             answer.force = *force;
         }
-        if let Some(fading) = &mut self.fading {
-            fading.blend_forces(answers)?;
+        if let Some(blend) = &mut self.blend {
+            blend.blend_forces(answers)?;
         }
         let mut moved = Vec::new();
         solver.surface_displacements(&mut moved);
         for (&node, displacement) in solver.nodes().iter().zip(&moved) {
             self.positions[node as usize] = self.body.rest[node as usize] + displacement;
         }
-        if let Some(fading) = &mut self.fading {
-            fading.blend_surface(solver.nodes(), &self.body.rest, &mut self.positions);
+        if let Some(blend) = &mut self.blend {
+            blend.blend_surface(solver.nodes(), &self.body.rest, &mut self.positions);
         }
         Ok(())
     }
 
     /// Evaluates the interior periodically. During burning or cutting always, because uncovered surface belongs to the
     /// interior for the inverse; and for tearing, which depends on element stress.
-    fn look_inside(&mut self, tick: &Tick<'_>) {
+    fn evaluate_interior(&mut self, tick: &Tick<'_>) {
         let Some(solver) = &mut self.solver else { return };
         let look = tick.number.is_multiple_of(INSIDE_EVERY);
-        let always = solver.is_corrected() || self.fading.is_some() || self.kind.strength.is_some();
+        let always = solver.is_corrected() || self.blend.is_some() || self.kind.strength.is_some();
         if !look && !always {
             return;
         }
         let mut moved = Vec::new();
-        match &mut self.fading {
-            Some(fading) => fading.displacements(solver, &mut moved),
+        match &mut self.blend {
+            Some(blend) => blend.displacements(solver, &mut moved),
             None => solver.displacements(&mut moved),
         }
         for (node, displacement) in moved.iter().enumerate() {
             self.positions[node] = self.body.rest[node] + displacement;
         }
         if look {
-            let heated = self.parting.as_ref().map(|(parting, _)| parting.heated()).unwrap_or_default();
+            let heated = self.divisible.as_ref().map(|(divisible, _)| divisible.heated()).unwrap_or_default();
             self.deformation = Deformation::without(&self.mesh, &moved, &heated.removed);
         }
     }
 
     /// A reaction force as a row of the collision list: `a` is the instrument, `b` the body. Its depth is the surface's
     /// displacement from rest, so that force over depth is the organ's stiffness.
-    fn told(
+    fn collision_of(
         &self,
-        answer: &Answer,
+        answer: &ConstraintReaction,
         rods: &[Rod],
         world_from_body: &Isometry3<f64>,
         at: SimTime,
@@ -446,9 +458,9 @@ impl Body {
                 detected_at: at,
             };
         Some(match &answer.by {
-            By::Touch(touch) => {
+            ConstraintSource::RodContact(touch) => {
                 let found = collision(
-                    &Touch { depth: 0.0, ..*touch },
+                    &RodContact { depth: 0.0, ..*touch },
                     &rods[touch.rod],
                     self.body.entity,
                     &answer.force,
@@ -457,11 +469,11 @@ impl Body {
                 );
                 Collision { depth, ..found }
             }
-            By::Jaws(instrument, vertex) => {
+            ConstraintSource::Jaws(instrument, vertex) => {
                 let place = self.positions[*vertex as usize];
                 held((*instrument, Primitive::Jaw(0)), Primitive::Vertex(*vertex), place)
             }
-            By::Pin(number) => {
+            ConstraintSource::Pin(number) => {
                 let pin = &self.pins.pins[*number];
                 let place = pin.rest + answer.target;
                 held((pin.entity, Primitive::Shape(0)), Primitive::Tetrahedron(pin.tet), place)
@@ -474,21 +486,21 @@ impl Body {
         self.body.write(&self.positions, &still, out);
         out.put(self.body.entity, self.grips.clone());
         out.put(self.body.entity, self.contacts.clone());
-        if let Some(places) = self.pins.news() {
+        if let Some(places) = self.pins.take_changes() {
             out.put(self.body.entity, places);
         }
     }
 
     /// Whether it has just left the validity of linear elasticity.
-    fn goes_beyond(&mut self, tick: &Tick<'_>) -> bool {
+    fn leaves_linear_range(&mut self, tick: &Tick<'_>) -> bool {
         let beyond = !self.deformation.is_small();
         let new = beyond && !self.beyond && tick.number > 0;
         self.beyond = beyond;
         new
     }
 
-    fn doubt(&self, tick: &Tick<'_>) -> OutOfValidity {
-        let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.doubt());
+    fn validity_warning(&self, tick: &Tick<'_>) -> OutOfValidity {
+        let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.validity_warning());
         OutOfValidity { reason, since: tick.time }
     }
 
@@ -511,12 +523,12 @@ impl Body {
         let share = f64::from_bits(self.progress.load(Ordering::Relaxed));
         values.insert(format!("{name}.precomputed_share"), if self.solver.is_some() { 1.0 } else { share });
         values.insert(format!("{name}.frozen"), flag(self.frozen));
-        if let Some((parting, altered)) = &self.parting {
+        if let Some((divisible, altered)) = &self.divisible {
             let mut measures = Measures::new(name, values);
-            parting.measure(&mut measures);
-            let fading = self.fading.as_ref();
-            let nodes = self.solver.as_ref().map_or(0, |solver| altered.nodes_waiting(solver, fading));
-            measures.put("elements_waiting", altered.waiting(fading) as f64);
+            divisible.measure(&mut measures);
+            let blend = self.blend.as_ref();
+            let nodes = self.solver.as_ref().map_or(0, |solver| altered.nodes_waiting(solver, blend));
+            measures.put("elements_waiting", altered.waiting(blend) as f64);
             measures.put("nodes_waiting", nodes as f64);
         }
     }

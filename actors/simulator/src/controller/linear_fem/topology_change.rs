@@ -1,20 +1,20 @@
 //! Topology changes of a linear organ (burns, cuts, tears): elements are removed from its inverse, and nodes separated,
 //! by an exact low-rank correction, at once, while a background job computes the inverse of the changed body. Shrinkage
 //! applies at once, too; the stiffness of coagulated elements comes with the new inverse, and is blended in
-//! ([`Fading`]).
+//! ([`InverseBlend`]).
 
 use std::collections::BTreeSet;
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::tet_mesh::{Birth, TetMesh};
+use trocar_dynamics::tet_mesh::{NodeOrigin, TetMesh};
 use trocar_scene::Tick;
 
-use super::blend::{Fading, catch_up};
+use super::blend::{InverseBlend, catch_up};
 use super::inverse_job::{MeshChange, built};
 use crate::controller::cutting::volume::{Elements, Split};
-use crate::controller::thermal_damage::{Coagulated, Heated};
+use crate::controller::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::linear_fem::{LinearFem, LinearFemError};
 
 /// Maximum number of factor entries read per tick for corrections: some 40 ms; at least one element or node is
@@ -33,7 +33,7 @@ fn fitting(solver: &LinearFem, reads: f64, most: usize) -> usize {
 }
 
 /// Changes of the elements, and the state of the inverse's corrections.
-pub(crate) struct Altered {
+pub(crate) struct MeshChanges {
     /// Of all elements, from the scene.
     alterations: Vec<Alteration>,
     /// Which node each added node duplicates.
@@ -55,9 +55,9 @@ pub(crate) struct Altered {
     next: Option<Box<LinearFem>>,
 }
 
-impl Altered {
+impl MeshChanges {
     /// For a body with this thermal damage and these added nodes; its first inverse includes all of them.
-    pub fn new(elements: usize, heated: &Heated, births: &[Birth]) -> Self {
+    pub fn new(elements: usize, heated: &ThermalDamage, births: &[NodeOrigin]) -> Self {
         let mut this = Self {
             alterations: vec![Alteration::NONE; elements],
             parents: births.iter().map(|birth| birth.of[0]).collect(),
@@ -78,7 +78,7 @@ impl Altered {
     }
 
     /// The changes of the body, if there are any.
-    pub fn became(&self) -> Option<MeshChange> {
+    pub fn mesh_change(&self) -> Option<MeshChange> {
         let altered = self.alterations.iter().any(|of| *of != Alteration::NONE) || !self.parents.is_empty();
         altered.then(|| self.now())
     }
@@ -99,7 +99,7 @@ impl Altered {
         }
     }
 
-    pub fn alter(&mut self, elements: &[Coagulated]) {
+    pub fn alter(&mut self, elements: &[CoagulatedElement]) {
         for of in elements {
             let known = self.alterations.get_mut(of.element as usize);
             if let Some(known) = known.filter(|known| **known != Alteration::GONE) {
@@ -120,24 +120,24 @@ impl Altered {
         key: u64,
         mesh: &TetMesh,
         solver: &mut Box<LinearFem>,
-        fading: &mut Option<Fading>,
+        blend: &mut Option<InverseBlend>,
         tick: &Tick<'_>,
     ) -> Result<Option<MeshChange>, String> {
         if self.submitted && self.next.is_none() {
             self.next = built(tick, key)?.map(Box::new);
         }
         // An inverse that has no weight yet is replaced by a later one, which has less to catch up with.
-        if fading.as_ref().is_none_or(Fading::is_unfelt)
+        if blend.as_ref().is_none_or(InverseBlend::has_no_weight)
             && let Some(new) = self.next.take()
         {
             let old = std::mem::replace(solver, new);
-            fading.get_or_insert_with(|| Fading::new(old));
+            blend.get_or_insert_with(|| InverseBlend::new(old));
             self.submitted = false;
             self.pending.clone_from(&self.since);
             self.shrinks = self.stale;
         }
-        let done = self.come_apart(mesh, solver, fading).and_then(|()| {
-            self.correct(solver, fading)?;
+        let done = self.split_nodes(mesh, solver, blend).and_then(|()| {
+            self.correct(solver, blend)?;
             if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
         });
         done.map_err(|error| error.to_string())?;
@@ -145,7 +145,7 @@ impl Altered {
     }
 
     /// Whether [`Self::follow`] would change nothing in the active inverse, and begin no job.
-    pub fn is_still(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
+    pub fn is_up_to_date(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
         let waits = self.stale || self.submitted || self.shrinks || self.next.is_some();
         let all = solver.mesh().rest().len() == mesh.rest().len();
         !waits && self.pending.is_empty() && all && !solver.can_release()
@@ -157,15 +157,15 @@ impl Altered {
     }
 
     /// Separates the nodes that are separate in the mesh.
-    fn come_apart(
+    fn split_nodes(
         &mut self,
         mesh: &TetMesh,
         solver: &mut LinearFem,
-        fading: &mut Option<Fading>,
+        blend: &mut Option<InverseBlend>,
     ) -> Result<(), LinearFemError> {
-        let most = fitting(solver, if fading.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
-        if let Some(fading) = fading {
-            fading.come_apart(mesh, &self.parents, most)?;
+        let most = fitting(solver, if blend.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
+        if let Some(blend) = blend {
+            blend.split_nodes(mesh, &self.parents, most)?;
         }
         catch_up(solver, mesh, &self.parents)?;
         let released = solver.release_nodes(most)?;
@@ -182,13 +182,17 @@ impl Altered {
         }
     }
 
-    fn correct(&mut self, solver: &mut LinearFem, fading: &mut Option<Fading>) -> Result<(), LinearFemError> {
-        let most = fitting(solver, if fading.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
+    fn correct(
+        &mut self,
+        solver: &mut LinearFem,
+        blend: &mut Option<InverseBlend>,
+    ) -> Result<(), LinearFemError> {
+        let most = fitting(solver, if blend.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
         let (mut later, mut allowed) = (Vec::new(), most);
         let mut next = std::mem::take(&mut self.pending);
         // The first inverse may have been computed after their removal.
         next.retain(|&tet| !solver.is_out(tet));
-        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, most))?;
+        blend.as_mut().map_or(Ok(()), |blend| blend.remove(&next, most))?;
         while !next.is_empty() {
             let room = solver.removable().min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
@@ -214,13 +218,13 @@ impl Altered {
     }
 
     /// Removed elements that still contribute to forces, until the next inverse.
-    pub fn waiting(&self, fading: Option<&Fading>) -> usize {
-        self.pending.iter().filter(|tet| !fading.is_some_and(|fading| fading.hides(**tet))).count()
+    pub fn waiting(&self, blend: Option<&InverseBlend>) -> usize {
+        self.pending.iter().filter(|tet| !blend.is_some_and(|blend| blend.hides(**tet))).count()
     }
 
     /// Separated nodes that still act as one, until the next inverse or for some ticks.
-    pub fn nodes_waiting(&self, solver: &LinearFem, fading: Option<&Fading>) -> usize {
-        fading.and_then(Fading::waiting).unwrap_or_else(|| solver.waiting())
+    pub fn nodes_waiting(&self, solver: &LinearFem, blend: Option<&InverseBlend>) -> usize {
+        blend.and_then(InverseBlend::waiting).unwrap_or_else(|| solver.waiting())
     }
 
     /// Whether a new inverse still has to catch up with the removals during its computation.
@@ -230,15 +234,15 @@ impl Altered {
 }
 
 /// The elements of an organ, with its node positions.
-pub(crate) struct AlteredAt<'a> {
-    pub altered: &'a mut Altered,
+pub(crate) struct OrganElements<'a> {
+    pub altered: &'a mut MeshChanges,
     pub positions: &'a mut Vec<Point3<f64>>,
     pub mesh: &'a mut TetMesh,
     /// Whether its inverse includes all changes.
     pub has_followed: bool,
 }
 
-impl Elements for AlteredAt<'_> {
+impl Elements for OrganElements<'_> {
     fn positions(&self) -> &[Point3<f64>] {
         self.positions
     }
@@ -257,7 +261,7 @@ impl Elements for AlteredAt<'_> {
         Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+    fn alter(&mut self, elements: &[CoagulatedElement]) -> Result<(), String> {
         self.altered.alter(elements);
         Ok(())
     }

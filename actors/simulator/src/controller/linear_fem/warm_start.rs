@@ -12,13 +12,13 @@ use crate::linear_fem::{Attachment, Handle, Hold, LinearFem, LinearFemError};
 
 /// The held constraints, in list order.
 #[derive(Default)]
-pub(crate) struct Holding {
+pub(crate) struct HeldConstraints {
     held: Vec<(Attachment, Vec<Handle>)>,
     /// How many of them were kept from an earlier tick.
     kept: usize,
 }
 
-impl Holding {
+impl HeldConstraints {
     /// Keeps the common prefix with a new list, and releases the rest.
     pub fn keep<'a>(
         &mut self,

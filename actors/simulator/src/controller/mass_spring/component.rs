@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::rod_contact::Skin;
+use trocar_dynamics::soft_body::rod_contact::ContactSurface;
 use trocar_scene::{Component, ComponentError, SoftAbilities};
 
 use crate::controller::cutting::volume::FailureCriteria;
@@ -180,7 +180,7 @@ impl MassSpringBody {
 
     /// Cutting and tearing criteria of a volume. Its stress is that of the continuum that the springs represent, with
     /// Poisson's ratio 1/4.
-    pub(crate) fn weakness(&self) -> FailureCriteria {
+    pub(crate) fn failure_criteria(&self) -> FailureCriteria {
         let Springs::Volume { young_modulus, .. } = self.springs else { return FailureCriteria::default() };
         let shear = 0.4 * young_modulus;
         FailureCriteria {
@@ -192,9 +192,13 @@ impl MassSpringBody {
         }
     }
 
-    pub(crate) fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> Skin<'a> {
+    pub(crate) fn contact_surface<'a>(
+        &self,
+        body: &'a Deformable,
+        positions: &'a [Point3<f64>],
+    ) -> ContactSurface<'a> {
         let is_line = matches!(self.springs, Springs::Line { .. });
-        Skin {
+        ContactSurface {
             positions,
             triangles: if is_line { &[] } else { &body.triangles },
             segments: if is_line { &body.segments } else { &[] },

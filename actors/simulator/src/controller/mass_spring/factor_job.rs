@@ -66,7 +66,7 @@ impl FactorKeeper {
     }
 
     /// Hands a due factor to the springs, or submits a job for one.
-    pub fn serve(&mut self, springs: &mut MassSpring, entity: Entity, site: &StepContext<'_>) {
+    pub fn provide(&mut self, springs: &mut MassSpring, entity: Entity, site: &StepContext<'_>) {
         let Some(parted_at) = self.memory.parted_at else { return };
         let jobs = site.tick.jobs;
         if std::mem::take(&mut self.is_new) {
@@ -111,7 +111,7 @@ impl FactorKeeper {
     }
 
     /// The state that a restart needs, if it has changed.
-    pub fn news(&mut self) -> Option<SpringFactor> {
+    pub fn take_changes(&mut self) -> Option<SpringFactor> {
         std::mem::take(&mut self.is_changed).then_some(self.memory)
     }
 }

@@ -6,19 +6,21 @@ pub mod factor_job;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, StepContext};
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, StepContext, SurfaceChange};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
-use trocar_dynamics::tet_mesh::Stars;
+use trocar_dynamics::tet_mesh::NodeAdjacency;
 use trocar_scene::{Access, Commands, Entity, EntitySet, LineMesh, Snapshot};
 
 use super::cauterised::CauterisedBody;
-use super::cutting::line::{LineCuts, LineWeakness};
-use super::cutting::membrane::{Membrane, MembraneWeakness, Parted};
-use super::cutting::volume::{Elements, Parting, Split};
-use super::thermal_damage::{Coagulated, Heated};
+use super::cutting::divisible_volume::DivisibleVolume;
+use super::cutting::line::{LineCuts, LineFailureCriteria};
+use super::cutting::membrane::{Membrane, MembraneChange, MembraneFailureCriteria};
+use super::cutting::volume::{Elements, Split};
+use super::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::mass_spring::{
-    Contact, Input, LinearSolver, MassSpring, NodeForce, Patch, Prescribed, SurfaceMaterial, VolumeMaterial,
+    ChangedMesh, Contact, Input, LinearSolver, MassSpring, NodeForce, Prescribed, SurfaceMaterial,
+    VolumeMaterial,
 };
 use component::{MassSpringBody, Method, SolvedBy, Springs};
 use factor_job::{FactorKeeper, SpringFactor};
@@ -32,7 +34,7 @@ struct Solver {
     /// For a divisible volume: the change of each tetrahedron, the elements at each node, and the mesh that its springs
     /// were last derived from.
     altered: Vec<Alteration>,
-    stars: Stars,
+    stars: NodeAdjacency,
     body: Deformable,
 }
 
@@ -42,7 +44,7 @@ impl Solver {
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
         let solver = MassSpring::restore(network, state, &body.staying(), kind.config())
             .map_err(|error| error.to_string())?;
-        let (stars, body) = (Stars::default(), body.clone());
+        let (stars, body) = (NodeAdjacency::default(), body.clone());
         Ok(Self { kind: *kind, solver, has_followed: false, altered, stars, body })
     }
 
@@ -61,7 +63,7 @@ impl Solver {
     }
 
     /// The change of each tetrahedron.
-    fn alterations(tets: usize, heated: &Heated) -> Vec<Alteration> {
+    fn alterations(tets: usize, heated: &ThermalDamage) -> Vec<Alteration> {
         let mut altered = vec![Alteration::NONE; tets];
         for of in heated.coagulated.iter() {
             if let Some(known) = altered.get_mut(of.element as usize) {
@@ -77,10 +79,10 @@ impl Solver {
     }
 
     /// Builds the node-to-element adjacency.
-    fn come_apart(&mut self) {
+    fn split_nodes(&mut self) {
         let there = (0..).zip(self.body.tets.iter().copied());
         let there = there.filter(|(tet, _)| self.altered[*tet as usize] != Alteration::GONE);
-        self.stars = Stars::new(self.body.rest.len(), there);
+        self.stars = NodeAdjacency::new(self.body.rest.len(), there);
     }
 
     /// Updates the springs of tetrahedra whose old or new corners are in `stale`; `carry` sets the state of new nodes.
@@ -89,7 +91,7 @@ impl Solver {
         stale.sort_unstable();
         stale.dedup();
         let (body, stars, altered) = (&self.body, &self.stars, &self.altered);
-        let patch = Patch {
+        let patch = ChangedMesh {
             rest: &body.rest,
             elements: &body.tets,
             altered: &|tet| altered[tet as usize],
@@ -126,7 +128,7 @@ impl Elements for Solver {
         self.follow(stale, |_| ())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+    fn alter(&mut self, elements: &[CoagulatedElement]) -> Result<(), String> {
         let mut stale = Vec::new();
         for of in elements {
             let Some(known) = self.altered.get_mut(of.element as usize) else { continue };
@@ -172,14 +174,14 @@ pub struct MassSpringMethod {
     /// Cutting and tearing of a surface.
     membrane: Option<Membrane>,
     /// Of a volume.
-    parting: Option<Parting>,
+    divisible: Option<DivisibleVolume>,
     /// Of a line.
     line: Option<LineCuts>,
 }
 
 impl MassSpringMethod {
     /// Updates the springs after a topology change of a membrane.
-    fn follow(&mut self, body: &Deformable, parted: &Parted) -> Result<(), String> {
+    fn follow(&mut self, body: &Deformable, parted: &MembraneChange) -> Result<(), String> {
         let Springs::Surface { membrane_stiffness, bending_stiffness, density } = self.of.kind.springs else {
             return Ok(());
         };
@@ -211,14 +213,14 @@ impl MassSpringMethod {
     }
 
     /// Applies the topology changes of this tick.
-    fn come_apart(
+    fn split_nodes(
         &mut self,
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
-        if let Some(parting) = &mut self.parting {
-            return parting.reshape(&mut self.of, body, site, out);
+    ) -> Result<Option<SurfaceChange>, String> {
+        if let Some(divisible) = &mut self.divisible {
+            return divisible.reshape(&mut self.of, body, site, out);
         }
         if let Some(line) = &mut self.line {
             let copies = line.reshape(&self.of.solver.state().positions, body, site, out);
@@ -226,7 +228,7 @@ impl MassSpringMethod {
             self.of.copy(body, &copies)?;
             self.safe_step = self.of.solver.safe_step();
             // Its segments keep their numbers.
-            return Ok(Some(Reshaped::default()));
+            return Ok(Some(SurfaceChange::default()));
         }
         let Some(membrane) = &mut self.membrane else { return Ok(None) };
         let positions = &self.of.solver.state().positions;
@@ -235,7 +237,7 @@ impl MassSpringMethod {
         Ok(parted.reshaped)
     }
 
-    fn contact(&self, touch: &Touch) -> Contact {
+    fn contact(&self, touch: &RodContact) -> Contact {
         Contact {
             nodes: touch.nodes,
             weights: touch.weights,
@@ -266,20 +268,23 @@ impl SoftMethod for MassSpringMethod {
             return Err("a line of 'mass_spring' does not burn: surfaces and volumes do".into());
         }
         let membrane = match is_surface {
-            true => Membrane::new(body, MembraneWeakness { cut: true, tears_at: kind.tears_at }, scene)?,
+            true => {
+                Membrane::new(body, MembraneFailureCriteria { cut: true, tears_at: kind.tears_at }, scene)?
+            }
             false => None,
         };
-        let parting = if is_volume { Parting::new(body, kind.weakness(), scene)? } else { None };
-        let altered = match (&membrane, &parting) {
+        let divisible =
+            if is_volume { DivisibleVolume::new(body, kind.failure_criteria(), scene)? } else { None };
+        let altered = match (&membrane, &divisible) {
             (Some(membrane), _) => membrane.alterations(),
-            (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
+            (None, Some(divisible)) => Solver::alterations(body.tets.len(), &divisible.heated()),
             (None, None) => Vec::new(),
         };
-        let weakness = LineWeakness { cut: true, tears_at: kind.tears_at };
-        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, weakness, scene));
+        let failure_criteria = LineFailureCriteria { cut: true, tears_at: kind.tears_at };
+        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, failure_criteria, scene));
         let mut of = Solver::new(kind, body, altered)?;
-        if parting.is_some() {
-            of.come_apart();
+        if divisible.is_some() {
+            of.split_nodes();
         }
         let safe_step = of.solver.safe_step();
         let (contacts, prescribed, forces) = Default::default();
@@ -295,7 +300,7 @@ impl SoftMethod for MassSpringMethod {
             is_warped,
             factor,
             membrane,
-            parting,
+            divisible,
             line,
         })
     }
@@ -304,7 +309,7 @@ impl SoftMethod for MassSpringMethod {
         let access = access
             .writes::<LineMesh>(EntitySet::Of(bodies.to_vec()))
             .writes::<SpringFactor>(EntitySet::Of(bodies.to_vec()));
-        Membrane::access(Parting::access(access, bodies), bodies)
+        Membrane::access(DivisibleVolume::access(access, bodies), bodies)
     }
 
     fn positions(&self) -> &[Point3<f64>] {
@@ -315,8 +320,8 @@ impl SoftMethod for MassSpringMethod {
         &self.of.solver.state().velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
-        self.of.kind.skin(body, self.positions())
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
+        self.of.kind.contact_surface(body, self.positions())
     }
 
     fn terms(&self) -> Option<ContactParams<'_>> {
@@ -325,7 +330,7 @@ impl SoftMethod for MassSpringMethod {
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.membrane.is_some() || self.parting.is_some() || self.line.is_some()
+        self.membrane.is_some() || self.divisible.is_some() || self.line.is_some()
     }
 
     fn reshape(
@@ -333,8 +338,8 @@ impl SoftMethod for MassSpringMethod {
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
-        let reshaped = self.come_apart(body, site, out);
+    ) -> Result<Option<SurfaceChange>, String> {
+        let reshaped = self.split_nodes(body, site, out);
         let has_followed = std::mem::take(&mut self.of.has_followed);
         if self.choose(site)? && has_followed {
             self.factor.parted(site.tick.time);
@@ -349,15 +354,18 @@ impl SoftMethod for MassSpringMethod {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         if self.is_warped == Some(true) {
-            self.factor.serve(&mut self.of.solver, body.entity, site);
+            self.factor.provide(&mut self.of.solver, body.entity, site);
         }
         let mut contacts = std::mem::take(&mut self.contacts);
         contacts.clear();
         contacts.extend(site.touches.iter().map(|touch| self.contact(touch)));
         self.contacts = contacts;
         self.prescribed.clear();
-        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
-        self.prescribed.extend(led);
+        let driven = site
+            .driven
+            .iter()
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world });
+        self.prescribed.extend(driven);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         let input = Input {
@@ -385,7 +393,7 @@ impl SoftMethod for MassSpringMethod {
         if let Some(line) = &mut self.line {
             line.publish(body, out);
         }
-        if let Some(factor) = self.factor.news() {
+        if let Some(factor) = self.factor.take_changes() {
             out.put(body.entity, factor);
         }
     }
@@ -406,8 +414,8 @@ impl SoftMethod for MassSpringMethod {
         if let Some(membrane) = &self.membrane {
             membrane.measure(measures);
         }
-        if let Some(parting) = &self.parting {
-            parting.measure(measures);
+        if let Some(divisible) = &self.divisible {
+            divisible.measure(measures);
         }
         if let Some(line) = &self.line {
             line.measure(measures);

@@ -10,7 +10,7 @@ use trocar_scene::{Component, ComponentError, Entity};
 use crate::controller::cutting::scissors::Blades;
 use crate::controller::suture_thread::component::{Suture, ThreadBody};
 use crate::controller::suture_thread::grasp::Grip;
-use crate::controller::suture_thread::saved_state::Met;
+use crate::controller::suture_thread::saved_state::ObstaclePose;
 use crate::suture::needle::NeedleShape;
 use crate::suture::{Resistance, SutureState};
 use crate::suture_thread::ThreadMaterial;
@@ -301,7 +301,7 @@ pub struct SutureMemory {
     /// Previous blades of all scissors, in the world.
     pub blades: Vec<Blades>,
     /// Obstacles of the thread besides the tissue, in the order of the contacts' indices.
-    pub met: Vec<Met>,
+    pub met: Vec<ObstaclePose>,
     /// Maximum penetration depth of the thread so far \[m\].
     pub penetration_max: f64,
     /// Shortest length of the thread's loop since the current knot was formed, and since the last grasp or release of

@@ -10,7 +10,7 @@ pub(crate) mod session;
 
 use nalgebra::Vector3;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet,
@@ -25,7 +25,7 @@ use session::Sewing;
 enum Sewn {
     Going(Box<Sewing>),
     /// Needle and tissue.
-    Refused([Refused; 2]),
+    RejectedBody([RejectedBody; 2]),
 }
 
 /// Steps the needle with [`SutureNeedle`], and the tissue with [`SewnTissue`].
@@ -54,8 +54,8 @@ impl SutureController {
         let sewn = match Sewing::new(gravity_in_world, [needle, tissue], scene) {
             Ok(sewing) => Sewn::Going(Box::new(sewing)),
             Err(error) => {
-                let of = |entity| Refused::of(context, entity, FrozenPart::Body, error.clone());
-                Sewn::Refused([of(needle)?, of(tissue)?])
+                let of = |entity| RejectedBody::of(context, entity, FrozenPart::Body, error.clone());
+                Sewn::RejectedBody([of(needle)?, of(tissue)?])
             }
         };
         Ok(Self { needle, tissue, sewn })
@@ -90,8 +90,8 @@ impl Controller for SutureController {
                 sewing.measure(&scene.world_pose(self.needle), &mut measured);
                 list
             }
-            Sewn::Refused(parts) => {
-                parts.iter_mut().for_each(|part| part.tell(tick, &mut measured, out));
+            Sewn::RejectedBody(parts) => {
+                parts.iter_mut().for_each(|part| part.report(tick, &mut measured, out));
                 CollisionList { collisions: Vec::new(), penetration_max: 0.0 }
             }
         };

@@ -13,14 +13,14 @@ use trocar_scene::{
 };
 
 use super::components::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
-use crate::controller::suture_thread::contact_report::{Told, collision};
+use crate::controller::suture_thread::contact_report::{ContactReport, collision};
 use crate::controller::suture_thread::cut::{follow as follow_cut, parted_at};
-use crate::controller::suture_thread::grasp::{Leading, Pull, SPARED, pulls, update};
+use crate::controller::suture_thread::grasp::{GraspConstraints, GraspForce, SPARED, pulls, update};
 use crate::controller::suture_thread::knot::KnotState;
 use crate::controller::suture_thread::knot_job::KnotWatch;
-use crate::controller::suture_thread::obstacles::Parts;
+use crate::controller::suture_thread::obstacles::ObstacleParts;
 use crate::controller::suture_thread::remesh::{EDGES_EVERY, fineness, follow, held};
-use crate::controller::suture_thread::saved_state::Met;
+use crate::controller::suture_thread::saved_state::ObstaclePose;
 use crate::linear_fem::Deformation;
 use crate::suture::needle::NeedleState;
 use crate::suture::{Grip, StepInputs, Suture, SutureReport, SutureState, Tissue};
@@ -52,11 +52,11 @@ pub(crate) struct Sewing {
     /// Of the tissue.
     deformation: Deformation,
     grips: Vec<Grip>,
-    parts: Parts,
-    leading: Leading,
+    parts: ObstacleParts,
+    leading: GraspConstraints,
     /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
-    pulls: Vec<(Entity, Pull)>,
+    pulls: Vec<(Entity, GraspForce)>,
     forces: Vec<(Entity, Point3<f64>, Vector3<f64>)>,
     has_line: bool,
     frozen: bool,
@@ -96,7 +96,7 @@ impl Sewing {
         if is_new {
             suture.swage();
         }
-        lie(&suture, &scene.world_pose(needle), &mut line);
+        update_line(&suture, &scene.world_pose(needle), &mut line);
         line.radius = kind.wire_radius;
         Ok(Self {
             gravity: gravity_in_world,
@@ -111,8 +111,8 @@ impl Sewing {
             report: SutureReport::default(),
             deformation: Deformation::default(),
             grips: Vec::new(),
-            parts: Parts::default(),
-            leading: Leading::default(),
+            parts: ObstacleParts::default(),
+            leading: GraspConstraints::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
             forces: Vec::new(),
@@ -149,10 +149,10 @@ impl Sewing {
             if update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy) {
                 self.memory.loop_min = None;
             }
-            self.leading.spare(&self.memory.grips, &self.parts, thread);
+            self.leading.exempt_held(&self.memory.grips, &self.parts, thread);
             for held in &self.memory.held {
                 // The thread behind the tail lies within jaws that hold the needle there.
-                self.leading.spare_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
+                self.leading.exempt_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
             }
         }
     }
@@ -184,7 +184,7 @@ impl Sewing {
             return Ok(());
         };
         follow(&mut self.memory.grips, &now);
-        self.lie(world_from_needle);
+        self.replace_line(world_from_needle);
         Ok(())
     }
 
@@ -200,7 +200,7 @@ impl Sewing {
                 continue;
             };
             follow_cut(&mut self.memory.grips, &parted);
-            self.lie(&scene.world_pose(self.needle.entity));
+            self.replace_line(&scene.world_pose(self.needle.entity));
             self.memory.loop_min = None;
             out.event(name, self.needle.entity, None, tick.time.as_secs_f64());
         }
@@ -208,8 +208,8 @@ impl Sewing {
     }
 
     /// Rebuilds its line with the current nodes.
-    fn lie(&mut self, world_from_needle: &Isometry3<f64>) {
-        lie(&self.suture, world_from_needle, &mut self.needle);
+    fn replace_line(&mut self, world_from_needle: &Isometry3<f64>) {
+        update_line(&self.suture, world_from_needle, &mut self.needle);
         self.has_line = false;
     }
 
@@ -297,7 +297,7 @@ impl Sewing {
             }
         }
         self.memory.met.clear();
-        self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
+        self.memory.met.extend(self.parts.list.iter().map(|part| ObstaclePose { at: part.to, ..part.met }));
         if tick.number.is_multiple_of(DOUBT_EVERY) {
             let tissue = self.suture.tissue();
             let moved = tissue.positions().iter().zip(tissue.mesh().rest()).map(|(now, rest)| now - rest);
@@ -309,7 +309,7 @@ impl Sewing {
     }
 
     /// Reaction forces on instruments: the force on the held part, and its distance from the instrument.
-    fn tell(&self, tick: &Tick<'_>) -> CollisionList {
+    fn collision_list(&self, tick: &Tick<'_>) -> CollisionList {
         let mut collisions = Vec::new();
         let needle = self.needle.entity;
         for (instrument, place, force) in &self.forces {
@@ -317,7 +317,7 @@ impl Sewing {
             let jaw = Primitive::Jaw(0);
             collisions.push(collision(*instrument, jaw, needle, *place, *force, depth, tick.time));
         }
-        let told = Told {
+        let told = ContactReport {
             thread: needle,
             world_from_thread: Isometry3::identity(),
             parts: &self.parts,
@@ -325,7 +325,7 @@ impl Sewing {
             pulls: &self.pulls,
             displacement_max: 0.0,
         };
-        told.tell(tick.time, &mut collisions);
+        told.report(tick.time, &mut collisions);
         collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
         collisions.truncate(COLLISIONS_MAX);
         CollisionList { collisions, penetration_max: self.memory.penetration_max }
@@ -346,7 +346,7 @@ impl Sewing {
         let positions: Vec<_> =
             self.suture.tissue().positions().iter().map(|point| body_from_world * point).collect();
         if !self.deformation.is_small() && scene.get::<OutOfValidity>(body).is_none() {
-            out.put(body, OutOfValidity { reason: self.deformation.doubt(), since: tick.time });
+            out.put(body, OutOfValidity { reason: self.deformation.validity_warning(), since: tick.time });
         }
         // Quasi-static: zero velocities.
         let still = vec![Vector3::zeros(); positions.len()];
@@ -414,7 +414,7 @@ impl Sewing {
             match self.step(scene, tick, out) {
                 Ok(()) => {
                     self.write(scene, tick, out);
-                    return self.tell(tick);
+                    return self.collision_list(tick);
                 }
                 Err(why) => {
                     self.frozen = true;
@@ -437,10 +437,10 @@ fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<Sutu
 }
 
 /// Updates a line to the needle and thread; where the thread was cut, no segment joins the pieces.
-fn lie(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformable) {
+fn update_line(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformable) {
     let mut nodes = Vec::new();
     line_of(suture, world_from_entity, &mut nodes);
-    line.lie(nodes);
+    line.replace_line(nodes);
     if let Some(thread) = &suture.state().thread {
         let joins =
             |edge: &[u32; 2]| (edge[0] as usize).checked_sub(PIECES).is_none_or(|edge| thread.joins(edge));

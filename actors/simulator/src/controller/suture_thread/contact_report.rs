@@ -3,8 +3,8 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
 
-use super::grasp::{Pull, in_world};
-use super::obstacles::{Form, Parts};
+use super::grasp::{GraspForce, in_world};
+use super::obstacles::{ObstacleParts, PartShape};
 use crate::suture_thread::Reaction;
 
 /// Smaller forces count as zero \[N\].
@@ -14,24 +14,24 @@ const ROD_STIFFNESS: f64 = 1000.0;
 
 /// Contact results of a thread's tick.
 #[derive(Clone, Copy, Debug)]
-pub struct Told<'a> {
+pub struct ContactReport<'a> {
     /// The thread.
     pub thread: Entity,
     /// Its frame.
     pub world_from_thread: Isometry3<f64>,
     /// Its obstacles.
-    pub parts: &'a Parts,
+    pub parts: &'a ObstacleParts,
     /// Mean reaction on each obstacle over the tick.
     pub reactions: &'a [Reaction],
     /// Pull on jaws.
-    pub pulls: &'a [(Entity, Pull)],
+    pub pulls: &'a [(Entity, GraspForce)],
     /// Maximum displacement of the elastic body that it is tied around \[m\].
     pub displacement_max: f64,
 }
 
-impl Told<'_> {
+impl ContactReport<'_> {
     /// Writes them as rows of the collision list.
-    pub fn tell(&self, at: SimTime, collisions: &mut Vec<Collision>) {
+    pub fn report(&self, at: SimTime, collisions: &mut Vec<Collision>) {
         let mut add =
             |a: Entity, primitive_a: Primitive, place: Point3<f64>, force: Vector3<f64>, depth: f64| {
                 collisions.push(collision(a, primitive_a, self.thread, place, force, depth, at));
@@ -50,7 +50,7 @@ impl Told<'_> {
                 None => Primitive::Shape(0),
             };
             let depth = match &part.form {
-                Form::Elastic => self.displacement_max,
+                PartShape::Elastic => self.displacement_max,
                 _ => size / ROD_STIFFNESS,
             };
             let on_thread = self.world_from_thread.rotation * -reaction.force;

@@ -6,7 +6,7 @@ use trocar_scene::Snapshot;
 use super::grasp::Grip;
 use crate::controller::cutting::scissors::{Blades, swept};
 use crate::cutting::crossed;
-use crate::suture_thread::{CutAt, Parted, ThreadState};
+use crate::suture_thread::{CutAt, CutNumbering, ThreadState};
 
 /// Cuts in one tick closer to each other along the thread than this are merged, in radii: the two blades pass each
 /// other at the cut.
@@ -15,14 +15,14 @@ const SAME: f64 = 8.0;
 /// Cuts or break of a thread in this tick, and the event's name. Ordered so that no cut changes the numbers of the
 /// following ones.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Cutting {
+pub struct ThreadCutter {
     /// Highest edge number first.
     pub cuts: Vec<CutAt>,
     /// Whether the first one is a break.
     pub breaks: bool,
 }
 
-impl Cutting {
+impl ThreadCutter {
     /// Name of the event.
     #[must_use]
     pub fn event(&self) -> &'static str {
@@ -38,7 +38,7 @@ pub fn parted_at(
     world_from_thread: &Isometry3<f64>,
     (state, radius): (&ThreadState, f64),
     breaks_at: Option<f64>,
-) -> Cutting {
+) -> ThreadCutter {
     let sweeps = swept(blades, scene, world_from_thread);
     let mut cuts: Vec<CutAt> = Vec::new();
     if !sweeps.is_empty() {
@@ -61,13 +61,13 @@ pub fn parted_at(
         Some(CutAt { edge, share: 0.5 })
     };
     match cuts.is_empty().then(hardest).flatten() {
-        Some(at) => Cutting { cuts: vec![at], breaks: true },
-        None => Cutting { cuts, breaks: false },
+        Some(at) => ThreadCutter { cuts: vec![at], breaks: true },
+        None => ThreadCutter { cuts, breaks: false },
     }
 }
 
 /// Renumbers the grasps, and drops those of removed nodes.
-pub fn follow(grips: &mut Vec<Grip>, parted: &Parted) {
+pub fn follow(grips: &mut Vec<Grip>, parted: &CutNumbering) {
     let now = |list: &[Option<u32>], index: u32| list.get(index as usize).copied().flatten();
     grips.retain_mut(|grip| {
         let was_shut = grip.is_shut();

@@ -17,7 +17,7 @@ use trocar_scene::{Commands, Component, ComponentError, Entity, Snapshot, Tick};
 
 use crate::controller::linear_fem::inverse_job::{built, built_as_job};
 use crate::linear_fem::{Cache, Deformation, LinearFem, Load};
-use crate::suture_thread::elastic::{ElasticBody, Press};
+use crate::suture_thread::elastic::{ElasticBody, SurfaceForce};
 
 /// Ticks between two evaluations of the interior.
 const INSIDE_EVERY: u64 = 10;
@@ -72,7 +72,7 @@ impl TiedBody {
 }
 
 /// The elastic body, with its solver.
-pub struct Tied {
+pub struct ElasticSupport {
     /// Its state in the scene.
     pub body: Deformable,
     /// Its component.
@@ -87,7 +87,7 @@ pub struct Tied {
     beyond: bool,
 }
 
-impl Tied {
+impl ElasticSupport {
     /// Finds it by name.
     ///
     /// # Errors
@@ -123,7 +123,7 @@ impl Tied {
         &mut self,
         key: u64,
         cache: Option<&Cache>,
-        presses: &[Press],
+        presses: &[SurfaceForce],
         tick: &Tick<'_>,
     ) -> Result<bool, String> {
         if self.solver.is_some() {
@@ -151,7 +151,7 @@ impl Tied {
     }
 
     /// After a step of the thread: applies the contact forces.
-    pub fn deform(&mut self, presses: &[Press]) {
+    pub fn deform(&mut self, presses: &[SurfaceForce]) {
         if let Some((_, elastic)) = &mut self.solver {
             elastic.deform(presses);
         }
@@ -236,7 +236,7 @@ impl Tied {
         put("loop_tension_n", mean(tensions.map(|(tension, force)| tension * force).sum(), 0.0));
         if let Some(mark) = &self.kind.mark {
             let (place, across) = (Point3::from(mark.place), Vector3::from(mark.across).normalize());
-            let off = |press: &Press| {
+            let off = |press: &SurfaceForce| {
                 let corners = press.at.nodes.iter().zip(press.at.weights);
                 let at_rest: Vector3<f64> =
                     corners.map(|(node, weight)| self.body.rest[*node as usize].coords * weight).sum();

@@ -9,8 +9,8 @@ use trocar_collision::primitive::closest_segments;
 use trocar_dynamics::soft_body::jaws::{AT_REST, CLOSED, holds, opening};
 use trocar_scene::{Entity, Instrument, Snapshot};
 
-use super::obstacles::{Parts, between};
-use crate::suture_thread::{Hold, Spared, ThreadState, TwistHold};
+use super::obstacles::{ObstacleParts, between};
+use crate::suture_thread::{Hold, IgnoredObstacle, ThreadState, TwistHold};
 
 /// Jaws that open by more than this beyond their opening at the grasp, or beyond closed, release \[rad\].
 const OPENING: f64 = 0.05;
@@ -67,7 +67,7 @@ impl Grip {
 /// nothing. Returns whether anything has changed.
 pub fn update(
     grips: &mut Vec<Grip>,
-    parts: &Parts,
+    parts: &ObstacleParts,
     scene: &Snapshot,
     state: &ThreadState,
     radius: f64,
@@ -106,7 +106,7 @@ pub fn update(
 /// The part of the thread between the jaws that touches both, or will after they have moved by `way` \[m\].
 fn taken(
     grips: &[Grip],
-    parts: &Parts,
+    parts: &ObstacleParts,
     entity: Entity,
     angle: f64,
     (state, radius): (&ThreadState, f64),
@@ -160,13 +160,13 @@ fn taken(
 
 /// The grasps as constraints of one solver step.
 #[derive(Clone, Debug, Default)]
-pub struct Leading {
+pub struct GraspConstraints {
     /// Prescribed nodes, grasp by grasp.
     pub holds: Vec<Hold>,
     /// Edges with a prescribed twist.
     pub twist_holds: Vec<TwistHold>,
     /// Parts of the thread that do not collide with the jaws that hold them.
-    pub spared: Vec<Spared>,
+    pub spared: Vec<IgnoredObstacle>,
 }
 
 /// Stiffness and maximum force of a grasp on each of its nodes \[N/m\], \[N\].
@@ -176,9 +176,9 @@ fn strength(instrument: &Instrument, grip: &Grip) -> (f64, f64) {
     (instrument.coupling_stiffness * share, friction * share)
 }
 
-impl Leading {
+impl GraspConstraints {
     /// Adds the constraints of the grasps at a fraction of the tick.
-    pub fn add(&mut self, grips: &[Grip], parts: &Parts, scene: &Snapshot, fraction: f64) {
+    pub fn add(&mut self, grips: &[Grip], parts: &ObstacleParts, scene: &Snapshot, fraction: f64) {
         for grip in grips {
             let (Some(([from, to], _)), Some(instrument)) =
                 (parts.instrument(grip.instrument), scene.get::<Instrument>(grip.instrument))
@@ -201,7 +201,13 @@ impl Leading {
     }
 
     /// Exempts the first `length` \[m\] of the thread from collisions with an instrument.
-    pub fn spare_beginning(&mut self, instrument: Entity, length: f64, parts: &Parts, state: &ThreadState) {
+    pub fn exempt_beginning(
+        &mut self,
+        instrument: Entity,
+        length: f64,
+        parts: &ObstacleParts,
+        state: &ThreadState,
+    ) {
         let mut arc = 0.0;
         let edges = state.rest_lengths.iter().take_while(|rest| {
             arc += **rest;
@@ -209,11 +215,11 @@ impl Leading {
         });
         let Some(last) = edges.count().checked_sub(1) else { return };
         let own = parts.list.iter().enumerate().filter(|(_, part)| part.met.entity == instrument);
-        self.spared.extend(own.map(|(obstacle, _)| Spared { obstacle, edges: [0, last] }));
+        self.spared.extend(own.map(|(obstacle, _)| IgnoredObstacle { obstacle, edges: [0, last] }));
     }
 
     /// Exempts the held parts from collisions with the jaws that hold them.
-    pub fn spare(&mut self, grips: &[Grip], parts: &Parts, state: &ThreadState) {
+    pub fn exempt_held(&mut self, grips: &[Grip], parts: &ObstacleParts, state: &ThreadState) {
         self.spared.clear();
         for grip in grips {
             let (Some((_, jaws)), Some([first, last])) = (parts.instrument(grip.instrument), grip.range())
@@ -237,7 +243,7 @@ impl Leading {
                 reach(&mut (last..state.rest_lengths.len())).unwrap_or(last.max(1) - 1),
             ];
             for obstacle in jaws.into_iter().flatten() {
-                self.spared.push(Spared { obstacle, edges });
+                self.spared.push(IgnoredObstacle { obstacle, edges });
             }
         }
     }
@@ -245,7 +251,7 @@ impl Leading {
 
 /// Force of a grasp on the thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pull {
+pub struct GraspForce {
     /// Force on the thread, in its frame \[N\].
     pub force: Vector3<f64>,
     /// Centre of the held part, and its position in the instrument \[m\].
@@ -256,11 +262,11 @@ pub struct Pull {
 /// through the jaws, and drops those that have left them.
 pub fn pulls(
     grips: &mut Vec<Grip>,
-    parts: &Parts,
+    parts: &ObstacleParts,
     scene: &Snapshot,
     state: &ThreadState,
     forces: &[Vector3<f64>],
-) -> Vec<(Entity, Pull)> {
+) -> Vec<(Entity, GraspForce)> {
     let mut forces = forces.iter();
     let mut pulls = Vec::new();
     grips.retain_mut(|grip| {
@@ -287,7 +293,7 @@ pub fn pulls(
         let count = grip.nodes.len().max(1) as f64;
         pulls.push((
             grip.instrument,
-            Pull { force: sum, places: [(now / count).into(), (wanted / count).into()] },
+            GraspForce { force: sum, places: [(now / count).into(), (wanted / count).into()] },
         ));
         grip.nodes.retain(|held| is_within(instrument, &held.in_instrument));
         let nodes = &grip.nodes;
@@ -308,6 +314,6 @@ fn is_within(instrument: &Instrument, place: &Point3<f64>) -> bool {
 
 /// A pull in the world: its point of application, the centre of the held part, and the force there.
 #[must_use]
-pub fn in_world(pull: &Pull, world_from_thread: &Isometry3<f64>) -> (Point3<f64>, Vector3<f64>) {
+pub fn in_world(pull: &GraspForce, world_from_thread: &Isometry3<f64>) -> (Point3<f64>, Vector3<f64>) {
     (world_from_thread * pull.places[0], world_from_thread.rotation * pull.force)
 }

@@ -10,10 +10,10 @@ use trocar_scene::{Commands, Entity, LineMesh, Snapshot, Tick};
 
 use super::component::ThreadBody;
 use super::saved_state::ThreadMemory;
-use crate::suture_thread::{Parted, Thread, ThreadError, ThreadState};
+use crate::suture_thread::{CutNumbering, Thread, ThreadError, ThreadState};
 
 /// The threads; first the one that names the others.
-pub struct Lines {
+pub struct ThreadGroup {
     list: Vec<Deformable>,
     /// Anchored nodes, in concatenated numbers.
     anchored: Vec<(usize, Point3<f64>)>,
@@ -21,7 +21,7 @@ pub struct Lines {
     has_lines: bool,
 }
 
-impl Lines {
+impl ThreadGroup {
     /// Reads them; `first` is the body of the first thread, with the component `kind`.
     ///
     /// # Errors
@@ -58,13 +58,13 @@ impl Lines {
             let line = Deformable::read(scene, other).map_err(|error| error.to_string())?;
             let mut line = one(line, radius, has_lines)?;
             if !has_lines && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))? {
-                line.lie(nodes);
+                line.replace_line(nodes);
             }
             list.push(line);
         }
         let mut lines = Self { list, anchored: Vec::new(), has_lines };
         if !has_lines && let Some(nodes) = kind.nodes()? {
-            lines.list[0].lie(nodes);
+            lines.list[0].replace_line(nodes);
         }
         lines.anchor();
         Ok(lines)
@@ -111,12 +111,12 @@ impl Lines {
 
     /// Replaces their nodes: new rest positions \[m\], and the new number of each former node, unless it was removed;
     /// the last node of each line is never removed.
-    pub fn lie(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
+    pub fn replace_line(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
         let (mut begin, mut from) = (0, 0);
         for line in &mut self.list {
             begin += line.rest.len();
             let end = now.get(begin - 1).copied().flatten().map_or(from, |node| node as usize + 1);
-            line.lie(rest[from..end].to_vec());
+            line.replace_line(rest[from..end].to_vec());
             let joins = |[node, _]: &[u32; 2]| state.joins(from + *node as usize);
             Arc::make_mut(&mut line.segments).retain(joins);
             from = end;
@@ -126,8 +126,8 @@ impl Lines {
     }
 
     /// Cuts them.
-    pub fn part(&mut self, parted: &Parted, state: &ThreadState) {
-        self.lie(&parted.places(&self.rest()), &parted.nodes, state);
+    pub fn part(&mut self, parted: &CutNumbering, state: &ThreadState) {
+        self.replace_line(&parted.places(&self.rest()), &parted.nodes, state);
     }
 
     /// Each thread with its first and last node, in concatenated numbers.

@@ -2,7 +2,7 @@
 //! invariants that identify it.
 //!
 //! One evaluation gives the knot and the throws that it is composed of; the order of unequal throws takes several
-//! ([`Reading`]). `KnotWatch` (`knot_job.rs`) schedules them.
+//! ([`ThrowReader`]). `KnotWatch` (`knot_job.rs`) schedules them.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError};
 
-use crate::suture_thread::knot::{KnotKind, Reading, Throw, identify_joined, notation};
+use crate::suture_thread::knot::{KnotKind, Throw, ThrowReader, identify_joined, notation};
 
 /// Maximum number of throws of a knot.
 const THROWS_MAX: usize = 8;
@@ -55,12 +55,12 @@ pub struct KnotState {
     /// Whether it is amphichiral, as far as its Jones polynomial tells.
     pub amphichiral: bool,
     /// Progress of reading the order of the throws.
-    pub reading: Option<Reading>,
+    pub reading: Option<ThrowReader>,
 }
 
 impl KnotState {
     /// One more evaluation of the throws' order; `None` where they do not come undone one by one in this configuration.
-    pub(crate) fn read_on(mut self, points: &[Point3<f64>]) -> Option<Self> {
+    pub(crate) fn read_next(mut self, points: &[Point3<f64>]) -> Option<Self> {
         let reading = self.reading.as_mut()?;
         if !reading.look(points) {
             return None;
@@ -79,7 +79,7 @@ impl KnotState {
         let Ok(knot) = identify_joined(threads) else {
             return Self { code: knot_code(None), ..Self::default() };
         };
-        let reading = Reading::new(&knot.kind);
+        let reading = ThrowReader::new(&knot.kind);
         let throws = reading.throws();
         let mut state = Self {
             code: knot_code(Some(&knot.kind)),

@@ -23,7 +23,7 @@ const STILL: f64 = 0.5;
 
 /// Result of a call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Looked {
+pub struct KnotCheck {
     /// The classification has to be written to the scene.
     pub changed: bool,
     /// The knot has changed.
@@ -44,7 +44,7 @@ pub struct KnotWatch {
 }
 
 /// A job's request, with its result.
-enum Found {
+enum KnotJobResult {
     Knot(KnotState),
     Order(Option<KnotState>),
 }
@@ -73,18 +73,19 @@ impl KnotWatch {
     ///
     /// # Errors
     /// Its job delivered a result of another type.
-    pub fn look(&mut self, thread: &ThreadState, radius: f64, tick: &Tick<'_>) -> Result<Looked, String> {
+    pub fn look(&mut self, thread: &ThreadState, radius: f64, tick: &Tick<'_>) -> Result<KnotCheck, String> {
         let points = &thread.positions;
-        let mut looked = Looked::default();
+        let mut looked = KnotCheck::default();
         if let Some(output) = tick.jobs.take(self.job) {
             self.is_looking = false;
-            let found = output.downcast::<Found>().map_err(|_| "a look at its knot found something else")?;
+            let found =
+                output.downcast::<KnotJobResult>().map_err(|_| "a look at its knot found something else")?;
             looked = self.take(*found);
         }
         if self.is_looking {
             return Ok(looked);
         }
-        let is_for_knot = tick.number % KNOT_EVERY == 1 && !self.lies_still(points, STILL * radius);
+        let is_for_knot = tick.number % KNOT_EVERY == 1 && !self.is_at_rest(points, STILL * radius);
         let is_for_order =
             !self.is_unreadable && self.state.reading.is_some() && tick.number.is_multiple_of(READ_EVERY);
         if is_for_knot {
@@ -95,23 +96,24 @@ impl KnotWatch {
             self.is_looking = tick.jobs.submit(self.begin(move || {
                 let threads: Vec<&[Point3<f64>]> =
                     ends.iter().map(|[first, last]| &points[*first..=*last]).collect();
-                Found::Knot(KnotState::of(&threads))
+                KnotJobResult::Knot(KnotState::of(&threads))
             }));
         } else if is_for_order && let [[first, last]] = thread.tangled()[..] {
             let (state, points) = (self.state.clone(), points[first..=last].to_vec());
-            self.is_looking = tick.jobs.submit(self.begin(move || Found::Order(state.read_on(&points))));
+            self.is_looking =
+                tick.jobs.submit(self.begin(move || KnotJobResult::Order(state.read_next(&points))));
         }
         Ok(looked)
     }
 
-    fn begin(&self, look: impl FnOnce() -> Found + Send + 'static) -> Job {
+    fn begin(&self, look: impl FnOnce() -> KnotJobResult + Send + 'static) -> Job {
         let work = move || Box::new(look()) as trocar_scene::JobOutput;
         Job { key: self.job, takes: SimTime::from_secs_f64(LOOK), work: Box::new(work) }
     }
 
-    fn take(&mut self, found: Found) -> Looked {
+    fn take(&mut self, found: KnotJobResult) -> KnotCheck {
         match found {
-            Found::Knot(found) => {
+            KnotJobResult::Knot(found) => {
                 let is_another = !self.state.is_same(&found);
                 if is_another {
                     self.state = found;
@@ -119,20 +121,20 @@ impl KnotWatch {
                     // Intertwined throws may come undone one by one in the new configuration.
                     self.state.reading = found.reading;
                 }
-                Looked { changed: is_another, is_another }
+                KnotCheck { changed: is_another, is_another }
             }
-            Found::Order(Some(state)) => {
+            KnotJobResult::Order(Some(state)) => {
                 self.state = state;
-                Looked { changed: true, is_another: false }
+                KnotCheck { changed: true, is_another: false }
             }
-            Found::Order(None) => {
+            KnotJobResult::Order(None) => {
                 self.is_unreadable = true;
-                Looked::default()
+                KnotCheck::default()
             }
         }
     }
 
-    fn lies_still(&self, points: &[Point3<f64>], way: f64) -> bool {
+    fn is_at_rest(&self, points: &[Point3<f64>], way: f64) -> bool {
         let near = |(seen, now): (&Point3<f64>, &Point3<f64>)| (now - seen).norm_squared() <= way * way;
         self.seen.len() == points.len() && self.seen.iter().zip(points).all(near)
     }

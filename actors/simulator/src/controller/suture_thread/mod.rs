@@ -4,7 +4,7 @@
 //! Each tick: grasps are updated; the tick is divided into steps of the thread's maximum length, and in each step the
 //! obstacles move by their fraction of the way since the last tick; nodes, saved state, contacts and measures are
 //! written. Instruments receive the reaction forces on their rods and the pull on their jaws. An elastic body that a
-//! thread is tied around is stepped with it ([`Tied`]).
+//! thread is tied around is stepped with it ([`ElasticSupport`]).
 
 pub mod component;
 pub mod contact_report;
@@ -24,7 +24,7 @@ use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::method::finite_vertices;
 use trocar_dynamics::soft_body::rod_contact::COLLISIONS_MAX;
 use trocar_scene::components::LineMesh;
@@ -33,38 +33,38 @@ use trocar_scene::{
     Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
-use super::coupling::fast_side::Coupled;
+use super::coupling::fast_side::FastSide;
 use crate::linear_fem::Cache;
-use crate::suture_thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
+use crate::suture_thread::{ElasticObstacle, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 use component::ThreadBody;
-use contact_report::Told;
+use contact_report::ContactReport;
 use cut::{follow, parted_at};
-use elastic_body::{Tied, TiedBody};
-use grasp::{Leading, Pull, pulls, update};
-use group::Lines;
+use elastic_body::{ElasticSupport, TiedBody};
+use grasp::{GraspConstraints, GraspForce, pulls, update};
+use group::ThreadGroup;
 use knot::KnotState;
 use knot_job::KnotWatch;
-use obstacles::{Form, Part, Parts};
+use obstacles::{ObstacleParts, Part, PartShape};
 use remesh::{EDGES_EVERY, adapt};
-use saved_state::{Met, ThreadMemory};
+use saved_state::{ObstaclePose, ThreadMemory};
 use soft_support::LyingOn;
 
 struct Body {
-    lines: Lines,
+    lines: ThreadGroup,
     kind: ThreadBody,
     thread: Thread,
-    tied: Option<Tied>,
+    tied: Option<ElasticSupport>,
     lying: Option<LyingOn>,
     memory: ThreadMemory,
     knot: KnotWatch,
     /// Whether the scene already has this knot.
     has_knot: bool,
-    parts: Parts,
-    leading: Leading,
+    parts: ObstacleParts,
+    leading: GraspConstraints,
     report: ThreadReport,
     /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
-    pulls: Vec<(Entity, Pull)>,
+    pulls: Vec<(Entity, GraspForce)>,
     frozen: bool,
 }
 
@@ -73,7 +73,7 @@ pub struct ThreadController {
     gravity_in_world: Vector3<f64>,
     cache: Option<Cache>,
     bodies: Vec<Body>,
-    refused: Vec<Refused>,
+    refused: Vec<RejectedBody>,
 }
 
 impl ThreadController {
@@ -87,7 +87,7 @@ impl ThreadController {
         cache: Option<PathBuf>,
         context: &BuildContext<'_>,
     ) -> Result<Self, ControllerError> {
-        let (mut bodies, mut refused): (Vec<Body>, Vec<Refused>) = (Vec::new(), Vec::new());
+        let (mut bodies, mut refused): (Vec<Body>, Vec<RejectedBody>) = (Vec::new(), Vec::new());
         let carriers = Deformable::carriers::<ThreadBody>(context.scene);
         let kinds = carriers.iter().filter_map(|entity| context.scene.get::<ThreadBody>(*entity));
         let named: BTreeMap<&String, usize> =
@@ -114,11 +114,11 @@ impl ThreadController {
             let built = match built {
                 Ok(built) => built,
                 Err(error) => {
-                    refused.push(Refused::of(context, entity, FrozenPart::Body, error)?);
+                    refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?);
                     continue;
                 }
             };
-            let around = |body: &Body| body.tied.as_ref().map(Tied::entity);
+            let around = |body: &Body| body.tied.as_ref().map(ElasticSupport::entity);
             if around(&built).is_some() && bodies.iter().any(|other| around(other) == around(&built)) {
                 return Err(wrong("tied_around: another thread is tied around the same body".into()));
             }
@@ -136,9 +136,9 @@ impl Controller for ThreadController {
         let refused = self.refused.iter().map(|body| body.entity);
         let bodies: Vec<Entity> =
             self.bodies.iter().flat_map(|body| body.lines.entities()).chain(refused).collect();
-        let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(Tied::entity);
+        let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(ElasticSupport::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
-        Coupled::access(Deformable::access(&moved), &bodies)
+        FastSide::access(Deformable::access(&moved), &bodies)
             .reads::<ThreadBody>()
             .reads::<TiedBody>()
             .reads::<Pose>()
@@ -176,15 +176,18 @@ impl Controller for ThreadController {
                 match done {
                     Ok(Some(())) => {
                         body.write(out);
-                        let told = Told {
+                        let told = ContactReport {
                             thread: body.lines.first().entity,
                             world_from_thread,
                             parts: &body.parts,
                             reactions: &body.reactions,
                             pulls: &body.pulls,
-                            displacement_max: body.tied.as_ref().map_or(0.0, Tied::displacement_max),
+                            displacement_max: body
+                                .tied
+                                .as_ref()
+                                .map_or(0.0, ElasticSupport::displacement_max),
                         };
-                        told.tell(tick.time, &mut collisions);
+                        told.report(tick.time, &mut collisions);
                     }
                     // It does not move until the elastic body's inverse is ready.
                     Ok(None) => {}
@@ -197,7 +200,7 @@ impl Controller for ThreadController {
             depth_max = depth_max.max(body.memory.penetration_max);
             body.measure(&mut measured);
         }
-        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
         collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions, penetration_max: depth_max });
@@ -210,16 +213,16 @@ impl Body {
     fn new(kind: ThreadBody, body: Deformable, scene: &Snapshot, index: u64) -> Result<Self, String> {
         let entity = body.entity;
         let known = scene.get::<ThreadMemory>(entity);
-        let lines = Lines::read(&kind, body, scene)?;
+        let lines = ThreadGroup::read(&kind, body, scene)?;
         let thread = lines.thread(&kind, known);
-        let tied = kind.tied_around.as_ref().map(|name| Tied::new(name, scene)).transpose()?;
+        let tied = kind.tied_around.as_ref().map(|name| ElasticSupport::new(name, scene)).transpose()?;
         let lying = match &kind.lies_on {
             Some(on) => Some(LyingOn::new(on, lines.first(), scene)?),
             None => None,
         };
         let parts = match &lying {
-            Some(lying) => Parts::on(lying.entity(), lying.friction()),
-            None => Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction))),
+            Some(lying) => ObstacleParts::on(lying.entity(), lying.friction()),
+            None => ObstacleParts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction))),
         };
         Ok(Self {
             thread: thread.map_err(|error| error.to_string())?,
@@ -232,7 +235,7 @@ impl Body {
             has_knot: known.is_some(),
             frozen: scene.get::<Frozen>(entity).is_some(),
             parts,
-            leading: Leading::default(),
+            leading: GraspConstraints::default(),
             report: ThreadReport::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
@@ -259,7 +262,7 @@ impl Body {
         let period = tick.period.as_secs_f64();
         self.parts.read(scene, world_from_thread, self.kind.tool_friction, &self.memory.met);
         self.follow()?;
-        let is_moved = |part: &Part| matches!(part.form, Form::Elastic) && part.met.at != part.to;
+        let is_moved = |part: &Part| matches!(part.form, PartShape::Elastic) && part.met.at != part.to;
         if self.parts.list.iter().any(is_moved) {
             return Err("what it is tied around has been moved: it has to stay in its place".into());
         }
@@ -271,17 +274,17 @@ impl Body {
         if self.kind.adaptive && tick.number.is_multiple_of(EDGES_EVERY) {
             adapt(&self.kind, &mut self.thread, &mut self.lines, &mut self.memory.grips)?;
         }
-        self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
+        self.leading.exempt_held(&self.memory.grips, &self.parts, self.thread.state());
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
         let dt = period / count;
         self.reactions.resize(self.parts.list.len(), Reaction::default());
         if let Some(lying) = &mut self.lying {
-            lying.meet(self.lines.first().entity, world_from_thread, scene, tick)?;
+            lying.begin_step(self.lines.first().entity, world_from_thread, scene, tick)?;
         }
         let mut report = ThreadReport::default();
         for step in 0..count as usize {
             let fractions = [step, step + 1].map(|step| step as f64 / count);
-            let elastic = self.tied.as_ref().and_then(Tied::elastic);
+            let elastic = self.tied.as_ref().and_then(ElasticSupport::elastic);
             if let Some(lying) = &mut self.lying {
                 lying.begin(dt, 1.0 / (count - step as f64));
             }
@@ -302,7 +305,7 @@ impl Body {
                 loads: &[],
                 obstacles: &obstacles,
                 spared: &self.leading.spared,
-                elastic: elastic.map(|body| Elastic { obstacle: 0, body }),
+                elastic: elastic.map(|body| ElasticObstacle { obstacle: 0, body }),
             };
             let done = match soft {
                 Some(surface) => self.thread.step_on(dt, &around, 0, surface),
@@ -310,7 +313,7 @@ impl Body {
             };
             let done = done.map_err(|error| error.to_string())?;
             if let Some(lying) = &mut self.lying {
-                lying.met(dt, self.thread.state());
+                lying.end_step(dt, self.thread.state());
             }
             if let Some(tied) = &mut self.tied {
                 tied.deform(self.thread.presses());
@@ -330,7 +333,7 @@ impl Body {
         self.pulls =
             pulls(&mut self.memory.grips, &self.parts, scene, self.thread.state(), self.thread.hold_forces());
         self.memory.met.clear();
-        self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
+        self.memory.met.extend(self.parts.list.iter().map(|part| ObstaclePose { at: part.to, ..part.met }));
         self.memory.penetration_max = self.memory.penetration_max.max(report.penetration_max);
         self.look(tick)?;
         if let Some(tied) = &mut self.tied

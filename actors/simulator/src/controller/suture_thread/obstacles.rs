@@ -12,7 +12,7 @@ use trocar_scene::{
     Entity, Instrument, RigidBody, Shape as SceneShape, Snapshot, SurfaceMesh, VertexPositions,
 };
 
-use super::saved_state::Met;
+use super::saved_state::ObstaclePose;
 use crate::suture_thread::{ContactMemory, Obstacle, Shape};
 
 /// A frame's pose at the last tick, and now.
@@ -21,14 +21,14 @@ pub type FrameFromTo = [Isometry3<f64>; 2];
 pub type JawParts = [Option<usize>; 2];
 
 /// Nodes and triangles of a deformable obstacle.
-pub type Yielding<'a> = (&'a [Point3<f64>], &'a [[u32; 3]]);
+pub type DeformableMesh<'a> = (&'a [Point3<f64>], &'a [[u32; 3]]);
 
 /// Resolution of triangle meshes for shapes that the thread solver does not support.
 const DETAIL: Detail = Detail { segments: 24, fine_segments: 8 };
 
 /// A shape in the frame of its part.
 #[derive(Clone, Debug)]
-pub enum Form {
+pub enum PartShape {
     /// A sphere at the origin.
     Sphere(f64),
     /// A capsule around a segment.
@@ -43,11 +43,11 @@ pub enum Form {
 #[derive(Clone, Debug)]
 pub struct Part {
     /// Its entity, its part number, and its pose at the last tick.
-    pub met: Met,
+    pub met: ObstaclePose,
     /// `thread_from_part` now.
     pub to: Isometry3<f64>,
     /// Its shape.
-    pub form: Form,
+    pub form: PartShape,
     /// Coulomb friction coefficient.
     pub friction: f64,
     /// Of an instrument's rod: its current axis in the thread's frame, and its radius \[m\].
@@ -59,12 +59,14 @@ pub struct Part {
 impl Part {
     /// In the form that the solver takes, for a step of the tick; a deformable body by its current nodes and triangles.
     #[must_use]
-    pub fn obstacle<'a>(&'a self, fractions: [f64; 2], yielding: Option<Yielding<'a>>) -> Obstacle<'a> {
+    pub fn obstacle<'a>(&'a self, fractions: [f64; 2], yielding: Option<DeformableMesh<'a>>) -> Obstacle<'a> {
         let shape = match &self.form {
-            Form::Sphere(radius) => Shape::Sphere { radius: *radius },
-            Form::Capsule(ends, radius) => Shape::Capsule { ends: *ends, radius: *radius },
-            Form::Mesh(points, triangles) => Shape::Mesh { from: points, to: points, triangles, radius: 0.0 },
-            Form::Elastic => {
+            PartShape::Sphere(radius) => Shape::Sphere { radius: *radius },
+            PartShape::Capsule(ends, radius) => Shape::Capsule { ends: *ends, radius: *radius },
+            PartShape::Mesh(points, triangles) => {
+                Shape::Mesh { from: points, to: points, triangles, radius: 0.0 }
+            }
+            PartShape::Elastic => {
                 let (points, triangles) = yielding.unwrap_or((&[][..], &[][..]));
                 let shape = Shape::Mesh { from: points, to: points, triangles, radius: 0.0 };
                 // Not interpolated: exactly at its pose.
@@ -88,13 +90,13 @@ pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, fraction: f64) -> Iso
 }
 
 /// Whether both are the same part of the same entity.
-fn is_same(met: &Met, other: &Met) -> bool {
+fn is_same(met: &ObstaclePose, other: &ObstaclePose) -> bool {
     met.entity == other.entity && met.part == other.part
 }
 
 /// All obstacles of a thread.
 #[derive(Clone, Debug, Default)]
-pub struct Parts {
+pub struct ObstacleParts {
     /// In the same order for the same scene; the deformable body comes first.
     pub list: Vec<Part>,
     /// The deformable body, and its Coulomb friction coefficient.
@@ -102,11 +104,11 @@ pub struct Parts {
     /// Whether its nodes are in the thread's frame, and not in its own.
     is_in_frame: bool,
     /// Cached forms of analytic shapes.
-    forms: BTreeMap<Entity, (SceneShape, Form)>,
+    forms: BTreeMap<Entity, (SceneShape, PartShape)>,
     rods: Vec<Rod>,
 }
 
-impl Parts {
+impl ObstacleParts {
     /// An empty list, for a thread tied around an entity with this Coulomb friction coefficient, or around none.
     #[must_use]
     pub fn around(tied: Option<(Entity, f64)>) -> Self {
@@ -125,7 +127,7 @@ impl Parts {
         scene: &Snapshot,
         world_from_thread: &Isometry3<f64>,
         tool_friction: f64,
-        known: &[Met],
+        known: &[ObstaclePose],
     ) {
         self.list.clear();
         rods_of_all(scene, world_from_thread, &mut self.rods);
@@ -134,8 +136,8 @@ impl Parts {
             let in_frame = self.is_in_frame;
             let to =
                 if in_frame { Isometry3::identity() } else { thread_from_world * scene.world_pose(entity) };
-            let met = Met { entity, part: 0, at: to };
-            self.list.push(Part { met, to, form: Form::Elastic, friction, rod: None, jaw: None });
+            let met = ObstaclePose { entity, part: 0, at: to };
+            self.list.push(Part { met, to, form: PartShape::Elastic, friction, rod: None, jaw: None });
         }
         let mut count = 0;
         for (index, rod) in self.rods.iter().enumerate() {
@@ -154,8 +156,8 @@ impl Parts {
                 None => thread_from_tip,
             };
             let ends = rod.ends.map(|end| to.inverse_transform_point(&end));
-            let met = Met { entity, part: count as u32, at: to };
-            let form = Form::Capsule(ends, rod.radius);
+            let met = ObstaclePose { entity, part: count as u32, at: to };
+            let form = PartShape::Capsule(ends, rod.radius);
             self.list.push(Part { met, to, form, friction: tool_friction, rod: Some(*rod), jaw });
         }
         let mut bodies: Vec<Entity> = scene.iter::<RigidBody>().map(|(entity, _)| entity).collect();
@@ -164,7 +166,7 @@ impl Parts {
             let Some(body) = scene.get::<RigidBody>(entity) else { continue };
             let to = thread_from_world * scene.world_pose(entity);
             if let Some(form) = self.form(scene, entity) {
-                let met = Met { entity, part: 0, at: to };
+                let met = ObstaclePose { entity, part: 0, at: to };
                 self.list.push(Part { met, to, form, friction: body.friction, rod: None, jaw: None });
             }
         }
@@ -176,21 +178,21 @@ impl Parts {
     }
 
     /// The form of a rigid body; `None` without a shape.
-    fn form(&mut self, scene: &Snapshot, entity: Entity) -> Option<Form> {
+    fn form(&mut self, scene: &Snapshot, entity: Entity) -> Option<PartShape> {
         let Some(shape) = scene.get::<SceneShape>(entity) else {
             let (mesh, points) = (scene.get::<SurfaceMesh>(entity)?, scene.get::<VertexPositions>(entity)?);
-            return Some(Form::Mesh(points.positions.clone(), mesh.triangles.clone()));
+            return Some(PartShape::Mesh(points.positions.clone(), mesh.triangles.clone()));
         };
         if let Some((_, form)) = self.forms.get(&entity).filter(|(known, _)| known == shape) {
             return Some(form.clone());
         }
         let along_z = |half: f64| [Point3::new(0.0, 0.0, -half), Point3::new(0.0, 0.0, half)];
         let form = match shape {
-            SceneShape::Sphere { radius } => Form::Sphere(*radius),
-            SceneShape::Capsule { radius, half_height } => Form::Capsule(along_z(*half_height), *radius),
+            SceneShape::Sphere { radius } => PartShape::Sphere(*radius),
+            SceneShape::Capsule { radius, half_height } => PartShape::Capsule(along_z(*half_height), *radius),
             other => {
                 let surface = surface_of(other, &DETAIL).ok()?;
-                Form::Mesh(Arc::new(surface.positions), Arc::new(surface.triangles))
+                PartShape::Mesh(Arc::new(surface.positions), Arc::new(surface.triangles))
             }
         };
         self.forms.insert(entity, (shape.clone(), form.clone()));
@@ -199,14 +201,14 @@ impl Parts {
 
     /// Whether the parts are those of the last tick.
     #[must_use]
-    pub fn are(&self, known: &[Met]) -> bool {
+    pub fn are(&self, known: &[ObstaclePose]) -> bool {
         known.len() == self.list.len()
             && known.iter().zip(&self.list).all(|(met, part)| is_same(met, &part.met))
     }
 
     /// Renumbers contacts from the last tick's parts to the current ones, and drops those with removed parts. Indices
     /// beyond all parts stay so.
-    pub fn renumber(&self, known: &[Met], contacts: &mut Vec<ContactMemory>) {
+    pub fn renumber(&self, known: &[ObstaclePose], contacts: &mut Vec<ContactMemory>) {
         contacts.retain_mut(|contact| {
             let Some(index) = (contact.key.with as usize).checked_sub(1) else { return true };
             let now = match known.get(index) {

@@ -5,7 +5,7 @@ use nalgebra::Point3;
 
 use super::component::ThreadBody;
 use super::grasp::Grip;
-use super::group::Lines;
+use super::group::ThreadGroup;
 use crate::suture_thread::{Fineness, Renumbered, Thread};
 
 /// Ticks between two adaptations.
@@ -25,7 +25,7 @@ const NODES_MAX: usize = 1024;
 pub fn adapt(
     kind: &ThreadBody,
     thread: &mut Thread,
-    lines: &mut Lines,
+    lines: &mut ThreadGroup,
     grips: &mut [Grip],
 ) -> Result<bool, String> {
     let fineness = fineness(kind.edges, thread.material().diameter());
@@ -35,7 +35,7 @@ pub fn adapt(
         return Ok(false);
     };
     follow(grips, &now);
-    lines.lie(&rest(&lines.rest(), &now), &now.nodes, thread.state());
+    lines.replace_line(&rest(&lines.rest(), &now), &now.nodes, thread.state());
     Ok(true)
 }
 

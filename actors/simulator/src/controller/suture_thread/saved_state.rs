@@ -6,12 +6,12 @@ use trocar_scene::{Component, Entity};
 
 use super::grasp::Grip;
 use crate::controller::cutting::scissors::Blades;
-use crate::suture_thread::elastic::Press;
+use crate::suture_thread::elastic::SurfaceForce;
 use crate::suture_thread::{ContactMemory, Thread, ThreadState};
 
 /// A part of an obstacle, and its pose in the thread's frame at the last tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Met {
+pub struct ObstaclePose {
     /// The entity.
     pub entity: Entity,
     /// The part.
@@ -38,13 +38,13 @@ pub struct ThreadMemory {
     /// Persistent contact state.
     pub contacts: Vec<ContactMemory>,
     /// The obstacles, in the order of the contacts' indices.
-    pub met: Vec<Met>,
+    pub met: Vec<ObstaclePose>,
     /// Grasps of the thread.
     pub grips: Vec<Grip>,
     /// Previous blades of all scissors, in the thread's frame.
     pub blades: Vec<Blades>,
     /// Contact forces on the elastic body that it is tied around.
-    pub presses: Vec<Press>,
+    pub presses: Vec<SurfaceForce>,
     /// Shortest length of its loop since the current knot was formed, and since the last grasp or release of the thread
     /// \[m\]; negative while there is no loop.
     pub loop_min: f64,

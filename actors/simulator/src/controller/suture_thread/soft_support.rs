@@ -9,7 +9,7 @@ use trocar_scene::soft_body::one_of;
 use trocar_scene::{Commands, Entity, Snapshot, Tick};
 
 use super::component::LiesOn;
-use super::obstacles::Yielding;
+use super::obstacles::DeformableMesh;
 use crate::controller::coupling::fast_side::{Partner, other};
 use crate::suture_thread::ThreadState;
 use crate::suture_thread::soft_support::SoftSurface;
@@ -66,14 +66,14 @@ impl LyingOn {
     /// Maximum position error of its nodes in the thread's solver \[m\].
     #[must_use]
     pub fn behind(&self) -> f64 {
-        self.partner.given.ghosts.furthest_behind()
+        self.partner.given.ghosts.position_error_max()
     }
 
     /// Begins a tick: reads the body's report.
     ///
     /// # Errors
     /// Why it cannot continue.
-    pub fn meet(
+    pub fn begin_step(
         &mut self,
         thread: Entity,
         world_from_thread: &Isometry3<f64>,
@@ -88,10 +88,10 @@ impl LyingOn {
             rods: &[],
             touches: &[],
             forces: &[],
-            led: &[],
+            driven: &[],
         };
         self.partner.follow(&site)?;
-        self.partner.hear(thread, &site)?;
+        self.partner.receive(thread, &site)?;
         Ok(())
     }
 
@@ -100,22 +100,23 @@ impl LyingOn {
         self.share = if self.partner.is_wall { 0.0 } else { share };
         let is_wall = self.partner.is_wall;
         let ghosts = &self.partner.given.ghosts;
-        let guests = ghosts.guests().map(|guest| if is_wall { guest.as_wall() } else { guest });
+        let ghost_nodes =
+            ghosts.ghost_nodes().map(|ghost_node| if is_wall { ghost_node.as_wall() } else { ghost_node });
         let drift = ghosts.behind().iter().map(|behind| behind * (self.share / dt));
-        self.surface.begin(guests, drift, &self.partner.surface);
+        self.surface.begin(ghost_nodes, drift, &self.partner.surface);
     }
 
     /// Its nodes and triangles as an obstacle, and its compliance.
-    pub fn parts(&mut self) -> (Yielding<'_>, &mut SoftSurface) {
+    pub fn parts(&mut self) -> (DeformableMesh<'_>, &mut SoftSurface) {
         let nodes: &[Point3<f64>] = self.partner.given.ghosts.positions();
         ((nodes, &self.partner.surface), &mut self.surface)
     }
 
     /// Ends a step of `dt` \[s\], with the thread's new state.
-    pub fn met(&mut self, dt: f64, state: &ThreadState) {
+    pub fn end_step(&mut self, dt: f64, state: &ThreadState) {
         let given = &mut self.partner.given;
         if !self.partner.is_wall {
-            given.ghosts.met(dt, self.surface.moved(), 0.0);
+            given.ghosts.end_step(dt, self.surface.moved(), 0.0);
             given.ghosts.caught_up(self.share);
         }
         near(state, given.ghosts.positions(), &self.partner.surface, &mut given.near);

@@ -2,20 +2,20 @@
 
 use nalgebra::Vector3;
 use trocar_dynamics::coupling::external_nodes::{
-    ExternalNodes, ExternalNodesState, GhostImpulses, GhostNode, Press, Tie,
+    ExternalNodes, ExternalNodesState, GhostImpulses, GhostNode, NodeContact, Tie,
 };
 use trocar_dynamics::particles::StepError;
 use trocar_dynamics::soft_body::method::Step;
 
 use super::XpbdMethod;
-use crate::controller::coupling::fast_side::Coupled;
+use crate::controller::coupling::fast_side::FastSide;
 use crate::xpbd::{Member, XpbdInput, step_together};
 
-/// Offsets of one body's entries in the island's lists: nodes, guests, ties, contacts.
+/// Offsets of one body's entries in the island's lists: nodes, ghost nodes, ties, contacts.
 #[derive(Clone, Copy, Default)]
-struct Begins {
+struct ListOffsets {
     node: u32,
-    guest: usize,
+    ghost_node: usize,
     tie: usize,
     press: usize,
 }
@@ -23,34 +23,39 @@ struct Begins {
 /// All nodes, ties and contacts of the island.
 #[derive(Default)]
 struct Island {
-    guests: Vec<GhostNode>,
+    ghost_nodes: Vec<GhostNode>,
     ties: Vec<Tie>,
-    presses: Vec<Press>,
-    begins: Vec<Begins>,
+    presses: Vec<NodeContact>,
+    begins: Vec<ListOffsets>,
 }
 
 impl Island {
     /// Adds the external nodes of a body.
-    fn add(&mut self, company: &ExternalNodes<'_>, node: u32) {
-        let Self { guests, ties, presses, begins } = self;
-        begins.push(Begins { node, guest: guests.len(), tie: ties.len(), press: presses.len() });
-        let first = guests.len() as u32;
-        guests.extend_from_slice(company.guests);
-        ties.extend(company.ties.iter().map(|tie| Tie {
+    fn add(&mut self, external_nodes: &ExternalNodes<'_>, node: u32) {
+        let Self { ghost_nodes, ties, presses, begins } = self;
+        begins.push(ListOffsets {
+            node,
+            ghost_node: ghost_nodes.len(),
+            tie: ties.len(),
+            press: presses.len(),
+        });
+        let first = ghost_nodes.len() as u32;
+        ghost_nodes.extend_from_slice(external_nodes.ghost_nodes);
+        ties.extend(external_nodes.ties.iter().map(|tie| Tie {
             node: node + tie.node,
-            guests: tie.guests.map(|(guest, weight)| (first + guest, weight)),
+            ghost_nodes: tie.ghost_nodes.map(|(ghost_node, weight)| (first + ghost_node, weight)),
             ..*tie
         }));
-        presses.extend(company.presses.iter().map(|press| Press {
+        presses.extend(external_nodes.presses.iter().map(|press| NodeContact {
             node: node + press.node,
-            guests: press.guests.map(|(guest, weight)| (first + guest, weight)),
-            anchor: press.anchor.map(|(guest, weight)| (first + guest, weight)),
+            ghost_nodes: press.ghost_nodes.map(|(ghost_node, weight)| (first + ghost_node, weight)),
+            anchor: press.anchor.map(|(ghost_node, weight)| (first + ghost_node, weight)),
             ..*press
         }));
     }
 
-    fn company(&self) -> ExternalNodes<'_> {
-        ExternalNodes { guests: &self.guests, ties: &self.ties, presses: &self.presses }
+    fn external_nodes(&self) -> ExternalNodes<'_> {
+        ExternalNodes { ghost_nodes: &self.ghost_nodes, ties: &self.ties, presses: &self.presses }
     }
 }
 
@@ -64,18 +69,18 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
             step.done = Err(reason);
             return;
         }
-        let company = step.method.coupled.as_ref().map(Coupled::company).unwrap_or_default();
+        let external_nodes = step.method.coupled.as_ref().map(FastSide::external_nodes).unwrap_or_default();
         let nodes = step.method.of.solver.masses().len() + 1;
-        if let Err(error) = company.check(nodes) {
+        if let Err(error) = external_nodes.check(nodes) {
             step.done = Err(error.to_string());
             return;
         }
-        island.add(&company, node);
+        island.add(&external_nodes, node);
         node += nodes as u32;
     }
     let own_ties = island.ties.len();
     for (step, begins) in steps.iter().zip(&island.begins) {
-        for fused in step.method.coupled.iter().flat_map(Coupled::fused) {
+        for fused in step.method.coupled.iter().flat_map(FastSide::fused) {
             let other = steps.iter().zip(&island.begins).find(|(other, _)| other.body.entity == fused.entity);
             // A body that was frozen by its solver holds nothing any longer.
             if let Some((other, others)) = other {
@@ -90,9 +95,9 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
     for (index, step) in steps.iter_mut().enumerate() {
         let begins = island.begins[index];
         let ends = island.begins.get(index + 1).copied();
-        let ends = ends.unwrap_or(Begins {
+        let ends = ends.unwrap_or(ListOffsets {
             node,
-            guest: island.guests.len(),
+            ghost_node: island.ghost_nodes.len(),
             tie: own_ties,
             press: island.presses.len(),
         });
@@ -103,7 +108,10 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
                 continue;
             }
             // With invalid input no body has been stepped.
-            Err(_) if moved.ties.len() != island.ties.len() || moved.guests.len() != island.guests.len() => {
+            Err(_)
+                if moved.ties.len() != island.ties.len()
+                    || moved.ghost_nodes.len() != island.ghost_nodes.len() =>
+            {
                 continue;
             }
             _ => step.done = Ok(()),
@@ -116,11 +124,11 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
         tied.extend(all.filter_map(|(tie, moved)| Some((of_body(tie.node)?, moved.force))));
         let Some(coupled) = coupled else { continue };
         let own = GhostImpulses {
-            guests: moved.guests[begins.guest..ends.guest].to_vec(),
+            ghost_nodes: moved.ghost_nodes[begins.ghost_node..ends.ghost_node].to_vec(),
             ties: moved.ties[begins.tie..ends.tie].to_vec(),
             presses: moved.presses[begins.press..ends.press].to_vec(),
         };
-        coupled.met(&own, &of.solver.state().positions, dt);
+        coupled.end_step(&own, &of.solver.state().positions, dt);
         let fused = island.ties.iter().zip(&moved.ties).skip(own_ties);
         let fused = fused.filter(|(tie, _)| of_body(tie.node).is_some());
         coupled.fused_by(fused.map(|(_, moved): (_, _)| moved.force.norm()).sum());
@@ -142,9 +150,9 @@ fn step_all(
             let XpbdMethod { of, contacts, prescribed, forces, .. } = &mut *step.method;
             let gravity: Vector3<f64> = step.site.gravity;
             let input =
-                XpbdInput { gravity, forces, contacts, prescribed, company: ExternalNodes::default() };
+                XpbdInput { gravity, forces, contacts, prescribed, external_nodes: ExternalNodes::default() };
             Member { body: &mut of.solver, input }
         })
         .collect();
-    step_together(dt, &mut members, &island.company(), state)
+    step_together(dt, &mut members, &island.external_nodes(), state)
 }

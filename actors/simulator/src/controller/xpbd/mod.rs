@@ -14,18 +14,19 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, Step, StepContext};
-use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, Step, StepContext, SurfaceChange};
+use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
 };
 
-use super::coupling::fast_side::Coupled;
-use super::cutting::line::{LineCuts, LineWeakness};
-use super::cutting::membrane::{Membrane, MembraneWeakness, Parted};
-use super::cutting::volume::{Elements, FailureCriteria, Parting, Split};
-use super::thermal_damage::Coagulated;
+use super::coupling::fast_side::FastSide;
+use super::cutting::divisible_volume::DivisibleVolume;
+use super::cutting::line::{LineCuts, LineFailureCriteria};
+use super::cutting::membrane::{Membrane, MembraneChange, MembraneFailureCriteria};
+use super::cutting::volume::{Elements, FailureCriteria, Split};
+use super::thermal_damage::CoagulatedElement;
 use crate::mass_spring::{
     Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,
 };
@@ -126,7 +127,7 @@ impl Default for XpbdBody {
 
 impl XpbdBody {
     /// Cutting and tearing criteria of a volume.
-    fn weakness(&self) -> FailureCriteria {
+    fn failure_criteria(&self) -> FailureCriteria {
         let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
             return FailureCriteria::default();
         };
@@ -254,7 +255,7 @@ pub(super) struct Solver {
 
 impl Solver {
     /// Writes the constraint groups for a restart, if they have changed.
-    fn tell_groups(&mut self, entity: Entity, out: &mut Commands) {
+    fn publish_groups(&mut self, entity: Entity, out: &mut Commands) {
         if std::mem::take(&mut self.regrouped) {
             let Groups { distances, bends, tets } = self.solver.groups();
             let [distances, bends, tets] = [distances, bends, tets].map(|groups| Arc::new(groups.to_vec()));
@@ -278,7 +279,7 @@ impl Solver {
         &mut self,
         membrane: &Membrane,
         body: &Deformable,
-        parted: &Parted,
+        parted: &MembraneChange,
     ) -> Result<(), NetworkError> {
         let Self { kind, solver, network: Some(network), .. } = self else { return Ok(()) };
         let Some(material) = kind.cloth() else { return Ok(()) };
@@ -306,7 +307,7 @@ impl Elements for Solver {
         Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+    fn alter(&mut self, elements: &[CoagulatedElement]) -> Result<(), String> {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
         Ok(())
     }
@@ -328,11 +329,11 @@ impl Elements for Solver {
 /// XPBD method for one body.
 pub struct XpbdMethod {
     pub(super) of: Solver,
-    parting: Option<Parting>,
+    divisible: Option<DivisibleVolume>,
     membrane: Option<Membrane>,
     line: Option<LineCuts>,
     /// Its couplings, if it has any.
-    pub(super) coupled: Option<Coupled>,
+    pub(super) coupled: Option<FastSide>,
     pub(super) contacts: Vec<Contact>,
     pub(super) prescribed: Vec<Prescribed>,
     pub(super) forces: Vec<NodeForce>,
@@ -348,17 +349,20 @@ impl XpbdMethod {
         self.contacts.clear();
         self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
         self.prescribed.clear();
-        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
-        self.prescribed.extend(led);
+        let driven = site
+            .driven
+            .iter()
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world });
+        self.prescribed.extend(driven);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         match &mut self.coupled {
-            Some(coupled) => coupled.meet(body, self.of.solver.state(), site),
+            Some(coupled) => coupled.begin_step(body, self.of.solver.state(), site),
             None => Ok(()),
         }
     }
 
-    fn contact(kind: &XpbdBody, touch: &Touch) -> Contact {
+    fn contact(kind: &XpbdBody, touch: &RodContact) -> Contact {
         Contact {
             nodes: touch.nodes,
             weights: touch.weights,
@@ -387,19 +391,19 @@ impl SoftMethod for XpbdMethod {
         if let Some(what) = of_another {
             return Err(what.into());
         }
-        let (parting, membrane) = match kind.matter {
-            Matter::Volume { .. } => (Parting::new(body, kind.weakness(), scene)?, None),
+        let (divisible, membrane) = match kind.matter {
+            Matter::Volume { .. } => (DivisibleVolume::new(body, kind.failure_criteria(), scene)?, None),
             Matter::Cloth { .. } => {
-                let weakness = MembraneWeakness { cut: kind.cut, tears_at: kind.tears_at };
-                (None, Membrane::new(body, weakness, scene)?)
+                let failure_criteria = MembraneFailureCriteria { cut: kind.cut, tears_at: kind.tears_at };
+                (None, Membrane::new(body, failure_criteria, scene)?)
             }
             Matter::Rod { .. } => (None, None),
         };
-        let weakness = LineWeakness { cut: kind.cut, tears_at: kind.tears_at };
+        let failure_criteria = LineFailureCriteria { cut: kind.cut, tears_at: kind.tears_at };
         let is_weak_rod = matches!(kind.matter, Matter::Rod { .. }) && (kind.cut || kind.tears_at.is_some());
-        let line = is_weak_rod.then(|| LineCuts::new(body, weakness, scene));
+        let line = is_weak_rod.then(|| LineCuts::new(body, failure_criteria, scene));
         let altered = membrane.as_ref().map(Membrane::alterations).unwrap_or_default();
-        let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
+        let heated = divisible.as_ref().map(DivisibleVolume::heated).unwrap_or_default();
         let groups = scene.get::<XpbdGroups>(body.entity).cloned().unwrap_or_default();
         let made = kind.solver(body, &altered, &heated.removed, &groups);
         let (solver, network) = made.map_err(|error| error.to_string())?;
@@ -407,15 +411,15 @@ impl SoftMethod for XpbdMethod {
         let mut of = Solver { kind: *kind, solver, network, regrouped: false };
         of.alter(&heated.coagulated)?;
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
-        let coupled = Coupled::new(body, thickness, scene)?;
+        let coupled = FastSide::new(body, thickness, scene)?;
         let (contacts, prescribed, forces, tied, island) = Default::default();
-        Ok(Self { of, parting, membrane, line, coupled, contacts, prescribed, forces, tied, island })
+        Ok(Self { of, divisible, membrane, line, coupled, contacts, prescribed, forces, tied, island })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
         let access = access.writes::<LineMesh>(EntitySet::Of(bodies.to_vec()));
-        let access = Membrane::access(Parting::access(access, bodies), bodies);
-        Coupled::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
+        let access = Membrane::access(DivisibleVolume::access(access, bodies), bodies);
+        FastSide::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
     }
 
     fn terms(&self) -> Option<ContactParams<'_>> {
@@ -424,7 +428,7 @@ impl SoftMethod for XpbdMethod {
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.parting.as_ref().is_some_and(Parting::is_cut)
+        self.divisible.as_ref().is_some_and(DivisibleVolume::is_cut)
             || self.membrane.as_ref().is_some_and(Membrane::is_cut)
             || self.line.as_ref().is_some_and(LineCuts::is_cut)
     }
@@ -434,12 +438,12 @@ impl SoftMethod for XpbdMethod {
         body: &mut Deformable,
         site: &StepContext<'_>,
         out: &mut Commands,
-    ) -> Result<Option<Reshaped>, String> {
+    ) -> Result<Option<SurfaceChange>, String> {
         if let Some(membrane) = &mut self.membrane {
             let positions = &self.of.solver.state().positions;
             let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
             self.of.follow(membrane, body, &parted).map_err(|error| error.to_string())?;
-            self.of.tell_groups(body.entity, out);
+            self.of.publish_groups(body.entity, out);
             return Ok(parted.reshaped);
         }
         if let Some(line) = &mut self.line {
@@ -447,11 +451,11 @@ impl SoftMethod for XpbdMethod {
             let Some(copies) = copies else { return Ok(None) };
             self.of.copy(body, &copies).map_err(|error| error.to_string())?;
             // Its segments keep their numbers.
-            return Ok(Some(Reshaped::default()));
+            return Ok(Some(SurfaceChange::default()));
         }
-        let Some(parting) = &mut self.parting else { return Ok(None) };
-        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
-        self.of.tell_groups(body.entity, out);
+        let Some(divisible) = &mut self.divisible else { return Ok(None) };
+        let reshaped = divisible.reshape(&mut self.of, body, site, out)?;
+        self.of.publish_groups(body.entity, out);
         Ok(reshaped)
     }
 
@@ -463,9 +467,9 @@ impl SoftMethod for XpbdMethod {
         &self.of.solver.state().velocities
     }
 
-    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+    fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         let is_rod = matches!(self.of.kind.matter, Matter::Rod { .. });
-        Skin {
+        ContactSurface {
             positions: self.positions(),
             triangles: if is_rod { &[] } else { &body.triangles },
             segments: if is_rod { &body.segments } else { &[] },
@@ -492,7 +496,7 @@ impl SoftMethod for XpbdMethod {
         let entities: Vec<Entity> = steps.iter().map(|step| step.body.entity).collect();
         let mut islands: Vec<usize> = (0..steps.len()).collect();
         for (index, step) in steps.iter().enumerate() {
-            for fused in step.method.coupled.iter().flat_map(Coupled::fused) {
+            for fused in step.method.coupled.iter().flat_map(FastSide::fused) {
                 if let Some(with) = entities.iter().position(|entity| *entity == fused.entity) {
                     let (from, to) = (islands[index].max(islands[with]), islands[index].min(islands[with]));
                     islands.iter_mut().filter(|island| **island == from).for_each(|island| *island = to);
@@ -532,7 +536,7 @@ impl SoftMethod for XpbdMethod {
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
         let heights = || self.positions().iter().map(|position| position.z);
-        self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.divisible.iter().for_each(|divisible| divisible.measure(measures));
         self.membrane.iter().for_each(|membrane| membrane.measure(measures));
         self.line.iter().for_each(|line| line.measure(measures));
         self.coupled.iter().for_each(|coupled| coupled.measure(measures));

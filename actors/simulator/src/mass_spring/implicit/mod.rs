@@ -2,8 +2,8 @@
 //! at the beginning of the step (Baraff and Witkin 1998); further ones are Newton iterations.
 
 pub(crate) mod block_jacobi;
-mod cholesky;
 mod conjugate_gradients;
+mod network_cholesky;
 mod operator;
 mod warped;
 
@@ -13,8 +13,8 @@ use trocar_dynamics::particles::StepError;
 use super::matrix::StepMatrix;
 use super::{Config, Input, LinearSolver, MassSpring, Network, Report, forces};
 use block_jacobi::NodeBlocks;
-use cholesky::Cholesky;
 use conjugate_gradients::ConjugateGradients;
+use network_cholesky::NetworkCholesky;
 use operator::Operator;
 use warped::Warped;
 
@@ -42,7 +42,7 @@ pub(super) struct Implicit {
 enum Solver {
     NodeBlocks(ConjugateGradients, NodeBlocks),
     Warped(ConjugateGradients, Box<Warped>, NodeBlocks),
-    Cholesky(Cholesky),
+    Cholesky(NetworkCholesky),
 }
 
 impl Implicit {
@@ -56,7 +56,7 @@ impl Implicit {
         match &mut self.solver {
             Solver::NodeBlocks(..) => {}
             Solver::Warped(_, warped, _) => **warped = Warped::default(),
-            Solver::Cholesky(solver) => *solver = Cholesky::new(network),
+            Solver::Cholesky(solver) => *solver = NetworkCholesky::new(network),
         }
     }
 
@@ -71,7 +71,7 @@ impl Implicit {
                 Box::new(Warped::new(network)),
                 NodeBlocks::default(),
             ),
-            LinearSolver::Cholesky => Solver::Cholesky(Cholesky::new(network)),
+            LinearSolver::Cholesky => Solver::Cholesky(NetworkCholesky::new(network)),
         };
         Self {
             matrix: StepMatrix::default(),
@@ -281,8 +281,8 @@ impl MassSpring {
         {
             *position = began + velocity * h;
         }
-        for led in input.prescribed {
-            next.positions[led.node as usize] = led.position;
+        for driven in input.prescribed {
+            next.positions[driven.node as usize] = driven.position;
         }
     }
 

@@ -11,7 +11,7 @@ use crate::simd::f64x4::Quad;
 
 /// A spring: `all·I + u uᵀ` between two nodes.
 #[derive(Clone, Copy, Debug)]
-struct Strut {
+struct SpringBlock {
     nodes: [u32; 2],
     all: f32,
     along: [f32; 4],
@@ -19,7 +19,7 @@ struct Strut {
 
 /// A hinge or a contact: `all·I + along·u uᵀ` on the weighted sum of its nodes.
 #[derive(Clone, Copy, Debug)]
-struct Joint<const N: usize> {
+struct HingeBlock<const N: usize> {
     nodes: [u32; N],
     weights: [f64; N],
     all: f64,
@@ -42,9 +42,9 @@ struct Flat {
 pub(super) struct Operator {
     /// Mass of each node, including damping; 0 where it is held \[kg\].
     pub masses: Vec<f64>,
-    struts: Vec<Strut>,
-    hinges: Vec<Joint<4>>,
-    contacts: Vec<Joint<3>>,
+    struts: Vec<SpringBlock>,
+    hinges: Vec<HingeBlock<4>>,
+    contacts: Vec<HingeBlock<3>>,
     flat: Option<Flat>,
     squared_step: f64,
 }
@@ -106,7 +106,7 @@ impl Operator {
         self.struts.extend(network.springs.iter().zip(&matrix.springs).map(|(spring, block)| {
             let along = block.axis * block.along.max(0.0).sqrt();
             let along = [along.x as f32, along.y as f32, along.z as f32, 0.0];
-            Strut { nodes: spring.nodes, all: block.all as f32, along }
+            SpringBlock { nodes: spring.nodes, all: block.all as f32, along }
         }));
         self.squared_step = h * h;
         if lag == 0.0 {
@@ -117,11 +117,11 @@ impl Operator {
         let is_flat = |rest: f64| rest == 0.0 && lag == 0.0;
         let others = network.hinges.iter().zip(&matrix.hinges).filter(|(hinge, _)| !is_flat(hinge.rest));
         self.hinges.clear();
-        self.hinges.extend(others.map(|(hinge, block)| Joint::new(hinge.nodes, hinge.weights, block)));
+        self.hinges.extend(others.map(|(hinge, block)| HingeBlock::new(hinge.nodes, hinge.weights, block)));
         self.contacts.clear();
         self.contacts.extend(contacts.iter().zip(&matrix.contacts).map(|(contact, block)| {
             let joint = contact.joint();
-            Joint::new(joint.map(|of| of.0), joint.map(|of| of.1), block)
+            HingeBlock::new(joint.map(|of| of.0), joint.map(|of| of.1), block)
         }));
     }
 
@@ -155,7 +155,7 @@ impl Operator {
     }
 }
 
-impl<const N: usize> Joint<N> {
+impl<const N: usize> HingeBlock<N> {
     fn new(nodes: [u32; N], weights: [f64; N], block: &Block) -> Self {
         Self { nodes, weights, all: block.all, along: block.along, axis: Quad::from(&block.axis) }
     }

@@ -5,7 +5,7 @@ use crate::linear_algebra::block_banded::{Added, Block, Cell};
 
 /// State of a contact, which determines the derivative of its force.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Law {
+pub(crate) enum CoulombState {
     /// No contact.
     Open,
     /// Sticking.
@@ -22,7 +22,7 @@ pub(crate) enum Law {
 /// In one step, `share` falls at most to this fraction of itself.
 const SHARE_KEPT: f64 = 0.1;
 
-impl Law {
+impl CoulombState {
     /// Initial state of a contact with `force` \[N\] and expected separation `apart` \[m\].
     pub fn begin(force: [f64; 3], apart: [f64; 3], friction: f64, compliance: f64) -> Self {
         let held = force[1].hypot(force[2]);
@@ -179,19 +179,20 @@ mod tests {
     fn its_slope_is_what_it_adds_to_the_matrix() {
         let rows = rows();
         for at in [[-2e-3, 1e-4, -3e-4], [-2e-3, 3e-3, -1e-3], [-1e-3, -9e-3, 4e-3], [1e-3, 1.0, 1.0]] {
-            let (force, law) = Law::of(at, FRICTION, YIELDS);
-            assert_eq!(law.linear(at, FRICTION, YIELDS).map(f64::to_bits)[0], force[0].to_bits());
+            let (force, coulomb) = CoulombState::of(at, FRICTION, YIELDS);
+            assert_eq!(coulomb.linear(at, FRICTION, YIELDS).map(f64::to_bits)[0], force[0].to_bits());
             let mut added = Added::default();
             added.clear(2);
-            law.add(&rows, FRICTION, YIELDS, &mut added);
-            assert_eq!(added.slanted, matches!(law, Law::Slides { .. }));
+            coulomb.add(&rows, FRICTION, YIELDS, &mut added);
+            assert_eq!(added.slanted, matches!(coulomb, CoulombState::Slides { .. }));
             for node in 0..2 {
                 for axis in 0..4 {
                     let pushed = |by: f64| {
                         let mut moved = [Cell::zeros(); 2];
                         moved[node][axis] = by;
                         let apart = rows.apart(&moved);
-                        let (force, _) = Law::of(std::array::from_fn(|k| at[k] + apart[k]), FRICTION, YIELDS);
+                        let (force, _) =
+                            CoulombState::of(std::array::from_fn(|k| at[k] + apart[k]), FRICTION, YIELDS);
                         let mut right = [Cell::zeros(); 2];
                         rows.push(&force, &mut right);
                         right
@@ -205,7 +206,7 @@ mod tests {
                         };
                         let found = (more[other] - less[other]) / 2e-8;
                         let off = (found + block.column(axis)).amax();
-                        assert!(off < 1e-4 / YIELDS, "{law:?}, node {node}, axis {axis}: off by {off}");
+                        assert!(off < 1e-4 / YIELDS, "{coulomb:?}, node {node}, axis {axis}: off by {off}");
                     }
                 }
             }
@@ -214,10 +215,10 @@ mod tests {
 
     #[test]
     fn what_slid_back_is_taken_to_stick_and_nothing_slides_far_at_once() {
-        let slides = |x: f64, share: f64| Law::Slides { along: [x, 0.0], share };
-        assert_eq!(slides(1.0, 0.5).next(slides(-1.0, 0.5), FRICTION), Law::Sticks);
+        let slides = |x: f64, share: f64| CoulombState::Slides { along: [x, 0.0], share };
+        assert_eq!(slides(1.0, 0.5).next(slides(-1.0, 0.5), FRICTION), CoulombState::Sticks);
         assert_eq!(slides(1.0, 0.5).next(slides(-1.0, 0.0), 0.0), slides(-1.0, 0.05));
         assert_eq!(slides(1.0, 0.5).next(slides(1.0, 1e-6), FRICTION), slides(1.0, 0.05));
-        assert_eq!(slides(1.0, 0.5).next(Law::Open, FRICTION), Law::Open);
+        assert_eq!(slides(1.0, 0.5).next(CoulombState::Open, FRICTION), CoulombState::Open);
     }
 }

@@ -1,11 +1,11 @@
 //! Force laws of contacts and joints with three rows, for every kind that the dense problem of an island knows: force
 //! as a function of separation. Each has a small compliance, so that the law is a function and Newton's method applies.
 
-use super::Law;
+use super::CoulombState;
 
 /// A force law.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Rule {
+pub(crate) enum ForceLaw {
     /// Unilateral contact along the first row, with Coulomb friction in the other two.
     Contact { friction: f64 },
     /// The same, yielding plastically at a normal force of `most` \[N\].
@@ -20,9 +20,9 @@ pub(crate) enum Rule {
 /// The state of a contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum ContactState {
-    Contact(Law),
+    Contact(CoulombState),
     /// Yields at its largest normal force; tangentially, the state of a contact.
-    Gives(Law),
+    Gives(CoulombState),
     Within([Bound; 3]),
     /// It sticks.
     Stays,
@@ -52,11 +52,11 @@ impl ContactState {
     /// Which rows are at their force bounds.
     pub fn gives_way(&self) -> [bool; 3] {
         match self {
-            Self::Contact(Law::Open) => [true; 3],
-            Self::Contact(Law::Sticks) | Self::Stays => [false; 3],
-            Self::Contact(Law::Slides { .. }) => [false, true, true],
-            Self::Gives(law) => {
-                let slides = matches!(law, Law::Slides { .. });
+            Self::Contact(CoulombState::Open) => [true; 3],
+            Self::Contact(CoulombState::Sticks) | Self::Stays => [false; 3],
+            Self::Contact(CoulombState::Slides { .. }) => [false, true, true],
+            Self::Gives(coulomb) => {
+                let slides = matches!(coulomb, CoulombState::Slides { .. });
                 [true, slides, slides]
             }
             Self::Within(bounds) => bounds.map(|bound| bound != Bound::Free),
@@ -86,7 +86,7 @@ pub(crate) struct Equation {
 
 const UNIT: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-impl Rule {
+impl ForceLaw {
     /// Bilateral constraint with unbounded force.
     pub const HELD: Self = Self::Within { least: [f64::NEG_INFINITY; 3], most: [f64::INFINITY; 3] };
 
@@ -99,14 +99,14 @@ impl Rule {
     pub fn of(&self, apart: [f64; 3], yields: [f64; 3]) -> ([f64; 3], ContactState) {
         match *self {
             Self::Contact { friction } => {
-                let (force, law) = Law::of(apart, friction, yields[0]);
-                (force, ContactState::Contact(law))
+                let (force, coulomb) = CoulombState::of(apart, friction, yields[0]);
+                (force, ContactState::Contact(coulomb))
             }
             Self::Skin { friction, most } => {
                 let deepest = [apart[0].max(-most * yields[0]), apart[1], apart[2]];
-                let (force, law) = Law::of(deepest, friction, yields[0]);
+                let (force, coulomb) = CoulombState::of(deepest, friction, yields[0]);
                 let gives = apart[0] < deepest[0];
-                (force, if gives { ContactState::Gives(law) } else { ContactState::Contact(law) })
+                (force, if gives { ContactState::Gives(coulomb) } else { ContactState::Contact(coulomb) })
             }
             Self::Within { least, most } => {
                 let mut bounds = [Bound::Free; 3];
@@ -142,7 +142,7 @@ impl Rule {
     pub fn begin(&self, force: [f64; 3], apart: [f64; 3], yields: [f64; 3]) -> ContactState {
         match *self {
             Self::Contact { friction } | Self::Skin { friction, .. } => {
-                ContactState::Contact(Law::begin(force, apart, friction, yields[0]))
+                ContactState::Contact(CoulombState::begin(force, apart, friction, yields[0]))
             }
             Self::Within { .. } => self.of(std::array::from_fn(|k| -force[k] * yields[k]), yields).1,
             Self::Passes { base, friction } => {
@@ -158,7 +158,7 @@ impl Rule {
         }
     }
 
-    /// The next state to assume, after assuming `before` and finding `found`: see [`Law::next`].
+    /// The next state to assume, after assuming `before` and finding `found`: see [`CoulombState::next`].
     pub fn next(&self, before: ContactState, found: ContactState) -> ContactState {
         match (*self, before, found) {
             (Self::Contact { friction }, ContactState::Contact(before), ContactState::Contact(found)) => {
@@ -188,22 +188,22 @@ impl Rule {
     /// force.
     pub fn linearise(
         &self,
-        doing: ContactState,
+        state: ContactState,
         yields: [f64; 3],
         softness: f64,
         mut equation: impl FnMut(Equation),
     ) -> [f64; 3] {
         let more = yields.map(|yields| (softness - 1.0) * yields);
-        match (*self, doing) {
-            (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(law)) => {
-                match law {
-                    Law::Open => {}
-                    Law::Sticks => {
+        match (*self, state) {
+            (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(coulomb)) => {
+                match coulomb {
+                    CoulombState::Open => {}
+                    CoulombState::Sticks => {
                         for unit in UNIT {
                             equation(Equation { force: unit, along: unit, yields: more[0] });
                         }
                     }
-                    Law::Slides { along: [x, y], share } => {
+                    CoulombState::Slides { along: [x, y], share } => {
                         let force = [1.0, -friction * x, -friction * y];
                         equation(Equation { force, along: UNIT[0], yields: more[0] });
                         // Perpendicular to the sliding direction friction is stiffer, the less it slides.
@@ -215,8 +215,8 @@ impl Rule {
                     }
                 }
             }
-            (Self::Skin { friction, most }, ContactState::Gives(law)) => {
-                let Law::Slides { along: [x, y], share } = law else {
+            (Self::Skin { friction, most }, ContactState::Gives(coulomb)) => {
+                let CoulombState::Slides { along: [x, y], share } = coulomb else {
                     for unit in [UNIT[1], UNIT[2]] {
                         equation(Equation { force: unit, along: unit, yields: more[0] });
                     }
@@ -291,25 +291,25 @@ mod tests {
 
     use super::*;
 
-    const RULES: [Rule; 5] = [
-        Rule::Contact { friction: 0.4 },
-        Rule::Skin { friction: 0.4, most: 1.0 },
-        Rule::Within { least: [-1.0, f64::NEG_INFINITY, -0.5], most: [0.0, f64::INFINITY, 0.5] },
-        Rule::HELD,
-        Rule::Passes { base: 0.3, friction: 0.4 },
+    const RULES: [ForceLaw; 5] = [
+        ForceLaw::Contact { friction: 0.4 },
+        ForceLaw::Skin { friction: 0.4, most: 1.0 },
+        ForceLaw::Within { least: [-1.0, f64::NEG_INFINITY, -0.5], most: [0.0, f64::INFINITY, 0.5] },
+        ForceLaw::HELD,
+        ForceLaw::Passes { base: 0.3, friction: 0.4 },
     ];
 
     #[test]
     fn every_rule_as_it_is_linearised_gives_the_force_that_it_gives() {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
-        for rule in RULES {
+        for law in RULES {
             for _ in 0..200 {
                 let apart = std::array::from_fn(|_| random.random_range(-3e-6..3e-6));
-                let yields = if rule.is_bounded() { [1e-6, 2e-6, 2e-6] } else { [1e-6; 3] };
-                let (force, doing) = rule.of(apart, yields);
+                let yields = if law.is_bounded() { [1e-6, 2e-6, 2e-6] } else { [1e-6; 3] };
+                let (force, state) = law.of(apart, yields);
                 let gap: [f64; 3] = std::array::from_fn(|k| apart[k] + yields[k] * force[k]);
                 let mut equations = Vec::new();
-                let known = rule.linearise(doing, yields, 1.0, |equation| equations.push(equation));
+                let known = law.linearise(state, yields, 1.0, |equation| equations.push(equation));
                 let columns =
                     DMatrix::from_fn(3, equations.len(), |row, column| equations[column].force[row]);
                 let rest = DVector::from_fn(3, |row, _| force[row] - known[row]);
@@ -319,29 +319,32 @@ mod tests {
                     columns.clone().svd(true, true).solve(&rest, 1e-12).expect("solved")
                 };
                 let left = if equations.is_empty() { rest } else { rest - &columns * &sizes };
-                assert!(left.amax() < 1e-9, "{rule:?} {doing:?}: {left}");
+                assert!(left.amax() < 1e-9, "{law:?} {state:?}: {left}");
                 for (equation, size) in equations.iter().zip(sizes.iter()) {
                     let row: f64 = (0..3).map(|k| equation.along[k] * gap[k]).sum();
-                    assert!((row + equation.yields * size).abs() < 1e-15, "{rule:?} {doing:?}");
+                    assert!((row + equation.yields * size).abs() < 1e-15, "{law:?} {state:?}");
                 }
-                for (k, gives) in doing.gives_way().into_iter().enumerate() {
-                    assert!(gives || gap[k].abs() < 1e-15, "{rule:?} {doing:?}: row {k} is {}", gap[k]);
+                for (k, gives) in state.gives_way().into_iter().enumerate() {
+                    assert!(gives || gap[k].abs() < 1e-15, "{law:?} {state:?}: row {k} is {}", gap[k]);
                 }
-                let again = rule.confined(force);
-                assert!((0..3).all(|k| (again[k] - force[k]).abs() < 1e-12), "{rule:?}: {force:?}");
-                let began = rule.begin(force, apart, yields);
-                let touches = !matches!(doing, ContactState::Contact(Law::Open));
-                assert!(!touches || !matches!(began, ContactState::Contact(Law::Open)), "{rule:?} {doing:?}");
+                let again = law.confined(force);
+                assert!((0..3).all(|k| (again[k] - force[k]).abs() < 1e-12), "{law:?}: {force:?}");
+                let began = law.begin(force, apart, yields);
+                let touches = !matches!(state, ContactState::Contact(CoulombState::Open));
+                assert!(
+                    !touches || !matches!(began, ContactState::Contact(CoulombState::Open)),
+                    "{law:?} {state:?}"
+                );
             }
         }
     }
 
     #[test]
     fn from_one_bound_to_the_other_a_place_holds_in_between() {
-        let rule = RULES[2];
+        let law = RULES[2];
         let [least, most] =
             [Bound::Least, Bound::Most].map(|bound| ContactState::Within([bound, Bound::Free, bound]));
-        assert_eq!(rule.next(least, most), ContactState::Within([Bound::Free; 3]));
+        assert_eq!(law.next(least, most), ContactState::Within([Bound::Free; 3]));
         assert!(least.is_like(&least) && !least.is_like(&most));
         let once = ContactState::Within([Bound::Most, Bound::Free, Bound::Least]);
         assert_eq!(least.exchanged(&most), once);

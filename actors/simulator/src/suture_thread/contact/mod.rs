@@ -12,8 +12,8 @@ pub(crate) mod semismooth_newton;
 
 pub(crate) use broad_phase::{Candidates, passed_through, passed_through_face};
 pub(crate) use constraint_rows::{Rows, Side, place, tangents};
-pub(crate) use coulomb::Law;
-pub(crate) use force_law::Rule;
+pub(crate) use coulomb::CoulombState;
+pub(crate) use force_law::ForceLaw;
 pub(crate) use obstacle::Motion;
 pub use obstacle::{Obstacle, Shape};
 pub(crate) use semismooth_newton::{Complementarity, SOFTENING};

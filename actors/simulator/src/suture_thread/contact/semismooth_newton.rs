@@ -1,7 +1,7 @@
 //! Forces of many coupled contacts by a semismooth Newton method on their regularised force laws (Alart, Curnier 1991,
 //! for Coulomb's), on the assembled dense compliance.
 
-use super::force_law::{ContactState, Equation, Rule};
+use super::force_law::{ContactState, Equation, ForceLaw};
 use crate::simd::dispatch::wide;
 
 /// Maximum Newton steps from the warm-started forces.
@@ -33,11 +33,11 @@ pub(crate) struct Complementarity {
     /// Initial guess, then the solution \[N\].
     pub force: Vec<f64>,
     /// Force law of each contact.
-    pub rules: Vec<Rule>,
+    pub rules: Vec<ForceLaw>,
     /// `C` of each contact \[m/N\].
     pub yields: Vec<[f64; 3]>,
     offset: Vec<f64>,
-    doing: Vec<ContactState>,
+    state: Vec<ContactState>,
     unknowns: Vec<Unknown>,
     known: Vec<f64>,
     /// The forces with the smallest error so far.
@@ -75,15 +75,15 @@ impl Complementarity {
                 add(&mut self.offset, column, -self.force[row]);
             }
         }
-        self.doing.clear();
+        self.state.clear();
         for place in 0..self.rules.len() {
             let (force, apart, yields) = (self.force(place), self.apart(place), self.yields[place]);
-            self.doing.push(self.rules[place].begin(force, apart, yields));
+            self.state.push(self.rules[place].begin(force, apart, yields));
         }
         self.nearest.clone_from(&self.force);
         let mut least = f64::INFINITY;
         let (mut done, mut exchanges) = (0, 0);
-        let has_ties = self.rules.iter().any(Rule::is_bounded);
+        let has_ties = self.rules.iter().any(ForceLaw::is_bounded);
         let plain = std::iter::once((1.0, STEPS_MAX, false));
         let one_by_one = has_ties.then_some((1.0, EXCHANGES_MAX, true));
         let soft = SOFTENING.map(|softness| (softness, SOFTENED_STEPS_MAX, false));
@@ -122,7 +122,7 @@ impl Complementarity {
     pub fn error_of(&self, place: usize) -> f64 {
         let (rows, at) = (self.force.len(), 3 * place);
         let mut own: [f64; 3] = std::array::from_fn(|k| self.compliance[(at + k) * (rows + 1)]);
-        if matches!(self.rules[place], Rule::Contact { .. } | Rule::Skin { .. }) {
+        if matches!(self.rules[place], ForceLaw::Contact { .. } | ForceLaw::Skin { .. }) {
             own[1] = own[1].max(own[2]);
             own[2] = own[1];
         }
@@ -140,10 +140,10 @@ impl Complementarity {
         let rows = self.force.len();
         self.unknowns.clear();
         self.known.clear();
-        for (place, doing) in self.doing.iter().enumerate() {
+        for (place, state) in self.state.iter().enumerate() {
             let unknowns = &mut self.unknowns;
             let push = |equation| unknowns.push(Unknown { place, equation });
-            let known = self.rules[place].linearise(*doing, self.yields[place], softness, push);
+            let known = self.rules[place].linearise(*state, self.yields[place], softness, push);
             self.known.extend(known);
         }
         // Gaps due to the known part of the forces.
@@ -198,13 +198,13 @@ impl Complementarity {
     /// whether anything changed.
     fn next(&mut self, softness: f64, one_by_one: bool) -> bool {
         let (mut changed, mut exchanged) = (false, false);
-        for place in 0..self.doing.len() {
-            let (rule, now, before) = (self.rules[place], self.force(place), self.doing[place]);
+        for place in 0..self.state.len() {
+            let (law, now, before) = (self.rules[place], self.force(place), self.state[place]);
             let (force, found) =
-                rule.of(self.apart(place), self.yields[place].map(|yields| softness * yields));
-            let mut next = rule.next(before, found);
+                law.of(self.apart(place), self.yields[place].map(|yields| softness * yields));
+            let mut next = law.next(before, found);
             let lacking = (0..3).fold(0.0, |most, k| f64::max(most, (force[k] - now[k]).abs()));
-            if one_by_one && rule.is_bounded() && !before.is_like(&next) {
+            if one_by_one && law.is_bounded() && !before.is_like(&next) {
                 let size = force.iter().fold(1.0, |most, force| f64::max(most, force.abs()));
                 if exchanged || lacking < ROUNDING * size {
                     continue;
@@ -213,15 +213,15 @@ impl Complementarity {
                 exchanged = true;
             }
             changed |= next != before && lacking > 0.0;
-            self.doing[place] = next;
+            self.state[place] = next;
         }
         changed
     }
 
     /// Projects each force onto those that its law allows, removing violations within the tolerance.
     fn confine(&mut self) {
-        for (force, rule) in self.force.chunks_exact_mut(3).zip(&self.rules) {
-            force.copy_from_slice(&rule.confined([force[0], force[1], force[2]]));
+        for (force, law) in self.force.chunks_exact_mut(3).zip(&self.rules) {
+            force.copy_from_slice(&law.confined([force[0], force[1], force[2]]));
         }
     }
 
@@ -333,7 +333,7 @@ mod tests {
     fn single(offset: [f64; 3], friction: f64) -> Complementarity {
         let mut problem = Complementarity::default();
         problem.clear(1);
-        problem.rules.push(Rule::Contact { friction });
+        problem.rules.push(ForceLaw::Contact { friction });
         problem.yields.push([1e-6; 3]);
         for k in 0..3 {
             problem.compliance[4 * k] = 1e-3;
@@ -344,14 +344,14 @@ mod tests {
 
     #[test]
     fn a_contact_pushes_sticks_slides_or_is_open() {
-        let law = 0.5;
-        let mut open = single([1e-3, 1e-3, 0.0], law);
+        let coulomb = 0.5;
+        let mut open = single([1e-3, 1e-3, 0.0], coulomb);
         open.solve(10, 1e-12);
         assert_eq!(open.force, [0.0; 3]);
-        let mut sticks = single([-2e-3, 0.6e-3, -0.6e-3], law);
+        let mut sticks = single([-2e-3, 0.6e-3, -0.6e-3], coulomb);
         sticks.solve(10, 1e-12);
         assert!(sticks.gap(0).iter().all(|gap| gap.abs() < 1e-15) && (sticks.force[0] - 2.0).abs() < 1e-12);
-        let mut slides = single([-2e-3, 3e-3, -4e-3], law);
+        let mut slides = single([-2e-3, 3e-3, -4e-3], coulomb);
         slides.solve(10, 1e-12);
         assert!((slides.force[1].hypot(slides.force[2]) - 1.0).abs() < 1e-12);
         assert!((slides.gap(0)[1] - 2.4e-3).abs() < 1e-12 && (slides.gap(0)[2] + 3.2e-3).abs() < 1e-12);
@@ -371,7 +371,7 @@ mod tests {
             }
             problem.gap[r] = ((r * 7 % 11) as f64 - 5.5) * 0.1;
         }
-        problem.rules = vec![Rule::Contact { friction: 0.3 }; places];
+        problem.rules = vec![ForceLaw::Contact { friction: 0.3 }; places];
         problem.yields = vec![[1e-3; 3]; places];
         problem.solve(300, 1e-12);
         for place in 0..places {
@@ -402,16 +402,16 @@ mod tests {
             problem.yields = vec![[1e-6; 3]; places];
             problem.rules = (0..places)
                 .map(|place| match place % 3 {
-                    0 => Rule::Within { least: [-0.1, -1.0, 0.0], most: [0.0, 1.0, 0.2] },
-                    1 => Rule::Passes { base: 0.05, friction: 0.1 },
-                    _ => Rule::HELD,
+                    0 => ForceLaw::Within { least: [-0.1, -1.0, 0.0], most: [0.0, 1.0, 0.2] },
+                    1 => ForceLaw::Passes { base: 0.05, friction: 0.1 },
+                    _ => ForceLaw::HELD,
                 })
                 .collect();
             problem.solve(200, 1e-10);
             assert!(problem.error() < 1e-9, "case {case}: {}", problem.error());
             for place in 0..places {
                 let (force, gap) = (problem.force(place), problem.gap(place));
-                if let Rule::Within { least, most } = problem.rules[place] {
+                if let ForceLaw::Within { least, most } = problem.rules[place] {
                     for k in 0..3 {
                         // At a bound it is pushed on, in between it holds.
                         let holds = gap[k].abs() < 1e-9;

@@ -2,11 +2,11 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::coupled_body::Companion;
-use super::{Active, Failure, Island, TieOf};
+use super::coupled_body::CoupledBody;
+use super::{Active, BodyTie, Failure, Island};
 use crate::linear_algebra::block_banded::Cell;
 use crate::suture_thread::contact::{
-    Law, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
+    CoulombState, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
 };
 use crate::suture_thread::state::{ContactKey, ContactMemory};
 use crate::suture_thread::{Surroundings, ThreadMaterial};
@@ -21,9 +21,9 @@ impl Island {
     pub(super) fn gather(
         &mut self,
         material: &ThreadMaterial,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         ahead: f64,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
     ) -> Result<(), Failure> {
         self.moved.clear();
         self.moved.extend((0..self.at.positions.len()).map(|node| {
@@ -42,14 +42,14 @@ impl Island {
         for index in 0..self.candidates.found.len() {
             let key = self.candidates.found[index].key;
             if surface.is_some_and(|surface| key.with as usize == surface + 1) {
-                self.note_near(material, around, key, companion);
-            } else if let Some(active) = self.contact(material, around, key) {
+                self.note_near(material, surroundings, key, companion);
+            } else if let Some(active) = self.contact(material, surroundings, key) {
                 let list = if key.with == 0 { &mut self.dense } else { &mut self.sprung };
                 list.push(active);
             }
         }
         if let Some(surface) = surface {
-            self.touch_elastic(material, around.obstacles[surface].friction);
+            self.touch_elastic(material, surroundings.obstacles[surface].friction);
         }
         self.ties.clear();
         companion.tie(&self.at, &mut self.ties).map_err(|why| Failure { node: 0, why })?;
@@ -62,17 +62,22 @@ impl Island {
             offset: tie.gap,
             force: tie.force,
             compliance: 0.0,
-            law: Law::Open,
-            next: Law::Open,
+            coulomb: CoulombState::Open,
+            next: CoulombState::Open,
             surface: Point3::origin(),
             drawn: [0.0; 2],
             gives: None,
-            tie: Some(TieOf { number, rule: tie.rule, yields: tie.yields }),
+            tie: Some(BodyTie { number, law: tie.law, yields: tie.yields }),
         }));
         Ok(())
     }
 
-    fn contact(&self, material: &ThreadMaterial, around: &Surroundings, key: ContactKey) -> Option<Active> {
+    fn contact(
+        &self,
+        material: &ThreadMaterial,
+        surroundings: &Surroundings,
+        key: ContactKey,
+    ) -> Option<Active> {
         let edge = key.edge as usize;
         let of = |edge: usize| [self.at.positions[edge], self.at.positions[edge + 1]];
         let room = |edge: usize| self.reach[edge].max(self.reach[edge + 1]);
@@ -111,7 +116,7 @@ impl Island {
             ));
         }
         let index = key.with as usize - 1;
-        let obstacle = &around.obstacles[index];
+        let obstacle = &surroundings.obstacles[index];
         let found = nearest_on_obstacle(&obstacle.shape, &self.motions[index], key.feature, &of(edge))?;
         let gap = found.distance - radius;
         let way = (found.surface[1] - found.surface[0]).norm();
@@ -150,7 +155,7 @@ impl Island {
         let expected = rows.apart(&self.expected);
         let expected: [f64; 3] = std::array::from_fn(|k| offset[k] + expected[k]);
         let force = [normal, held[0] * scale, held[1] * scale];
-        let law = Law::begin(force, expected, friction, compliance);
+        let coulomb = CoulombState::begin(force, expected, friction, compliance);
         Active {
             key,
             rows,
@@ -158,8 +163,8 @@ impl Island {
             offset,
             force,
             compliance,
-            law,
-            next: law,
+            coulomb,
+            next: coulomb,
             surface: surface.map_or_else(Point3::origin, |[_, to]| to),
             drawn: [0.0; 2],
             gives: None,
@@ -168,23 +173,23 @@ impl Island {
     }
 
     /// Largest penetration of the contacts at the end \[m\].
-    pub(super) fn penetration(&self, material: &ThreadMaterial, around: &Surroundings) -> f64 {
+    pub(super) fn penetration(&self, material: &ThreadMaterial, surroundings: &Surroundings) -> f64 {
         self.contacts().fold(0.0, |most, contact| {
             // The elastic surface has deformed since the gap was measured: only the contact's own compliance is left.
             let gap = match contact.gives {
                 Some(_) => -contact.compliance * contact.force[0],
-                None => self.gap(material, around, &contact.key, &self.at.positions),
+                None => self.gap(material, surroundings, &contact.key, &self.at.positions),
             };
             f64::max(most, -gap)
         })
     }
 
     /// An edge that has penetrated deeply, contact or not, and deeper than before.
-    pub(super) fn sunk(
+    pub(super) fn deepest_penetration(
         &self,
         material: &ThreadMaterial,
-        around: &Surroundings,
-        companion: &impl Companion,
+        surroundings: &Surroundings,
+        companion: &impl CoupledBody,
     ) -> Option<usize> {
         let deep = -DEPTH_MAX * material.diameter();
         let surface = companion.surface();
@@ -193,8 +198,8 @@ impl Island {
             if gives(key) {
                 return false;
             }
-            let gap = self.gap(material, around, key, &self.at.positions);
-            gap < deep && gap < self.gap(material, around, key, &self.trial.positions)
+            let gap = self.gap(material, surroundings, key, &self.at.positions);
+            gap < deep && gap < self.gap(material, surroundings, key, &self.trial.positions)
         };
         let found = self.candidates.found.iter().find(|candidate| sunk(&candidate.key));
         found.map(|candidate| candidate.key.edge as usize)
@@ -204,7 +209,7 @@ impl Island {
     fn gap(
         &self,
         material: &ThreadMaterial,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         key: &ContactKey,
         positions: &[Point3<f64>],
     ) -> f64 {
@@ -215,7 +220,7 @@ impl Island {
             return (place(&first, s) - place(&second, t)).norm() - 2.0 * material.radius;
         }
         let index = key.with as usize - 1;
-        let shape = &around.obstacles[index].shape;
+        let shape = &surroundings.obstacles[index].shape;
         nearest_on_obstacle(shape, &self.motions[index], key.feature, &of(key.edge))
             .map_or(0.0, |found| found.distance - material.radius)
     }

@@ -32,14 +32,19 @@ impl Island {
     }
 
     /// Accumulates the reactions of holds and obstacles in this substep, weighted by its share of the step.
-    pub(super) fn feel(&mut self, material: &ThreadMaterial, fractions: [f64; 2], around: &Surroundings) {
+    pub(super) fn feel(
+        &mut self,
+        material: &ThreadMaterial,
+        fractions: [f64; 2],
+        surroundings: &Surroundings,
+    ) {
         let weight = fractions[1] - fractions[0];
         let share = weight / (1.0 - fractions[0]);
-        for (index, hold) in around.holds.iter().enumerate() {
+        for (index, hold) in surroundings.holds.iter().enumerate() {
             let pull = self.pull(hold, share).0;
             self.hold_forces[index] += pull * weight;
         }
-        for (index, hold) in around.twist_holds.iter().enumerate() {
+        for (index, hold) in surroundings.twist_holds.iter().enumerate() {
             let stiffness = twist_hold_stiffness(material, self.trial.rest_lengths[hold.edge]);
             let left = self.turn_left(hold, share);
             self.hold_torques[index] += stiffness * left * weight;
@@ -48,7 +53,7 @@ impl Island {
         for contact in contacts.filter(|contact| contact.key.with > 0) {
             let index = contact.key.with as usize - 1;
             let force = -contact.rows.vector(&contact.force) * weight;
-            let arm = contact.surface - Point3::from(around.obstacles[index].to.translation.vector);
+            let arm = contact.surface - Point3::from(surroundings.obstacles[index].to.translation.vector);
             self.reactions[index].force += force;
             self.reactions[index].torque += arm.cross(&force);
         }

@@ -11,12 +11,12 @@
 //! Where the alternation does not converge, the touched obstacles join the dense problem. Strand contacts as springs
 //! beside a dense problem were tried: they cycle where a tied strand pulls on its knot.
 
-use super::coupled_body::{Companion, Tied};
-use super::{Active, Failure, Island, Nearest, TOLERANCE};
+use super::coupled_body::{CoupledBody, TieResult};
+use super::{Active, BestIterate, Failure, Island, TOLERANCE};
 use crate::linear_algebra::block_banded::{Cell, LANES};
 use crate::simd::dispatch::wide;
-use crate::suture_thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
-use crate::suture_thread::{ThreadReport, Trouble};
+use crate::suture_thread::contact::{CONTACTS_MAX, CoulombState, ForceLaw, SOFTENING};
+use crate::suture_thread::{FailureCause, ThreadReport};
 
 /// Maximum factorisations in search of the states of contact springs.
 const ROUNDS_MAX: usize = 10;
@@ -38,7 +38,7 @@ impl Island {
     /// Solves the linearised island: leaves the change of the iterate in `moved` and the forces in the contacts.
     pub(super) fn answer(
         &mut self,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
         report: &mut ThreadReport,
     ) -> Result<(), Failure> {
         // With the warm-started forces the rod moves nearly as in the solution; pairs that stay apart are dropped.
@@ -53,7 +53,7 @@ impl Island {
         });
         let mut contacts = self.dense.iter().filter(|contact| contact.tie.is_none());
         if let Some(beyond) = contacts.nth(CONTACTS_MAX) {
-            return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
+            return Err(Failure { node: beyond.key.edge as usize, why: FailureCause::TooManyContacts });
         }
         // Beside ties and compliant bodies, strand contacts belong to the dense problem.
         if self.dense.iter().all(Active::is_of_strands) {
@@ -65,11 +65,11 @@ impl Island {
         }
         self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.join(companion)?;
-        if !self.take_turns(report)? && self.draw_in() {
+        if !self.alternate(report)? && self.promote_obstacle_contacts() {
             self.factorise(1.0)?;
             self.settle(report)?;
             self.join(companion)?;
-            self.take_turns(report)?;
+            self.alternate(report)?;
         }
         self.take_ties()?;
         for contact in self.dense.iter_mut().chain(&mut self.sprung) {
@@ -80,7 +80,7 @@ impl Island {
     }
 
     /// Alternates between the dense problem and the contact springs. Returns whether the two agree.
-    fn take_turns(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+    fn alternate(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
         for _ in 0..TURNS_MAX {
             if self.dense.is_empty() {
                 return Ok(true);
@@ -103,12 +103,12 @@ impl Island {
 
     /// Moves obstacle contacts that are active or nearly so into the dense problem: where a tie is next to one of them,
     /// the alternation cycles. Returns whether there were any.
-    fn draw_in(&mut self) -> bool {
+    fn promote_obstacle_contacts(&mut self) -> bool {
         let before = self.dense.len();
         let Self { sprung, dense, moved, .. } = self;
         sprung.retain(|contact| {
             let apart = contact.offset[0] + contact.rows.apart(moved)[0];
-            let is_near = contact.force[0] > 0.0 || contact.next != Law::Open || apart < NEAR;
+            let is_near = contact.force[0] > 0.0 || contact.next != CoulombState::Open || apart < NEAR;
             if is_near {
                 dense.push(contact.clone());
             }
@@ -128,12 +128,12 @@ impl Island {
     fn factorise(&mut self, softness: f64) -> Result<(), Failure> {
         self.added.clear(self.right.len());
         for contact in &mut self.sprung {
-            contact.law = contact.next;
+            contact.coulomb = contact.next;
         }
         let (obstacles, strands) = self.sprung.split_at(self.with_obstacles);
         for contact in obstacles {
             let yields = softness * contact.compliance;
-            contact.law.add(&contact.rows, contact.friction, yields, &mut self.added);
+            contact.coulomb.add(&contact.rows, contact.friction, yields, &mut self.added);
         }
         let added = (!obstacles.is_empty()).then_some(&self.added);
         let found = if strands.is_empty() {
@@ -143,9 +143,9 @@ impl Island {
             self.sparse.analyse(self.right.len(), couples);
             self.sparse.begin(&self.matrix, added);
             for (number, contact) in strands.iter().enumerate() {
-                if contact.law != Law::Open {
+                if contact.coulomb != CoulombState::Open {
                     let yields = softness * contact.compliance;
-                    let (blocks, slanted) = contact.law.blocks(&contact.rows, contact.friction, yields);
+                    let (blocks, slanted) = contact.coulomb.blocks(&contact.rows, contact.friction, yields);
                     self.sparse.add_couple(number, &blocks, slanted);
                 }
             }
@@ -154,9 +154,9 @@ impl Island {
         found.map_err(|node| Failure {
             node,
             why: if self.at.positions[node].iter().all(|x| x.is_finite()) {
-                Trouble::NotPositive
+                FailureCause::NotPositive
             } else {
-                Trouble::NotFinite
+                FailureCause::NotFinite
             },
         })
     }
@@ -170,7 +170,7 @@ impl Island {
         }
         for contact in &self.sprung {
             let yields = softness * contact.compliance;
-            let force = contact.law.linear(contact.offset, contact.friction, yields);
+            let force = contact.coulomb.linear(contact.offset, contact.friction, yields);
             contact.rows.push(&force, &mut self.moved);
         }
         if self.is_knotted() {
@@ -233,18 +233,18 @@ impl Island {
             let by = contact.rows.apart(&self.moved);
             let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
             let yields = softness * contact.compliance;
-            let linear = contact.law.linear(apart, contact.friction, yields);
-            let (force, law) = Law::of(apart, contact.friction, yields);
+            let linear = contact.coulomb.linear(apart, contact.friction, yields);
+            let (force, coulomb) = CoulombState::of(apart, contact.friction, yields);
             let lacking: [f64; 3] = std::array::from_fn(|k| force[k] - linear[k]);
             contact.force = force;
             if lacking != [0.0; 3] {
                 let size = lacking[0].abs().max(lacking[1].abs()).max(lacking[2].abs());
-                let same = std::mem::discriminant(&law) == std::mem::discriminant(&contact.law);
+                let same = std::mem::discriminant(&coulomb) == std::mem::discriminant(&contact.coulomb);
                 changed |= !same && size > FORCE_TOLERANCE;
                 off = true;
                 contact.rows.push(&lacking, &mut self.rest);
             }
-            contact.next = contact.law.next(law, contact.friction);
+            contact.next = contact.coulomb.next(coulomb, contact.friction);
         }
         if !off {
             return 0.0;
@@ -261,7 +261,7 @@ impl Island {
         }
         let mut largest = 0.0_f64;
         for contact in &self.sprung {
-            if contact.next != Law::Open {
+            if contact.next != CoulombState::Open {
                 let by = contact.rows.apart(&self.rest);
                 largest = by.iter().fold(largest, |most, by| most.max(by.abs()));
             }
@@ -293,7 +293,7 @@ impl Island {
         let rows = 3 * places;
         self.problem.clear(places);
         for contact in &self.dense {
-            self.problem.rules.push(contact.rule());
+            self.problem.rules.push(contact.law());
             self.problem.yields.push(contact.yields());
         }
         let slanted = self.added.slanted;
@@ -346,7 +346,7 @@ impl Island {
                 self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.yields()[k];
             }
         }
-        self.add_giving();
+        self.add_compliance();
         self.measure();
     }
     /// Results of the ties; an error where they violate their laws.
@@ -355,22 +355,22 @@ impl Island {
             self.tied.clear();
             return Ok(());
         }
-        self.tied.resize(self.ties.len(), Tied::default());
+        self.tied.resize(self.ties.len(), TieResult::default());
         for (place, contact) in self.dense.iter().enumerate() {
             let Some(tie) = &contact.tie else { continue };
             if self.problem.error_of(place) > TIE_ERROR_MAX {
-                return Err(Failure { node: 0, why: Trouble::Unsettled });
+                return Err(Failure { node: 0, why: FailureCause::Unsettled });
             }
             let gap = self.problem.gap(place);
             let apart = std::array::from_fn(|k| gap[k] - tie.yields[k] * contact.force[k]);
-            let gives_way = tie.rule.of(apart, tie.yields).1.gives_way();
-            self.tied[tie.number] = Tied { force: contact.force, gap, gives_way };
+            let gives_way = tie.law.of(apart, tie.yields).1.gives_way();
+            self.tied[tie.number] = TieResult { force: contact.force, gap, gives_way };
         }
         Ok(())
     }
 }
 
-impl Nearest {
+impl BestIterate {
     fn take(&mut self, error: f64, moved: &[Cell], contacts: &[Active]) {
         self.error = error;
         self.moved.clear();
@@ -385,8 +385,8 @@ impl Active {
         self.tie.is_none() && self.key.with == 0
     }
 
-    fn rule(&self) -> Rule {
-        self.tie.map_or(Rule::Contact { friction: self.friction }, |tie| tie.rule)
+    fn law(&self) -> ForceLaw {
+        self.tie.map_or(ForceLaw::Contact { friction: self.friction }, |tie| tie.law)
     }
 
     fn yields(&self) -> [f64; 3] {

@@ -4,10 +4,10 @@
 
 use nalgebra::{Point3, Vector3};
 
-use crate::suture_thread::Trouble;
-use crate::suture_thread::contact::{Rows, Rule};
-use crate::suture_thread::discrete_elastic_rod::Iterate;
-use crate::suture_thread::elastic::SurfacePlace;
+use crate::suture_thread::FailureCause;
+use crate::suture_thread::contact::{ForceLaw, Rows};
+use crate::suture_thread::discrete_elastic_rod::RodIterate;
+use crate::suture_thread::elastic::SurfacePoint;
 
 /// Convergence criteria of the iterations.
 #[derive(Clone, Copy, Debug)]
@@ -28,7 +28,7 @@ pub(crate) struct Tolerance {
 pub(crate) struct Tie {
     /// Its rows on the rod, with their three directions.
     pub rows: Rows,
-    pub rule: Rule,
+    pub law: ForceLaw,
     /// Gap at the iterate without the forces of ties and contacts and without the rod's motion \[m\].
     pub gap: [f64; 3],
     /// Compliance \[m/N\].
@@ -39,7 +39,7 @@ pub(crate) struct Tie {
 
 /// Result of a tie.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Tied {
+pub(crate) struct TieResult {
     /// Forces of its rows \[N\].
     pub force: [f64; 3],
     /// Remaining gaps, its compliance included \[m\].
@@ -54,7 +54,7 @@ pub(crate) enum Link {
     /// A tie, by its index in the coupled body's list.
     Tie(usize),
     /// A contact of the rod with the coupled body's surface, and its three directions in the world.
-    Surface(SurfacePlace, [Vector3<f64>; 3]),
+    Surface(SurfacePoint, [Vector3<f64>; 3]),
 }
 
 /// Compliance of coupled bodies at all links together: three rows each.
@@ -68,7 +68,7 @@ pub(crate) struct ComplianceRows<'a> {
 }
 
 /// A body coupled to the rod.
-pub(crate) trait Companion {
+pub(crate) trait CoupledBody {
     /// The obstacle index of its surface, whose mesh is that at the beginning of the step.
     fn surface(&self) -> Option<usize>;
 
@@ -98,33 +98,33 @@ pub(crate) trait Companion {
     }
 
     /// Lists its ties at the iterate.
-    fn tie(&mut self, _at: &Iterate, _ties: &mut Vec<Tie>) -> Result<(), Trouble> {
+    fn tie(&mut self, _at: &RodIterate, _ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
         Ok(())
     }
 
     /// Fills in its compliance.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble>;
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause>;
 
     /// Moves by the link forces, given as acting on the rod \[N\]; returns the largest displacement \[m\].
-    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble>;
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, FailureCause>;
 
     /// Stores the forces of a completed substep.
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]);
 }
 
 /// No coupled body.
-pub(crate) struct Alone;
+pub(crate) struct NoCoupledBody;
 
-impl Companion for Alone {
+impl CoupledBody for NoCoupledBody {
     fn surface(&self) -> Option<usize> {
         None
     }
 
-    fn join(&mut self, _links: &[Link], _giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, _links: &[Link], _giving: ComplianceRows<'_>) -> Result<(), FailureCause> {
         Ok(())
     }
 
-    fn advance(&mut self, _links: &[Link], _forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+    fn advance(&mut self, _links: &[Link], _forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         Ok(0.0)
     }
 

@@ -3,12 +3,12 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{closest_on_triangle, closest_segments};
 
-use super::coupled_body::{Companion, ComplianceRows, Link};
+use super::coupled_body::{ComplianceRows, CoupledBody, Link};
 use super::{Active, Failure, Island};
 use crate::suture_thread::contact::{Rows, Side, tangents};
-use crate::suture_thread::elastic::{ElasticBody, Press, SurfacePlace};
+use crate::suture_thread::elastic::{ElasticBody, SurfaceForce, SurfacePoint};
 use crate::suture_thread::state::ContactKey;
-use crate::suture_thread::{Shape, Surroundings, ThreadMaterial, Trouble};
+use crate::suture_thread::{FailureCause, Shape, Surroundings, ThreadMaterial};
 
 /// Maximum contacts of one point of an edge with a compliant body: the bottom of a groove and both of its sides.
 const SIDES: usize = 3;
@@ -23,11 +23,11 @@ const DEEP: f64 = 2.0;
 
 /// A triangle of a compliant body near a point of an edge.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Near {
+pub(super) struct NearTriangle {
     key: ContactKey,
     /// Whether it was in contact before.
     is_known: bool,
-    place: SurfacePlace,
+    place: SurfacePoint,
     /// Parameter on the edge, 0 to 1.
     along: f64,
     /// Closest point, in the world \[m\].
@@ -39,7 +39,7 @@ pub(super) struct Near {
 
 /// Contacts and ties at which coupled bodies move, and their compliance there.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Joined {
+pub(super) struct CoupledLinks {
     /// Which contacts, and their links.
     places: Vec<usize>,
     pub links: Vec<Link>,
@@ -55,11 +55,11 @@ impl Island {
     pub(super) fn note_near(
         &mut self,
         material: &ThreadMaterial,
-        around: &Surroundings,
+        surroundings: &Surroundings,
         key: ContactKey,
-        companion: &impl Companion,
+        companion: &impl CoupledBody,
     ) {
-        let obstacle = &around.obstacles[key.with as usize - 1];
+        let obstacle = &surroundings.obstacles[key.with as usize - 1];
         let Shape::Mesh { from: points, triangles, .. } = &obstacle.shape else { return };
         let Some(&nodes) = triangles.get(key.feature as usize) else { return };
         let corners = nodes.map(|node| obstacle.to * points[node as usize]);
@@ -84,8 +84,8 @@ impl Island {
             }
             let key = ContactKey { feature: PLACES * key.feature + which, ..key };
             let is_known = island.former.binary_search_by_key(&key, |memory| memory.key).is_ok();
-            let place = SurfacePlace { nodes, weights };
-            island.near.push(Near { key, is_known, place, along, point, normal, distance });
+            let place = SurfacePoint { nodes, weights };
+            island.near.push(NearTriangle { key, is_known, place, along, point, normal, distance });
         };
         // The last edge makes contact with both of its ends.
         let last = edge + 2 == self.at.positions.len();
@@ -120,7 +120,7 @@ impl Island {
     /// touched at the same point, preferring one that was touched before.
     pub(super) fn touch_elastic(&mut self, material: &ThreadMaterial, friction: f64) {
         self.near.sort_unstable_by(|a, b| {
-            let order = |near: &Near| (near.key.edge, near.key.feature % PLACES, !near.is_known);
+            let order = |near: &NearTriangle| (near.key.edge, near.key.feature % PLACES, !near.is_known);
             let first = order(a).cmp(&order(b));
             first.then(a.distance.total_cmp(&b.distance)).then(a.key.cmp(&b.key))
         });
@@ -159,8 +159,8 @@ impl Island {
     }
 
     /// Gets the compliance of coupled bodies at their ties and contacts.
-    pub(super) fn join(&mut self, companion: &mut impl Companion) -> Result<(), Failure> {
-        let Joined { places, links, base, compliance, .. } = &mut self.joined;
+    pub(super) fn join(&mut self, companion: &mut impl CoupledBody) -> Result<(), Failure> {
+        let CoupledLinks { places, links, base, compliance, .. } = &mut self.joined;
         places.clear();
         links.clear();
         for (index, contact) in self.dense.iter().enumerate() {
@@ -181,8 +181,8 @@ impl Island {
     }
 
     /// Adds the compliance of coupled bodies to the problem's.
-    pub(super) fn add_giving(&mut self) {
-        let Joined { places, compliance, .. } = &self.joined;
+    pub(super) fn add_compliance(&mut self) {
+        let CoupledLinks { places, compliance, .. } = &self.joined;
         let (own, rows) = (3 * places.len(), self.problem.force.len());
         for (column, first) in places.iter().enumerate() {
             for (row, second) in places.iter().enumerate() {
@@ -196,7 +196,7 @@ impl Island {
 
     /// Adds the displacement of coupled bodies under the current forces to the gaps.
     pub(super) fn give_way(&mut self) {
-        let Joined { places, base, compliance, .. } = &self.joined;
+        let CoupledLinks { places, base, compliance, .. } = &self.joined;
         let own = 3 * places.len();
         for (row, index) in places.iter().enumerate() {
             for k in 0..3 {
@@ -214,7 +214,7 @@ impl Island {
 
     /// The current forces of the links.
     pub(super) fn link_forces(&mut self) {
-        let Joined { places, forces, .. } = &mut self.joined;
+        let CoupledLinks { places, forces, .. } = &mut self.joined;
         forces.clear();
         forces.extend(places.iter().map(|index| self.dense[*index].force));
     }
@@ -227,7 +227,7 @@ pub(crate) struct TiedAround<'a> {
     pub obstacle: usize,
     pub world_from_body: Isometry3<f64>,
     /// Forces on it at the end of the last substep.
-    pub presses: Vec<Press>,
+    pub presses: Vec<SurfaceForce>,
 }
 
 impl TiedAround<'_> {
@@ -236,14 +236,14 @@ impl TiedAround<'_> {
     }
 }
 
-impl Companion for TiedAround<'_> {
+impl CoupledBody for TiedAround<'_> {
     fn surface(&self) -> Option<usize> {
         Some(self.obstacle)
     }
 
     /// Gaps were measured to the surface as it was at the beginning of the step; slip is counted from the beginning of
     /// the substep.
-    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], compliance_rows: ComplianceRows<'_>) -> Result<(), FailureCause> {
         let rows = 3 * links.len();
         let on_surface = |link: &Link| match link {
             Link::Surface(place, directions) => Some((*place, directions.map(|of| self.in_body(&of)))),
@@ -254,7 +254,7 @@ impl Companion for TiedAround<'_> {
             let from_rest = self.body.displacement(&at, self.body.presses());
             let since = self.body.displacement(&at, &self.presses);
             for (k, moved) in [from_rest, since, since].into_iter().enumerate() {
-                giving.base[3 * place + k] = directions[k].dot(&moved);
+                compliance_rows.base[3 * place + k] = directions[k].dot(&moved);
             }
             for (other, link) in links[..=place].iter().enumerate() {
                 let Some((by, toward)) = on_surface(link) else { continue };
@@ -263,8 +263,8 @@ impl Companion for TiedAround<'_> {
                     let along = block.tr_mul(direction);
                     for (m, toward) in toward.iter().enumerate() {
                         let (row, column) = (3 * place + k, 3 * other + m);
-                        giving.compliance[column * rows + row] = along.dot(toward);
-                        giving.compliance[row * rows + column] = along.dot(toward);
+                        compliance_rows.compliance[column * rows + row] = along.dot(toward);
+                        compliance_rows.compliance[row * rows + column] = along.dot(toward);
                     }
                 }
             }
@@ -272,7 +272,7 @@ impl Companion for TiedAround<'_> {
         Ok(())
     }
 
-    fn advance(&mut self, _links: &[Link], _forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+    fn advance(&mut self, _links: &[Link], _forces: &[[f64; 3]]) -> Result<f64, FailureCause> {
         // Its compliance is in the problem; it is deformed by the resulting forces after the step.
         Ok(0.0)
     }
@@ -282,7 +282,7 @@ impl Companion for TiedAround<'_> {
         for (link, force) in links.iter().zip(forces).filter(|(_, force)| force[0] > 0.0) {
             let Link::Surface(at, [n, t1, t2]) = link else { continue };
             let on_rod = n * force[0] + t1 * force[1] + t2 * force[2];
-            self.presses.push(Press { at: *at, force: self.in_body(&-on_rod) });
+            self.presses.push(SurfaceForce { at: *at, force: self.in_body(&-on_rod) });
         }
     }
 }

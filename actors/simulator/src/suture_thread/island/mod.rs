@@ -11,16 +11,16 @@ mod elastic;
 
 use nalgebra::{Point3, Vector3};
 
-use coupled_body::{Companion, Link, Tie, Tied, Tolerance};
+use coupled_body::{CoupledBody, Link, Tie, TieResult, Tolerance};
 pub(crate) use elastic::TiedAround;
 
 use super::contact::{
-    Candidates, Complementarity, Law, Motion, Rows, Rule, passed_through, passed_through_face,
+    Candidates, Complementarity, CoulombState, ForceLaw, Motion, Rows, passed_through, passed_through_face,
 };
-use super::discrete_elastic_rod::{Iterate, assemble};
-use super::elastic::SurfacePlace;
+use super::discrete_elastic_rod::{RodIterate, assemble};
+use super::elastic::SurfacePoint;
 use super::state::{ContactKey, ContactMemory, ThreadState};
-use super::{Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError, Trouble};
+use super::{FailureCause, Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError};
 use crate::linear_algebra::block_banded::{Added, BlockBand, Cell, Factors, LaneCell};
 use crate::linear_algebra::block_sparse_lu::BlockSparse;
 
@@ -48,29 +48,29 @@ struct Active {
     force: [f64; 3],
     compliance: f64,
     /// For a contact with an obstacle: its state in the current and in the next factors.
-    law: Law,
-    next: Law,
+    coulomb: CoulombState,
+    next: CoulombState,
     /// Contact point on the obstacle \[m\].
     surface: Point3<f64>,
     drawn: [f64; 2],
     /// Contact point on a compliant surface.
-    gives: Option<SurfacePlace>,
+    gives: Option<SurfacePoint>,
     /// The tie that it belongs to, if it is not a contact.
-    tie: Option<TieOf>,
+    tie: Option<BodyTie>,
 }
 
 /// A tie of a coupled body, which is not a contact of the rod.
 #[derive(Clone, Copy, Debug)]
-struct TieOf {
+struct BodyTie {
     /// Index in the coupled body's list.
     number: usize,
-    rule: Rule,
+    law: ForceLaw,
     yields: [f64; 3],
 }
 
 /// The best approximation of the contact laws so far.
 #[derive(Clone, Debug, Default)]
-struct Nearest {
+struct BestIterate {
     /// Its error \[m\].
     error: f64,
     moved: Vec<Cell>,
@@ -83,7 +83,7 @@ pub(crate) struct Island {
     /// Newton steps on the contacts of one linearised solution, at most.
     pub sweeps_max: usize,
     trial: ThreadState,
-    at: Iterate,
+    at: RodIterate,
     matrix: BlockBand,
     added: Added,
     factors: Factors,
@@ -92,7 +92,7 @@ pub(crate) struct Island {
     /// Number of obstacle contacts in `sprung`; strand contacts follow them. Without strand contacts the banded factors
     /// are used.
     with_obstacles: usize,
-    nearest: Nearest,
+    nearest: BestIterate,
     right: Vec<Cell>,
     moved: Vec<Cell>,
     expected: Vec<Cell>,
@@ -112,16 +112,16 @@ pub(crate) struct Island {
     hold_torques: Vec<f64>,
     reactions: Vec<Reaction>,
     /// Triangles of compliant bodies near edges.
-    near: Vec<elastic::Near>,
-    joined: elastic::Joined,
+    near: Vec<elastic::NearTriangle>,
+    joined: elastic::CoupledLinks,
     ties: Vec<Tie>,
-    tied: Vec<Tied>,
+    tied: Vec<TieResult>,
 }
 
 /// Why and where a substep failed.
 pub(crate) struct Failure {
     pub node: usize,
-    pub why: Trouble,
+    pub why: FailureCause,
 }
 
 impl Island {
@@ -142,7 +142,7 @@ impl Island {
     }
 
     /// Results of the ties of the last iteration, in the coupled body's order.
-    pub fn tied(&self) -> &[Tied] {
+    pub fn tied(&self) -> &[TieResult] {
         &self.tied
     }
 
@@ -157,14 +157,14 @@ impl Island {
     }
 
     /// Begins a step of a rod in this `state`.
-    pub fn begin(&mut self, state: &ThreadState, around: &Surroundings) {
+    pub fn begin(&mut self, state: &ThreadState, surroundings: &Surroundings) {
         self.trial.clone_from(state);
         self.hold_forces.clear();
-        self.hold_forces.resize(around.holds.len(), Vector3::zeros());
+        self.hold_forces.resize(surroundings.holds.len(), Vector3::zeros());
         self.hold_torques.clear();
-        self.hold_torques.resize(around.twist_holds.len(), 0.0);
+        self.hold_torques.resize(surroundings.twist_holds.len(), 0.0);
         self.reactions.clear();
-        self.reactions.resize(around.obstacles.len(), Reaction::default());
+        self.reactions.resize(surroundings.obstacles.len(), Reaction::default());
     }
 
     /// Advances the state by `dt`, or leaves it unchanged.
@@ -173,10 +173,10 @@ impl Island {
         material: &ThreadMaterial,
         state: &mut ThreadState,
         dt: f64,
-        around: &Surroundings,
-        companion: &mut impl Companion,
+        surroundings: &Surroundings,
+        companion: &mut impl CoupledBody,
     ) -> Result<ThreadReport, ThreadStepError> {
-        self.begin(state, around);
+        self.begin(state, surroundings);
         let mut report = ThreadReport::default();
         // Time in units of the shortest substep, so that substeps add up exactly.
         let whole = 1_u32 << HALVINGS_MAX;
@@ -186,10 +186,10 @@ impl Island {
             let fractions = [f64::from(done) / f64::from(whole), f64::from(done + part) / f64::from(whole)];
             let divisible = part > 1 && report.parts < PARTS_MAX;
             let length = dt * (fractions[1] - fractions[0]);
-            match self.part(material, length, fractions, around, divisible, &mut report, companion) {
+            match self.part(material, length, fractions, surroundings, divisible, &mut report, companion) {
                 Ok(()) => {
                     companion.finish(&self.joined.links, &self.joined.forces);
-                    self.finish(material, length, fractions, around);
+                    self.finish(material, length, fractions, surroundings);
                     done += part;
                     report.parts += 1;
                     // A substep is as long as alignment allows: 1, 2, 4 … of the shortest.
@@ -208,18 +208,23 @@ impl Island {
                 Err(_) => part /= 2,
             }
         }
-        self.tell(material, around, &mut report);
+        self.fill_report(material, surroundings, &mut report);
         std::mem::swap(&mut self.trial, state);
         Ok(report)
     }
 
     /// Fills in the report at the end of a step.
-    pub fn tell(&self, material: &ThreadMaterial, around: &Surroundings, report: &mut ThreadReport) {
+    pub fn fill_report(
+        &self,
+        material: &ThreadMaterial,
+        surroundings: &Surroundings,
+        report: &mut ThreadReport,
+    ) {
         report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
         let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths).filter(|(_, rest)| **rest > 0.0);
         report.strain_max =
             strains.fold(0.0, |most, (length, rest)| f64::max(most, (length / rest - 1.0).abs()));
-        report.penetration_max = self.penetration(material, around);
+        report.penetration_max = self.penetration(material, surroundings);
     }
 
     /// Solves one substep; `divisible` says whether a shorter one is possible.
@@ -229,10 +234,10 @@ impl Island {
         material: &ThreadMaterial,
         dt: f64,
         fractions: [f64; 2],
-        around: &Surroundings,
+        surroundings: &Surroundings,
         divisible: bool,
         report: &mut ThreadReport,
-        companion: &mut impl Companion,
+        companion: &mut impl CoupledBody,
     ) -> Result<(), Failure> {
         companion.begin(dt);
         let diameter = material.diameter();
@@ -244,29 +249,29 @@ impl Island {
         });
         self.at.begin(&self.trial);
         self.motions.clear();
-        self.motions.extend(around.obstacles.iter().map(|obstacle| Motion::of(obstacle, fractions)));
+        self.motions.extend(surroundings.obstacles.iter().map(|obstacle| Motion::of(obstacle, fractions)));
         self.reach.clear();
         let speeds = self.trial.velocities.iter().map(|v| 1.2 * dt * v.norm() + 0.1 * diameter);
         self.reach.extend(speeds);
-        for hold in around.holds {
+        for hold in surroundings.holds {
             let left = 1.0 - fractions[0];
             let way =
                 (hold.to - self.trial.positions[hold.node]).norm() * (fractions[1] - fractions[0]) / left;
             self.reach[hold.node] = self.reach[hold.node].max(1.1 * way);
         }
-        self.seek(material, around);
+        self.seek(material, surroundings);
         self.former.clone_from(&self.trial.contacts);
         self.tied.clear();
         for iteration in 0..tolerance.iterations {
             report.iterations += 1;
-            self.linearise(material, dt, fractions, around);
-            self.gather(material, around, if iteration == 0 { dt } else { 0.0 }, companion)?;
+            self.linearise(material, dt, fractions, surroundings);
+            self.gather(material, surroundings, if iteration == 0 { dt } else { 0.0 }, companion)?;
             self.answer(companion, report)?;
             let damped = self.damp(iteration);
             let of_rod = self.advance(material)?;
             let of_companion = self.advance_companion(companion)?;
             let largest = of_rod.max(of_companion);
-            self.guard(material, around, companion)?;
+            self.guard(material, surroundings, companion)?;
             let error = self.length_error(material);
             let touches = self.contacts().any(|contact| contact.force[0] > 0.0);
             let (moved, length) = if touches { tolerance.touching } else { tolerance.free };
@@ -277,27 +282,29 @@ impl Island {
                 continue;
             }
             if error.1 > LENGTH_ERROR_MAX {
-                return Err(Failure { node: error.0, why: Trouble::Strain });
+                return Err(Failure { node: error.0, why: FailureCause::Strain });
             }
             // A rod whose contacts alternate is accepted as it is.
             if (if touches { of_companion } else { largest }) > tolerance.moved_at_most {
-                return Err(Failure { node: error.0, why: Trouble::Wanders });
+                return Err(Failure { node: error.0, why: FailureCause::Wanders });
             }
             // A pair that came near only in the last iterate has not been solved for.
-            if let Some(node) = self.sunk(material, around, companion).filter(|_| divisible) {
-                return Err(Failure { node, why: Trouble::PassedThrough });
+            if let Some(node) =
+                self.deepest_penetration(material, surroundings, companion).filter(|_| divisible)
+            {
+                return Err(Failure { node, why: FailureCause::PassedThrough });
             }
         }
         Ok(())
     }
 
     /// Moves the coupled body by the solved forces.
-    fn advance_companion(&mut self, companion: &mut impl Companion) -> Result<f64, Failure> {
+    fn advance_companion(&mut self, companion: &mut impl CoupledBody) -> Result<f64, Failure> {
         self.link_forces();
         companion.advance(&self.joined.links, &self.joined.forces).map_err(|why| Failure { node: 0, why })
     }
 
-    fn seek(&mut self, material: &ThreadMaterial, around: &Surroundings) {
+    fn seek(&mut self, material: &ThreadMaterial, surroundings: &Surroundings) {
         if self.trial.positions.is_empty() {
             self.candidates.found.clear();
             return;
@@ -308,12 +315,12 @@ impl Island {
             &self.trial.rest_lengths,
             material.radius,
             0.2 * material.diameter(),
-            around.obstacles,
+            surroundings.obstacles,
             &self.motions,
         );
-        if !around.spared.is_empty() {
+        if !surroundings.spared.is_empty() {
             let spared = |key: &ContactKey| {
-                around.spared.iter().any(|spared| {
+                surroundings.spared.iter().any(|spared| {
                     key.with as usize == spared.obstacle + 1
                         && (spared.edges[0]..=spared.edges[1]).contains(&(key.edge as usize))
                 })
@@ -323,19 +330,33 @@ impl Island {
     }
 
     /// The rod's matrix and forces at the iterate, with boundary conditions.
-    fn linearise(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
+    fn linearise(
+        &mut self,
+        material: &ThreadMaterial,
+        dt: f64,
+        fractions: [f64; 2],
+        surroundings: &Surroundings,
+    ) {
         let nodes = self.at.positions.len();
         self.matrix.clear(nodes);
         self.right.clear();
         self.right.resize(nodes, Cell::zeros());
-        assemble(material, &self.trial, &self.at, dt, &around.gravity, &mut self.matrix, &mut self.right);
-        for load in around.loads {
+        assemble(
+            material,
+            &self.trial,
+            &self.at,
+            dt,
+            &surroundings.gravity,
+            &mut self.matrix,
+            &mut self.right,
+        );
+        for load in surroundings.loads {
             for k in 0..3 {
                 self.right[load.node][k] += load.force[k];
             }
         }
         let share = (fractions[1] - fractions[0]) / (1.0 - fractions[0]);
-        for hold in around.holds {
+        for hold in surroundings.holds {
             let (pull, stiffness) = self.pull(hold, share);
             let mut diagonal = self.matrix.diagonal[hold.node].fixed_view_mut::<3, 3>(0, 0);
             diagonal += stiffness;
@@ -343,7 +364,7 @@ impl Island {
                 self.right[hold.node][k] += pull[k];
             }
         }
-        for hold in around.twist_holds {
+        for hold in surroundings.twist_holds {
             let edge = hold.edge;
             let stiffness = boundary::twist_hold_stiffness(material, self.trial.rest_lengths[edge]);
             self.right[edge][3] += stiffness * self.turn_left(hold, share);
@@ -396,7 +417,7 @@ impl Island {
             let by = change(&self.moved, node);
             let size = by.norm();
             if !size.is_finite() || !self.moved[node][3].is_finite() {
-                return Err(Failure { node, why: Trouble::NotFinite });
+                return Err(Failure { node, why: FailureCause::NotFinite });
             }
             largest = largest.max(size);
             at.positions[node] += by;
@@ -419,8 +440,8 @@ impl Island {
     fn guard(
         &mut self,
         material: &ThreadMaterial,
-        around: &Surroundings,
-        companion: &impl Companion,
+        surroundings: &Surroundings,
+        companion: &impl CoupledBody,
     ) -> Result<(), Failure> {
         let mut further = false;
         for node in 0..self.at.positions.len() {
@@ -431,12 +452,12 @@ impl Island {
             }
         }
         if further {
-            self.seek(material, around);
+            self.seek(material, surroundings);
         }
         let (from, to) = (&self.trial.positions, &self.at.positions);
         // An edge next to a spared one reaches with its end into the same body.
         let beside_spared = |key: &ContactKey| {
-            around.spared.iter().any(|spared| {
+            surroundings.spared.iter().any(|spared| {
                 let edge = key.edge as usize;
                 key.with as usize == spared.obstacle + 1
                     && (edge + 1 == spared.edges[0] || edge == spared.edges[1] + 1)
@@ -447,20 +468,20 @@ impl Island {
             let face = companion
                 .swept()
                 .filter(|_| companion.surface().is_some_and(|surface| key.with as usize == surface + 1))
-                .zip(around.face(key));
+                .zip(surroundings.face(key));
             let passed = match face {
                 Some((swept, nodes)) => {
                     let corners = swept.map(|nodes_at| nodes.map(|node| nodes_at[node as usize]));
                     passed_through_face(key.edge as usize, [from, to], material.radius, corners)
                 }
-                None => passed_through(key, from, to, material.radius, around.obstacles, &self.motions),
+                None => passed_through(key, from, to, material.radius, surroundings.obstacles, &self.motions),
             };
             if passed {
-                return Err(Failure { node: candidate.key.edge as usize, why: Trouble::PassedThrough });
+                return Err(Failure { node: candidate.key.edge as usize, why: FailureCause::PassedThrough });
             }
         }
         match companion.stops([from, to]) {
-            Some(node) => Err(Failure { node, why: Trouble::PassedThrough }),
+            Some(node) => Err(Failure { node, why: FailureCause::PassedThrough }),
             None => Ok(()),
         }
     }
@@ -483,8 +504,14 @@ impl Island {
     }
 
     /// Makes the iterate the state at the end of the substep, and accumulates the reactions.
-    pub fn finish(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
-        self.feel(material, fractions, around);
+    pub fn finish(
+        &mut self,
+        material: &ThreadMaterial,
+        dt: f64,
+        fractions: [f64; 2],
+        surroundings: &Surroundings,
+    ) {
+        self.feel(material, fractions, surroundings);
         let state = &mut self.trial;
         for node in 0..state.positions.len() {
             state.velocities[node] = (self.at.positions[node] - state.positions[node]) / dt;

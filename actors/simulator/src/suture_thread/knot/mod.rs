@@ -27,7 +27,7 @@ pub use diagram::Diagram;
 pub use goeritz::signature_and_determinant;
 pub use kauffman_bracket::{CROSSINGS_MAX, Laurent, jones};
 pub use polygon::{close_towards, simplified};
-pub use throw_order::{Reading, throws};
+pub use throw_order::{ThrowReader, throws};
 
 use thiserror::Error;
 

@@ -13,7 +13,7 @@ use super::{Knot, KnotError, KnotKind};
 /// Progress of reading a thread's throws.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Reading {
+pub struct ThrowReader {
     /// Throws still tied, most wraps first.
     left: Vec<Throw>,
     /// Throws that have come undone, the last tied first.
@@ -22,7 +22,7 @@ pub struct Reading {
     cut: u32,
 }
 
-impl Reading {
+impl ThrowReader {
     /// Starts from a classified knot, before the first look.
     #[must_use]
     pub fn new(kind: &KnotKind) -> Self {
@@ -68,7 +68,7 @@ impl Reading {
 /// # Errors
 /// Why the crossings of the whole thread cannot be read.
 pub fn throws(points: &[Point3<f64>]) -> Result<Vec<Throw>, KnotError> {
-    let mut reading = Reading::new(&identify(points)?.kind);
+    let mut reading = ThrowReader::new(&identify(points)?.kind);
     while !reading.is_done() && reading.look(points) {}
     Ok(reading.throws())
 }

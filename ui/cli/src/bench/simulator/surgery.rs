@@ -4,13 +4,13 @@ use std::hint::black_box;
 
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
 use trocar_dynamics::coupling::external_nodes::{ExternalNodes, Tie};
-use trocar_dynamics::coupling::{Ghosts, News};
+use trocar_dynamics::coupling::{GhostNodes, SlowBodyReport};
 use trocar_dynamics::elasticity::{Alteration, Elastic};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::tet_mesh::Sweep;
 use trocar_simulator::cutting::Sheet;
 use trocar_simulator::fluid::smoke::{Smoke, SmokeConfig};
-use trocar_simulator::mass_spring::{Integrator, Patch, TooLarge};
+use trocar_simulator::mass_spring::{ChangedMesh, Integrator, TooLarge};
 use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{Grip, Resistance, StepInputs, Suture, SutureState, Tissue};
 use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
@@ -37,7 +37,7 @@ pub fn cut_secs(n: u32) -> Result<(f64, f64), Failure> {
             sheet.cut(&springs.state().positions, &[sweep]).map_err(Failure::internal).and_then(|change| {
                 let mut pinned = springs.pinned().to_vec();
                 change.carry_members(&mut pinned, springs.state().positions.len());
-                let patch = Patch {
+                let patch = ChangedMesh {
                     rest: sheet.rest(),
                     elements: sheet.triangles(),
                     altered: &|_| Alteration::NONE,
@@ -138,20 +138,20 @@ pub fn couple_secs(nodes: u32) -> Result<(f64, f64), Failure> {
     let body = Body { rest: &places, masses: &masses, ..Body::default() };
     let config = XpbdConfig { parts: 1, ..XpbdConfig::default() };
     let mut body = Xpbd::new(&body, &[], config).map_err(Failure::internal)?;
-    let mut ghosts = Ghosts::new(&places).map_err(Failure::internal)?;
+    let mut ghosts = GhostNodes::new(&places).map_err(Failure::internal)?;
     let tie = |node: u32| Tie {
         node,
-        guests: [(node, 1.0), (node, 0.0), (node, 0.0), (node, 0.0)],
+        ghost_nodes: [(node, 1.0), (node, 0.0), (node, 0.0), (node, 0.0)],
         stiffness: 10.0,
         damping: 1e-3,
     };
     let ties: Vec<Tie> = (0..nodes).map(tie).collect();
     let still = vec![Vector3::zeros(); count];
     let light = vec![1e3; count];
-    let (mut guests, mut steps, mut failed) = (Vec::new(), 0, None);
+    let (mut ghost_nodes, mut steps, mut failed) = (Vec::new(), 0, None);
     let mut step = || {
         if steps % RATE == 0 {
-            let news = News {
+            let news = SlowBodyReport {
                 positions: &places,
                 velocities: &still,
                 expected: &still,
@@ -163,19 +163,20 @@ pub fn couple_secs(nodes: u32) -> Result<(f64, f64), Failure> {
                 steps: ghosts.steps(),
                 step: 1e-3 * RATE as f64,
             };
-            failed = ghosts.hear(&news).map_err(Failure::internal).err();
+            failed = ghosts.receive(&news).map_err(Failure::internal).err();
         }
         steps += 1;
-        let company = ExternalNodes { guests: &[], ties: &ties, presses: &[] };
-        guests.clear();
-        ghosts.meet(&company, &body.state().positions, &mut guests);
-        let company = ExternalNodes { guests: &guests, ..company };
-        if let Err(error) = body.step(1e-3, &XpbdInput { gravity: GRAVITY, company, ..XpbdInput::default() })
+        let external_nodes = ExternalNodes { ghost_nodes: &[], ties: &ties, presses: &[] };
+        ghost_nodes.clear();
+        ghosts.begin_step(&external_nodes, &body.state().positions, &mut ghost_nodes);
+        let external_nodes = ExternalNodes { ghost_nodes: &ghost_nodes, ..external_nodes };
+        if let Err(error) =
+            body.step(1e-3, &XpbdInput { gravity: GRAVITY, external_nodes, ..XpbdInput::default() })
         {
             failed = Some(Failure::internal(error));
         }
-        let lost = body.company().ties.iter().map(|tied| tied.lost).sum();
-        ghosts.met(1e-3, &body.company().guests, lost);
+        let lost = body.external_nodes().ties.iter().map(|tied| tied.lost).sum();
+        ghosts.end_step(1e-3, &body.external_nodes().ghost_nodes, lost);
     };
     (0..2 * RATE).for_each(|_| step());
     let figure = per_run(2 * RATE, &mut step);

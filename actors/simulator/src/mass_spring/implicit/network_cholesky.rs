@@ -1,4 +1,6 @@
-//! Sparse Cholesky factorisation of the step's matrix: symbolic once per network, numeric in each step.
+//! Sparse Cholesky factorisation of the step's matrix of a network of springs: symbolic once per network, numeric in
+//! each step. It orders the rows itself, and lets the library choose between supernodes and columns, unlike
+//! [`crate::linear_algebra::SupernodalCholesky`].
 
 use std::sync::Arc;
 
@@ -19,7 +21,7 @@ use crate::mass_spring::matrix::pairs;
 use crate::mass_spring::{Contact, Network};
 
 /// The lower triangle, by columns.
-pub(super) struct Cholesky {
+pub(super) struct NetworkCholesky {
     pattern: Arc<SymbolicSparseColMat<usize>>,
     symbolic: Option<Arc<SymbolicCholesky<usize>>>,
     /// Blocks of each block column, as (row, column) sorted by column, then row; the diagonal block first.
@@ -28,16 +30,16 @@ pub(super) struct Cholesky {
     values: Vec<f64>,
     factor: Vec<f64>,
     right: Vec<f64>,
-    room: MemBuffer,
+    scratch: MemBuffer,
 }
 
-impl std::fmt::Debug for Cholesky {
+impl std::fmt::Debug for NetworkCholesky {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("Cholesky").field("blocks", &self.rows.len()).finish_non_exhaustive()
+        formatter.debug_struct("NetworkCholesky").field("blocks", &self.rows.len()).finish_non_exhaustive()
     }
 }
 
-impl Clone for Cholesky {
+impl Clone for NetworkCholesky {
     fn clone(&self) -> Self {
         Self {
             pattern: Arc::clone(&self.pattern),
@@ -47,7 +49,7 @@ impl Clone for Cholesky {
             values: self.values.clone(),
             factor: self.factor.clone(),
             right: self.right.clone(),
-            room: room(self.symbolic.as_deref()),
+            scratch: scratch(self.symbolic.as_deref()),
         }
     }
 }
@@ -64,7 +66,7 @@ fn order(network: &Network, starts: &[usize], rows: &[u32]) -> Vec<usize> {
     nodes.into_iter().flat_map(|node| (0..3).map(move |axis| 3 * node as usize + axis)).collect()
 }
 
-fn room(symbolic: Option<&SymbolicCholesky<usize>>) -> MemBuffer {
+fn scratch(symbolic: Option<&SymbolicCholesky<usize>>) -> MemBuffer {
     let needed = symbolic.map(|symbolic| {
         symbolic
             .factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default())
@@ -73,7 +75,7 @@ fn room(symbolic: Option<&SymbolicCholesky<usize>>) -> MemBuffer {
     MemBuffer::new(needed.unwrap_or_default())
 }
 
-impl Cholesky {
+impl NetworkCholesky {
     pub fn new(network: &Network) -> Self {
         let nodes = network.masses.len();
         let mut blocks: Vec<(u32, u32)> = (0..nodes as u32).map(|node| (node, node)).collect();
@@ -120,7 +122,7 @@ impl Cholesky {
         .ok()
         .map(Arc::new);
         let factor = vec![0.0; symbolic.as_ref().map_or(0, |symbolic| symbolic.len_val())];
-        let room = room(symbolic.as_deref());
+        let scratch = scratch(symbolic.as_deref());
         Self {
             pattern: Arc::new(pattern),
             symbolic,
@@ -129,7 +131,7 @@ impl Cholesky {
             values,
             factor,
             right: vec![0.0; 3 * nodes],
-            room,
+            scratch,
         }
     }
 
@@ -160,7 +162,7 @@ impl Cholesky {
         for (slot, right) in self.right.chunks_exact_mut(3).zip(right) {
             slot.copy_from_slice(right.as_slice());
         }
-        let stack = MemStack::new(&mut self.room);
+        let stack = MemStack::new(&mut self.scratch);
         let factor = symbolic
             .factorize_numeric_llt(
                 &mut self.factor,

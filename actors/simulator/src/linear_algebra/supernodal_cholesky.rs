@@ -1,5 +1,5 @@
-//! Sparse Cholesky factorisation (faer's, supernodal where that pays) of a matrix whose rows are already in elimination
-//! order: symbolic once, numeric whenever the values change.
+//! Supernodal Cholesky factorisation (faer's) of a matrix whose rows are already in elimination order: symbolic once,
+//! numeric whenever the values change. Entries of the inverse are read from its supernodes.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::sparse::linalg::SupernodalThreshold;
@@ -36,14 +36,14 @@ pub enum FactorError {
 }
 
 /// A factor L Lᵀ of a matrix with a [`BlockPattern`].
-pub struct SparseCholesky {
+pub struct SupernodalCholesky {
     symbolic: SymbolicCholesky<usize>,
     values: Vec<f64>,
     scratch: MemBuffer,
     columns: usize,
 }
 
-impl SparseCholesky {
+impl SupernodalCholesky {
     /// Symbolic factorisation of a pattern, rows in the given order. Solves take up to `columns` right-hand sides at
     /// once.
     ///
