@@ -6,7 +6,7 @@
 mod builder;
 mod link_faults;
 mod outcome;
-mod parcel;
+mod batch_in_flight;
 mod plan;
 mod random;
 mod schedule;
@@ -14,7 +14,7 @@ mod schedule;
 pub use builder::{FaultAt, secs};
 pub use link_faults::{LINK_WAITING_MAX, LinkCounts, LinkFaults, Message};
 pub use outcome::{FaultLog, FaultRow, Measured};
-pub(crate) use parcel::{Parcel, second_of};
+pub(crate) use batch_in_flight::{BatchInFlight, second_of};
 pub use plan::{During, Expect, FaultPlan, FaultPlanError, FaultSpec};
 pub use schedule::{FaultSchedule, TargetClass, Targets};
 

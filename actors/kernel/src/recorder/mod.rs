@@ -1,7 +1,7 @@
 //! The recorder: writes the commit log as an MCAP file; also reads and replays recordings.
 //!
 //! ```text
-//! Model ─▶ tap ═ queue ═▶ desk { journal: open chunk ─▶ spool } ─▶ disk
+//! Model ─▶ sink ═ queue ═▶ handover { journal: open chunk ─▶ write buffer } ─▶ disk
 //!                          ▲ one life of the recorder after the other
 //! ```
 //! The recorder is a supervised controller. Data that must survive its restarts is kept in the handover as plain data.
