@@ -21,7 +21,6 @@ pub mod finite;
 pub mod kinematics;
 pub mod mesh;
 pub mod organs;
-pub mod peg_bench;
 pub mod registry;
 pub mod scenario;
 pub mod shapes;

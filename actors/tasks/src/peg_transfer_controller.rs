@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand};
 use trocar_scene::{
     Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
     EntitySet, Grasp, Parent, Pose, Side, Snapshot, TaskError, TaskState, Tick, Velocity,
 };
 
 use crate::fls_score::FlsWeights;
+use crate::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand};
 use crate::peg_geometry::{FieldOfView, Peg, RingPlacement, RingShape};
 use crate::peg_rules::{ErrorKind, Happening, PegTransferSetup, RingObservation, Rules, TipObservation};
 use crate::peg_transfer::{Outcome, PegTransfer};

@@ -1,7 +1,7 @@
 //! The parts of a peg-transfer bench are found, and what a scene lacks is named.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_scene::peg_bench::{BenchError, find_hand, find_pegs, find_rings};
+use trocar_tasks::peg_bench::{BenchError, find_hand, find_pegs, find_rings};
 use trocar_scene::*;
 
 fn scene(fill: impl FnOnce(&mut Commands)) -> Snapshot {
