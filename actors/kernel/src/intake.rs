@@ -10,8 +10,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_scene::{Batch, EntityAllocator, Registry, SimTime, WriterId};
 
-use crate::faults::{FaultOrder, LinkCounts, LinkFaults, BatchInFlight};
-use crate::handle::{CoalescedDoorbell, Doorbell, HandleParts, LaneStatus, Receipt, SealedBatch, WriterHandle};
+use crate::faults::{BatchInFlight, FaultOrder, LinkCounts, LinkFaults};
+use crate::handle::{
+    CoalescedDoorbell, Doorbell, HandleParts, LaneStatus, Receipt, SealedBatch, WriterHandle,
+};
 use crate::runtime::Clock;
 use crate::token_bucket::FlowLimit;
 

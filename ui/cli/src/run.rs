@@ -20,8 +20,8 @@ use crate::live_table::Display;
 use crate::output;
 use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
-use crate::tune::{self, Desk};
-use crate::window::{self, Attendant, Next, Show};
+use crate::tune::{self, TuningService};
+use crate::window::{self, Next, SessionHost, Show};
 
 /// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
@@ -41,16 +41,16 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
         first: Arc::new(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
         play: args.play.then_some(bindings),
     };
-    window::with_session(windows, &args.pictures, show, |mut attendant| {
+    window::with_session(windows, &args.pictures, show, |mut host| {
         let mut number = 0_u32;
         loop {
             number = number.saturating_add(1);
-            let outcome = attempt(app, args, number, Some(&mut attendant));
+            let outcome = attempt(app, args, number, Some(&mut host));
             let (verdict, bad) = match &outcome {
                 Ok((summary, exit)) => (verdict(summary), *exit != Exit::Ok),
                 Err(failure) => (failure.message.clone(), true),
             };
-            let next = attendant.wait(verdict, bad);
+            let next = host.wait(verdict, bad);
             let told = told(args, outcome);
             if next == Next::End {
                 return told;
@@ -104,7 +104,7 @@ fn attempt(
     app: &App,
     args: &RunArgs,
     number: u32,
-    mut attendant: Option<&mut Attendant>,
+    mut host: Option<&mut SessionHost>,
 ) -> Result<(RunSummary, Exit), Failure> {
     let (scenario, tuner) = tune::scenario(app, &args.session)?;
     let stem = file_stem(&scenario);
@@ -129,42 +129,42 @@ fn attempt(
         tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
     }
 
-    if options.play && attendant.is_none() {
+    if options.play && host.is_none() {
         tracing::warn!(
             "without a window nobody drives the hands: they rest until a program writes 'person_input'"
         );
     }
-    if let Some(attendant) = &mut attendant {
-        attendant.prepare(&mut options);
+    if let Some(host) = &mut host {
+        host.prepare(&mut options);
     }
 
     let mut display = Display::new(&scenario, &options, args.window.headless || args.json);
-    let mut desk = Desk::new(app, &scenario, tuner);
+    let mut tuning_service = TuningService::new(app, &scenario, tuner);
     if !args.lockstep {
         // In virtual time a session is over before a user could tune it.
-        desk.open();
+        tuning_service.open();
     }
     let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
     let mut photographer = Photographer::new(&args.pictures, Some(scenario.folder()), &first)?;
     let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| {
-        desk.serve(progress.session);
+        tuning_service.serve(progress.session);
         display.update(progress);
         if let Some(photographer) = &mut photographer {
             photographer.look(progress.scene, progress.now);
         }
-        if let Some(attendant) = &mut attendant {
-            attendant.attend(progress, &mut desk);
+        if let Some(host) = &mut host {
+            host.update(progress, &mut tuning_service);
         }
     });
-    desk.close();
+    tuning_service.close();
     display.clear();
     let mut outcome = outcome?;
     if let Some(photographer) = photographer {
         photographer.finish(&outcome.kernel.snapshot, &mut outcome.summary);
     }
-    outcome.summary.tuned = desk.tuned(&outcome.kernel.snapshot);
-    if let Some(attendant) = attendant {
-        attendant.ended(outcome.kernel.snapshot.clone());
+    outcome.summary.tuned = tuning_service.tuned(&outcome.kernel.snapshot);
+    if let Some(host) = host {
+        host.ended(outcome.kernel.snapshot.clone());
     }
 
     if let Some(file) = report_file {

@@ -141,8 +141,7 @@ impl<M: Message> LinkFaults<M> {
 
     /// Sends a message at `now`, which must not decrease. [`Self::due`] returns it if it arrives.
     pub fn send(&mut self, now: SimTime, message: M) {
-        if self.active.iter().any(|fault| fault.kind == FaultKind::Partition)
-            || self.strikes(FaultKind::Drop)
+        if self.active.iter().any(|fault| fault.kind == FaultKind::Partition) || self.strikes(FaultKind::Drop)
         {
             self.counts.lost += 1;
             return;

@@ -38,7 +38,7 @@ use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
 };
 use guest::GuestIdentity;
-use shared::{Life, OperatorState, Report, FaultHooks, ChildState, Shared, Writer, lock};
+use shared::{ChildState, FaultHooks, Life, OperatorState, Report, Shared, Writer, lock};
 use supervise::{StatusBoard, SupervisorThread};
 
 pub use actors::HostedActor;

@@ -11,7 +11,7 @@ use tokio::sync::Notify;
 use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
-use super::shared::{DeclareWriter, Life, Shared, GuestDeclaration, lock};
+use super::shared::{DeclareWriter, GuestDeclaration, Life, Shared, lock};
 use crate::commit::CommitBuffer;
 use crate::handle::Receipt;
 use crate::intake::{Arrival, LaneIndex, Lanes};

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use trocar_scene::SimTime;
 
-use super::shared::{Life, Report, ChildState, Shared};
+use super::shared::{ChildState, Life, Report, Shared};
 use crate::runtime::sched;
 use crate::supervision::{Event, RuntimeClass};
 
@@ -48,7 +48,8 @@ fn watch(shared: &Shared) {
     let shortest = shared.child_states().map(|state| state.limit(true)).min().unwrap_or(PAUSE_MAX);
     let pause = SimTime(shortest.0 / 8).clamp(PAUSE_MIN, PAUSE_MAX);
     let now = shared.clock.now();
-    let mut watches: Vec<Watch> = shared.child_states().map(|state| Watch::new(state.life.load_full(), now)).collect();
+    let mut watches: Vec<Watch> =
+        shared.child_states().map(|state| Watch::new(state.life.load_full(), now)).collect();
     let mut last = now;
     let mut next = now + pause;
     while !shared.over.load(Ordering::Relaxed) {

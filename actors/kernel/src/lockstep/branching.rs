@@ -13,7 +13,7 @@ use trocar_scene::{Batch, Commands, ComponentError, EntityAllocator, Revision, S
 
 use super::session::LockstepSession;
 use super::slot::{ActiveFaults, Slot};
-use crate::faults::{FaultLog, FaultSchedule, LinkFaults, BatchInFlight, second_of};
+use crate::faults::{BatchInFlight, FaultLog, FaultSchedule, LinkFaults, second_of};
 use crate::model_core::{ModelCore, Transfers};
 use crate::operator::OPERATOR;
 use crate::spec::{Peer, SessionSpec};
@@ -117,7 +117,9 @@ impl LockstepSession {
                 name: slot.spec.name.clone(),
                 cursor: Some(slot.cursor),
                 active_faults: slot.active_faults,
-                link: slot.link.fork(|batch_in_flight| Some(BatchInFlight { batch: second(&batch_in_flight.batch)?, ..*batch_in_flight })),
+                link: slot.link.fork(|batch_in_flight| {
+                    Some(BatchInFlight { batch: second(&batch_in_flight.batch)?, ..*batch_in_flight })
+                }),
                 queue: slot.queue.iter().filter_map(|batch| second(batch)).collect(),
                 allocator,
             }
@@ -255,7 +257,8 @@ impl LockstepSession {
 
     /// Remembers the issued snapshot.
     pub(super) fn remember(&mut self) {
-        let given = IssuedSnapshot { revision: self.core.view().revision(), at: self.now, head: self.core.hash() };
+        let given =
+            IssuedSnapshot { revision: self.core.view().revision(), at: self.now, head: self.core.hash() };
         if self.given.back().is_some_and(|last| (last.revision, last.at) == (given.revision, given.at)) {
             return;
         }

@@ -6,7 +6,7 @@ use trocar_scene::{Batch, SimTime};
 
 use super::session::LockstepSession;
 use super::slot::NEVER;
-use crate::faults::{FaultLog, BatchInFlight, TargetClass, Targets};
+use crate::faults::{BatchInFlight, FaultLog, TargetClass, Targets};
 use crate::spec::{FaultKind, FaultOrder, MODEL};
 use crate::supervision::Event;
 

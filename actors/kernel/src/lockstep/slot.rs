@@ -10,7 +10,7 @@ use trocar_scene::{
     Provenance, Registry, Revision, SimTime, Snapshot, Tick, WriterId,
 };
 
-use crate::faults::{LinkCounts, LinkFaults, BatchInFlight};
+use crate::faults::{BatchInFlight, LinkCounts, LinkFaults};
 use crate::runtime::panics::guarded;
 use crate::runtime::{Account, ControllerReport, TickStats};
 use crate::spec::ControllerSpec;

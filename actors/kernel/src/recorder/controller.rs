@@ -76,7 +76,11 @@ impl Recorder {
         let mut spec =
             ControllerSpec::new(RECORDER, WRITER, RuntimeClass::Recorder, RATE_HZ, move |context| {
                 handover.take_over(context.epoch)?;
-                let life = RecorderController { handover: handover.clone(), epoch: context.epoch, buffers: LifeBuffers::default() };
+                let life = RecorderController {
+                    handover: handover.clone(),
+                    epoch: context.epoch,
+                    buffers: LifeBuffers::default(),
+                };
                 Ok(Box::new(life) as Box<dyn Controller>)
             });
         spec.child = spec.child.with_heartbeat_limit(HEARTBEAT_LIMIT);

@@ -95,7 +95,12 @@ impl Handover {
     ///
     /// # Errors
     /// When that life was fenced.
-    pub(super) fn work(&self, epoch: u32, now: SimTime, buffers: &mut LifeBuffers) -> Result<(), ControllerError> {
+    pub(super) fn work(
+        &self,
+        epoch: u32,
+        now: SimTime,
+        buffers: &mut LifeBuffers,
+    ) -> Result<(), ControllerError> {
         let permit = self.gate.permit(epoch);
         if !permit.is_valid() {
             return Err(ControllerError::Failed("this life of the recorder was fenced".to_owned()));

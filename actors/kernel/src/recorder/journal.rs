@@ -203,7 +203,12 @@ impl Journal {
         });
     }
 
-    fn keyframe(&mut self, buffers: &mut LifeBuffers, scene: &Snapshot, hash: StateHash) -> Result<(), ComponentError> {
+    fn keyframe(
+        &mut self,
+        buffers: &mut LifeBuffers,
+        scene: &Snapshot,
+        hash: StateHash,
+    ) -> Result<(), ComponentError> {
         buffers.scratch.clear();
         encode_keyframe_header(hash, &mut buffers.scratch);
         scene.encode(&mut buffers.scratch)?;

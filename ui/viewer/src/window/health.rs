@@ -5,11 +5,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Shared by all windows of a program; readable at any time.
 #[derive(Debug, Default)]
-pub struct Soundness {
+pub struct ViewerHealth {
     failing: AtomicUsize,
 }
 
-impl Soundness {
+impl ViewerHealth {
     /// Whether every window that failed draws again.
     pub fn is_sound(&self) -> bool {
         self.failing.load(Ordering::Acquire) == 0
@@ -17,13 +17,13 @@ impl Soundness {
 }
 
 /// The health of one window.
-pub(super) struct Pulse {
-    shared: Arc<Soundness>,
+pub(super) struct WindowHealth {
+    shared: Arc<ViewerHealth>,
     fails: bool,
 }
 
-impl Pulse {
-    pub(super) fn new(shared: Arc<Soundness>) -> Self {
+impl WindowHealth {
+    pub(super) fn new(shared: Arc<ViewerHealth>) -> Self {
         Self { shared, fails: false }
     }
 
@@ -35,7 +35,7 @@ impl Pulse {
     }
 
     /// It shows a frame, or was closed by its user.
-    pub(super) fn well(&mut self) {
+    pub(super) fn recovered(&mut self) {
         if std::mem::replace(&mut self.fails, false) {
             self.shared.failing.fetch_sub(1, Ordering::AcqRel);
         }
@@ -48,15 +48,15 @@ mod tests {
 
     #[test]
     fn all_windows_are_well_once_each_of_them_is() {
-        let shared = Arc::<Soundness>::default();
-        let mut windows = [Pulse::new(shared.clone()), Pulse::new(shared.clone())];
+        let shared = Arc::<ViewerHealth>::default();
+        let mut windows = [WindowHealth::new(shared.clone()), WindowHealth::new(shared.clone())];
         assert!(shared.is_sound());
-        windows.iter_mut().for_each(Pulse::failed);
+        windows.iter_mut().for_each(WindowHealth::failed);
         windows[0].failed();
-        windows[0].well();
+        windows[0].recovered();
         assert!(!shared.is_sound());
-        windows[0].well();
-        windows[1].well();
+        windows[0].recovered();
+        windows[1].recovered();
         assert!(shared.is_sound());
     }
 }
