@@ -17,6 +17,11 @@ impl Viewers {
     pub fn new(event_loop: EventLoopProxy<LoopMessage>, health: Arc<ViewerHealth>) -> Self {
         Self { event_loop: Mutex::new(event_loop), health }
     }
+
+    /// Whether a window has shown its first frame.
+    pub fn have_shown(&self) -> bool {
+        self.health.has_shown()
+    }
 }
 
 impl FaultSink for Viewers {

@@ -7,11 +7,12 @@ use std::time::{Duration, Instant};
 use trocar::play;
 use trocar::run::{Progress, RunOptions};
 use trocar::session::Session;
-use trocar_kernel::spec::{FaultSink, VIEWER};
+use trocar_kernel::spec::VIEWER;
 use trocar_scene::{Access, EntitySet, PersonInput, SimTime, Snapshot};
 use trocar_viewer::window::subject::{Abilities, PlayState, Request, SubjectState, Tune, Tuning};
 
 use super::actors::actors;
+use super::faults::Viewers;
 use super::link::{Audience, PlayerGuest, SessionLink};
 use crate::tune::TuningService;
 use crate::tune::protocol::Request as TuneRequest;
@@ -37,7 +38,7 @@ pub struct SessionHost {
     link: SessionLink,
     /// Whether a person moves the hands.
     plays: bool,
-    viewers: Arc<dyn FaultSink>,
+    viewers: Arc<Viewers>,
     /// Set by a signal.
     stop: Arc<AtomicBool>,
     begun: bool,
@@ -50,7 +51,7 @@ pub struct SessionHost {
 
 impl SessionHost {
     /// For a session that has not begun yet; `viewers` receives faults aimed at the windows.
-    pub fn new(link: SessionLink, plays: bool, viewers: Arc<dyn FaultSink>) -> Self {
+    pub fn new(link: SessionLink, plays: bool, viewers: Arc<Viewers>) -> Self {
         Self {
             link,
             plays,
@@ -69,6 +70,11 @@ impl SessionHost {
         options.fault_targets.0.push((VIEWER.to_owned(), self.viewers.clone()));
         let stop = options.stop.clone();
         (self.stop, self.begun, self.paused, self.again, self.told) = (stop, false, false, false, None);
+    }
+
+    /// Whether the first picture is still to come.
+    pub fn awaits_picture(&self) -> bool {
+        self.link.shared().audience() == Audience::There && !self.viewers.have_shown()
     }
 
     /// Shows the last scene of the ended session.

@@ -254,9 +254,7 @@ impl Renderer {
             let exposure = lights::exposure(&lights, &culling::focus(&self.items.draws, &shot.centre));
             if throw {
                 // Lights with shadows first, in the order of their layers.
-                lights.sort_by_key(|light| {
-                    light.shadow.map_or(usize::MAX, |(layer, _)| layer)
-                });
+                lights.sort_by_key(|light| light.shadow.map_or(usize::MAX, |(layer, _)| layer));
             }
             if throw && index == 0 {
                 // Only the scene's own lights have shadows: they are the same for every view.

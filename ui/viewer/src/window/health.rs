@@ -1,18 +1,24 @@
-//! Health of the windows, by which fault injection detects recovery.
+//! Health of the windows, by which fault injection detects recovery, and a program the end of its start.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Shared by all windows of a program; readable at any time.
 #[derive(Debug, Default)]
 pub struct ViewerHealth {
     failing: AtomicUsize,
+    shown: AtomicBool,
 }
 
 impl ViewerHealth {
     /// Whether every window that failed draws again.
     pub fn is_sound(&self) -> bool {
         self.failing.load(Ordering::Acquire) == 0
+    }
+
+    /// Whether a window has shown its first frame, or was closed before.
+    pub fn has_shown(&self) -> bool {
+        self.shown.load(Ordering::Acquire)
     }
 }
 
@@ -36,6 +42,9 @@ impl WindowHealth {
 
     /// It shows a frame, or was closed by its user.
     pub(super) fn recovered(&mut self) {
+        if !self.shared.shown.load(Ordering::Relaxed) {
+            self.shared.shown.store(true, Ordering::Release);
+        }
         if std::mem::replace(&mut self.fails, false) {
             self.shared.failing.fetch_sub(1, Ordering::AcqRel);
         }
@@ -50,13 +59,13 @@ mod tests {
     fn all_windows_are_well_once_each_of_them_is() {
         let shared = Arc::<ViewerHealth>::default();
         let mut windows = [WindowHealth::new(shared.clone()), WindowHealth::new(shared.clone())];
-        assert!(shared.is_sound());
+        assert!(shared.is_sound() && !shared.has_shown());
         windows.iter_mut().for_each(WindowHealth::failed);
         windows[0].failed();
         windows[0].recovered();
         assert!(!shared.is_sound());
         windows[0].recovered();
         windows[1].recovered();
-        assert!(shared.is_sound());
+        assert!(shared.is_sound() && shared.has_shown());
     }
 }
