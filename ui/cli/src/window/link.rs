@@ -27,7 +27,7 @@ pub struct PlayerGuest {
 
 /// Whether a session has viewers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Audience {
+pub enum ViewerPresence {
     /// At least one window is open.
     There,
     /// The last window was closed by the user.
@@ -46,7 +46,7 @@ pub struct Shared {
     shown: ArcSwap<Snapshot>,
     state: ArcSwap<SubjectState>,
     player_guest: Mutex<Option<PlayerGuest>>,
-    audience: AtomicU8,
+    presence: AtomicU8,
 }
 
 impl Shared {
@@ -63,19 +63,19 @@ impl Shared {
         }
     }
 
-    /// The audience.
-    pub fn audience(&self) -> Audience {
-        match self.audience.load(Ordering::Acquire) {
-            _ if display::is_gone() => Audience::Cut,
-            0 => Audience::There,
-            1 => Audience::Left,
-            _ => Audience::Cut,
+    /// Whether there are viewers.
+    pub fn presence(&self) -> ViewerPresence {
+        match self.presence.load(Ordering::Acquire) {
+            _ if display::is_gone() => ViewerPresence::Cut,
+            0 => ViewerPresence::There,
+            1 => ViewerPresence::Left,
+            _ => ViewerPresence::Cut,
         }
     }
 
-    /// Sets the audience.
-    pub fn set_audience(&self, audience: Audience) {
-        self.audience.store(audience as u8, Ordering::Release);
+    /// Sets whether there are viewers.
+    pub fn set_presence(&self, presence: ViewerPresence) {
+        self.presence.store(presence as u8, Ordering::Release);
     }
 }
 
@@ -107,7 +107,7 @@ pub fn link(
         shown: ArcSwap::new(first),
         state: ArcSwap::default(),
         player_guest: Mutex::default(),
-        audience: AtomicU8::new(Audience::There as u8),
+        presence: AtomicU8::new(ViewerPresence::There as u8),
     });
     let window_link = WindowLink { shared: shared.clone(), requests: sender };
     (

@@ -23,7 +23,7 @@ use trocar_viewer::window::{LoopMessage, Options, Player, StereoLayout, Subject,
 use crate::args::{self, PictureArgs, PictureQuality, WindowArgs};
 use crate::failure::Failure;
 
-use link::{Audience, Shared, WindowLink};
+use link::{Shared, ViewerPresence, WindowLink};
 pub use playback::Findings;
 pub use session_host::{Next, SessionHost};
 
@@ -136,7 +136,7 @@ fn with(
     let overlays = Overlays::parse(&pictures.show.join(",")).map_err(Failure::usage)?;
     let shared: Vec<Arc<Shared>> =
         window_links.iter().map(|window_link| window_link.shared().clone()).collect();
-    let set_audience = |audience| shared.iter().for_each(|shared| shared.set_audience(audience));
+    let set_presence = |presence| shared.iter().for_each(|shared| shared.set_presence(presence));
     let proxy = windows.proxy();
     std::thread::scope(|scope| {
         let runner = std::thread::Builder::new().name("session".into()).spawn_scoped(scope, move || {
@@ -165,10 +165,10 @@ fn with(
             size: [1180.0, 760.0],
         };
         match windows.show(options) {
-            Ok(()) => set_audience(Audience::Left),
+            Ok(()) => set_presence(ViewerPresence::Left),
             Err(why) => {
                 tracing::warn!("no pictures any more, the session goes on: {why}");
-                set_audience(Audience::Cut);
+                set_presence(ViewerPresence::Cut);
             }
         }
         runner.join().unwrap_or_else(|_| Err(Failure::internal("the session's own thread panicked")))

@@ -8,7 +8,7 @@ use trocar_kernel::recorder::{Recording, RecordingError, Replay};
 use trocar_scene::{Registry, SimTime};
 use trocar_viewer::window::subject::{Abilities, Mark, Note, PlayState, Request};
 
-use super::link::{Audience, SessionLink};
+use super::link::{SessionLink, ViewerPresence};
 
 /// Interval between two displayed scenes.
 const FRAME: Duration = Duration::from_millis(16);
@@ -46,7 +46,7 @@ pub fn play(
     });
     link.show(player.replay.snapshot());
     let mut last = Instant::now();
-    while link.shared().audience() == Audience::There {
+    while link.shared().presence() == ViewerPresence::There {
         let runs = link.state().play_state == PlayState::Running;
         let mut requested = link.wait(if runs { FRAME.saturating_sub(last.elapsed()) } else { REST });
         while let Some(request) = requested {
@@ -193,9 +193,9 @@ mod tests {
         std::thread::scope(|scope| {
             let (recording, registry) = (&recording, app.registry());
             let player = scope.spawn(move || play(link, recording, registry, &findings));
-            // Also when an assertion fails: the player runs as long as it has an audience.
+            // Also when an assertion fails: the player runs as long as it has viewers.
             let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut window_link, &found)));
-            shared.set_audience(Audience::Left);
+            shared.set_presence(ViewerPresence::Left);
             let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             player.join().expect("no panic").expect("it plays");
             outcome

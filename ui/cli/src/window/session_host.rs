@@ -13,7 +13,7 @@ use trocar_viewer::window::subject::{Abilities, PlayState, Request, SubjectState
 
 use super::actors::actors;
 use super::faults::Viewers;
-use super::link::{Audience, PlayerGuest, SessionLink};
+use super::link::{PlayerGuest, SessionLink, ViewerPresence};
 use crate::tune::TuningService;
 use crate::tune::protocol::Request as TuneRequest;
 
@@ -74,7 +74,7 @@ impl SessionHost {
 
     /// Whether the first picture is still to come.
     pub fn awaits_picture(&self) -> bool {
-        self.link.shared().audience() == Audience::There && !self.viewers.have_shown()
+        self.link.shared().presence() == ViewerPresence::There && !self.viewers.have_shown()
     }
 
     /// Shows the last scene of the ended session.
@@ -98,7 +98,7 @@ impl SessionHost {
         self.tell(progress.session);
         self.keep_pace(progress.session, tuning_service);
         while self.paused && !self.shall_end() {
-            if self.link.shared().audience() == Audience::Cut {
+            if self.link.shared().presence() == ViewerPresence::Cut {
                 // Without a window nothing could resume it.
                 self.resume(progress.session);
                 break;
@@ -112,7 +112,7 @@ impl SessionHost {
     }
 
     fn shall_end(&self) -> bool {
-        let left = self.link.shared().audience() == Audience::Left;
+        let left = self.link.shared().presence() == ViewerPresence::Left;
         self.again || left || self.stop.load(Ordering::Relaxed)
     }
 
@@ -251,7 +251,7 @@ impl SessionHost {
             state.abilities = Abilities { reset: true, ..Abilities::default() };
         });
         loop {
-            if self.link.shared().audience() != Audience::There || self.stop.load(Ordering::Relaxed) {
+            if self.link.shared().presence() != ViewerPresence::There || self.stop.load(Ordering::Relaxed) {
                 return Next::End;
             }
             match self.link.wait(5 * LOOK_EVERY) {
