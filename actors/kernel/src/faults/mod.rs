@@ -8,6 +8,7 @@ mod builder;
 mod link_faults;
 mod outcome;
 mod plan;
+mod plan_file;
 mod random;
 mod schedule;
 
