@@ -1,4 +1,5 @@
-//! The list of what is drawn: geometry, poses and materials of a snapshot. Only changes since the last snapshot are processed.
+//! The list of what is drawn: geometry, poses and materials of a snapshot. Only changes since the last snapshot are
+//! processed.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,9 +1,9 @@
 //! Journal of a recording: the plain data that survives a restart of the recorder and from which its next life
 //! continues.
 //!
-//! Messages wait in an open chunk, closed chunks wait in the write buffer, and written chunks are only counted. A life that
-//! dies between two publications therefore loses nothing; one that dies during a publication loses that publication,
-//! which becomes a declared gap.
+//! Messages wait in an open chunk, closed chunks wait in the write buffer, and written chunks are only counted. A life
+//! that dies between two publications therefore loses nothing; one that dies during a publication loses that
+//! publication, which becomes a declared gap.
 
 use std::collections::BTreeMap;
 use std::io;
