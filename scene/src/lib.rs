@@ -26,7 +26,6 @@ mod json_document;
 pub mod kinematics;
 pub mod mesh;
 pub mod organs;
-pub mod peg_bench;
 pub mod puts;
 pub mod random;
 pub mod registry;

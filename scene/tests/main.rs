@@ -9,7 +9,6 @@ mod decode_properties;
 mod mesh_properties;
 mod mesh_readers;
 mod mesh_repair;
-mod peg_bench;
 mod scenario;
 mod shapes;
 mod store_properties;

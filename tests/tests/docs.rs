@@ -12,7 +12,7 @@ use trocar_tests::app;
 
 /// Programs that tests build, and that pages may show.
 const EXAMPLES: [&str; 3] =
-    ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/eye.rs"];
+    ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/offscreen.rs"];
 /// Suites of `trocar bench` whose tables are in docs/figures.md.
 const SUITES: [&str; 6] = ["kernel", "session", "viewer", "collision", "simulator", "build"];
 /// Entities that snippets of scenarios refer to.

@@ -4,7 +4,7 @@
 
 /// A triangle found by a query.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Found<T> {
+pub(crate) struct Candidate<T> {
     pub(crate) triangle: u32,
     /// Lower bound of its distance \[m\].
     pub(crate) at_least: f64,
@@ -80,13 +80,14 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
 
     /// Stores the triangles found by a query; all others are not nearer than `limit`. Surplus ones count among the
     /// others. Returns how many are within the limit.
-    pub(crate) fn gather(&mut self, found: &mut Vec<Found<T>>, limit: f64) -> usize {
+    pub(crate) fn gather(&mut self, found: &mut Vec<Candidate<T>>, limit: f64) -> usize {
         found.retain(|found| found.at_least < limit);
         self.travelled = 0.0;
         self.others_due = limit;
         self.horizon = limit;
-        let order =
-            |a: &Found<T>, b: &Found<T>| a.at_least.total_cmp(&b.at_least).then(a.triangle.cmp(&b.triangle));
+        let order = |a: &Candidate<T>, b: &Candidate<T>| {
+            a.at_least.total_cmp(&b.at_least).then(a.triangle.cmp(&b.triangle))
+        };
         if found.len() > KEPT {
             let (_, first_out, _) = found.select_nth_unstable_by(KEPT, order);
             self.others_due = first_out.at_least;
@@ -194,7 +195,7 @@ mod tests {
             deeds in prop::collection::vec((0_usize..60, 0.0..1.0_f64, 0.0..0.1_f64, 0.0..0.5_f64), 0..20)
         ) {
             let mut candidates = Candidates::<(), 48>::none();
-            let found = |(triangle, &at_least): (usize, &f64)| Found { triangle: triangle as u32, at_least, note: () };
+            let found = |(triangle, &at_least): (usize, &f64)| Candidate { triangle: triangle as u32, at_least, note: () };
             candidates.gather(&mut distances.iter().enumerate().map(found).collect(), 2.0);
             for (slot, at_least, motion, reach) in deeds {
                 candidates.travel(motion);

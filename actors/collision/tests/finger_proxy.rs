@@ -3,7 +3,7 @@
 use crate::support::organ::shapes::{Mesh, cuboid, inverted, joined, plate, sphere};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_collision::Surface;
-use trocar_collision::finger_proxy::{FingerProxy, PlaneFeel, ProxyConfig, ProxyError};
+use trocar_collision::finger_proxy::{FingerProxy, PlaneProperties, ProxyConfig, ProxyError};
 use trocar_collision::moving_surface::MovingSurface;
 use trocar_scene::time::SimTime;
 
@@ -301,7 +301,7 @@ fn the_local_model_has_the_planes_that_hold_it_first_and_then_those_ahead() {
         Vector3::new(0.1, -0.2, 0.3).into(),
         UnitQuaternion::from_euler_angles(0.4, -0.2, 1.0),
     );
-    let feel = PlaneFeel { stiffness: 420.0, damping: 1.5 };
+    let feel = PlaneProperties { stiffness: 420.0, damping: 1.5 };
     let model = finger.local_contact_model(&room, &world_from_surface, &feel, 0.01, SimTime::from_millis(7));
     let tip = model.proxy_in_world.translation;
     assert!((tip - (world_from_surface * finger.position()).coords).norm() < 1e-12);

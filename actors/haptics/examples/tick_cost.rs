@@ -13,7 +13,7 @@ use trocar_haptics::renderer::{ProxyConfig, RendererConfig, VirtualCouplingConfi
 
 fn main() {
     for renderer in [
-        RendererConfig::Held,
+        RendererConfig::ZeroOrderHold,
         RendererConfig::VirtualCoupling(VirtualCouplingConfig::default()),
         RendererConfig::Proxy(ProxyConfig::default()),
     ] {

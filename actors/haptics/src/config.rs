@@ -50,7 +50,7 @@ impl HapticsConfig {
         range("felt_window_secs", self.felt_window_secs, 0.01, 10.0)?;
         range("status_period_secs", self.status_period_secs, 0.0, 1.0)?;
         match &self.renderer {
-            RendererConfig::Held => Ok(()),
+            RendererConfig::ZeroOrderHold => Ok(()),
             RendererConfig::VirtualCoupling(coupling) => {
                 range("stiffness", coupling.stiffness, 0.0, 1e5)?;
                 range("damping", coupling.damping, 0.0, 1e3)?;
@@ -106,7 +106,7 @@ mod tests {
     fn defaults_pass_and_bad_parameters_are_named() {
         HapticsConfig::default().check().unwrap();
         let of = |renderer| HapticsConfig { renderer, ..HapticsConfig::default() }.check();
-        of(RendererConfig::Held).unwrap();
+        of(RendererConfig::ZeroOrderHold).unwrap();
         of(RendererConfig::VirtualCoupling(VirtualCouplingConfig::default())).unwrap();
         let coupling = VirtualCouplingConfig { stiffness: f64::NAN, ..VirtualCouplingConfig::default() };
         assert!(of(RendererConfig::VirtualCoupling(coupling)).unwrap_err().to_string().contains("stiffness"));
@@ -119,7 +119,7 @@ mod tests {
     fn a_scenario_may_set_parts_and_no_unknown_keys() {
         let config: HapticsConfig =
             serde_json::from_str(r#"{"renderer":{"kind":"held"},"passivity":false}"#).unwrap();
-        assert_eq!((config.renderer, config.passivity), (RendererConfig::Held, false));
+        assert_eq!((config.renderer, config.passivity), (RendererConfig::ZeroOrderHold, false));
         assert!(serde_json::from_str::<HapticsConfig>(r#"{"stiffness":1}"#).is_err());
     }
 }

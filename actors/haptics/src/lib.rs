@@ -2,7 +2,7 @@
 //!
 //! The algorithms are plain types, each in a file of its own:
 //!
-//! - [`renderer`]: force rendering from a simulation slower than the haptic rate ([`renderer::Held`],
+//! - [`renderer`]: force rendering from a simulation slower than the haptic rate ([`renderer::ZeroOrderHold`],
 //!   [`renderer::VirtualCoupling`], [`renderer::Proxy`]);
 //! - [`felt_stiffness`]: online estimate of the rendered stiffness;
 //! - the kinematics (registration, fulcrum, wrenches) live in [`trocar_scene::kinematics`], so that virtual

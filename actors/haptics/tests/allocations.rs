@@ -17,7 +17,7 @@ fn a_warmed_tick_allocates_and_frees_nothing() {
     for renderer in [
         RendererConfig::Proxy(ProxyConfig::default()),
         RendererConfig::VirtualCoupling(VirtualCouplingConfig::default()),
-        RendererConfig::Held,
+        RendererConfig::ZeroOrderHold,
     ] {
         let hand =
             VirtualHandConfig { start_in_device: handle(0.002, 0.0, 0.0), ..VirtualHandConfig::default() };

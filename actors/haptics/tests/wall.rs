@@ -218,7 +218,7 @@ fn sliding_over_a_sphere_has_no_steps_at_any_physics_rate() {
 
 #[test]
 fn a_held_force_at_10_hz_is_active_and_the_guard_pays_for_it() {
-    let held = Case { renderer: RendererConfig::Held, ..Case::proxy(10, true, Mount::Free) };
+    let held = Case { renderer: RendererConfig::ZeroOrderHold, ..Case::proxy(10, true, Mount::Free) };
     let unguarded = press(Case { passivity: false, ..held }, 1.2);
     assert!(unguarded.energy_min < -0.05, "the paper's way must be active here: {unguarded:?}");
     assert!(unguarded.speed_rms > 0.02, "and shake the hand: {unguarded:?}");

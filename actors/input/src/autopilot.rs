@@ -15,7 +15,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::Side;
 
-use crate::grasp_planner::{GraspPlan, GraspWish, comfortable_opening, plan_grasp};
+use crate::grasp_planner::{GraspPlan, GraspRequest, comfortable_opening, plan_grasp};
 use crate::motor_model::{HandMotor, MotorParameters, TipCommand, TipGoal};
 use crate::noise::Noise;
 use crate::strategy::{Step, Strategy};
@@ -278,7 +278,7 @@ impl Autopilot {
 
     /// Plans a grasp of the ring and starts it.
     fn try_ring(&mut self, scene: &Scene<'_>, hand: usize, ring: usize, planned: bool) -> bool {
-        let wish = GraspWish { ring, hand, not_again: self.hands[hand].failed };
+        let wish = GraspRequest { ring, hand, not_again: self.hands[hand].failed };
         let Some(plan) = plan_grasp(scene.bench, scene.moment, &wish) else { return false };
         let placed = plan.place(&scene.moment.rings[ring], &scene.bench.graspers[hand]);
         let stand_off = placed.tip - placed.shaft * scene.strategy.stand_off;
@@ -307,7 +307,7 @@ impl Autopilot {
             rings.rotate_left(turn);
         }
         rings.into_iter().find(|ring| {
-            let wish = GraspWish { ring: *ring, hand, not_again: self.hands[hand].failed };
+            let wish = GraspRequest { ring: *ring, hand, not_again: self.hands[hand].failed };
             plan_grasp(scene.bench, scene.moment, &wish).is_some()
         })
     }

@@ -3,11 +3,11 @@
 use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::coupling::InstrumentCoupling;
 use trocar_scene::kinematics::hand_rig::HandRig;
-use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand, find_rings};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, Entity, EntitySet, Grasp,
     HandTarget, Instrument, JawState, Parent, Pose, Side, Snapshot, Tick, Velocity,
 };
+use trocar_tasks::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand, find_rings};
 
 use crate::autopilot::Autopilot;
 use crate::motor_model::{MotorParameters, Skill};

@@ -53,7 +53,7 @@ pub struct PlacedGrasp {
 
 /// Request to the planner.
 #[derive(Clone, Copy, Debug)]
-pub struct GraspWish {
+pub struct GraspRequest {
     /// Index of the ring.
     pub ring: usize,
     /// The hand: 0 left, 1 right.
@@ -89,7 +89,7 @@ impl Capsule {
 }
 
 /// Finds the best grasp of a ring, if there is any.
-pub fn plan_grasp(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspWish) -> Option<GraspPlan> {
+pub fn plan_grasp(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspRequest) -> Option<GraspPlan> {
     let ring = moment.rings.get(wish.ring)?;
     let grasper = &bench.graspers[wish.hand];
     let opening = comfortable_opening(bench, grasper);
@@ -188,7 +188,7 @@ fn instrument_parts(
     [blade(1.0), blade(-1.0), shaft]
 }
 
-fn obstacles(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspWish) -> Vec<Capsule> {
+fn obstacles(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspRequest) -> Vec<Capsule> {
     let pegs = bench.pegs.iter().map(|peg| Capsule {
         from: peg.foot,
         to: peg.foot + peg.up * peg.height,
@@ -299,7 +299,7 @@ mod tests {
         MomentSeen { rings, hands: [hand(0), hand(1)] }
     }
 
-    const LEFT: GraspWish = GraspWish { ring: 0, hand: 0, not_again: None };
+    const LEFT: GraspRequest = GraspRequest { ring: 0, hand: 0, not_again: None };
 
     #[test]
     fn a_ring_around_a_peg_is_taken_level_and_from_the_side() {
@@ -322,7 +322,7 @@ mod tests {
         let (bench, moment) = (bench(), moment(vec![Isometry3::translation(-0.04, 0.0, 0.0015)]));
         let first = plan_grasp(&bench, &moment, &LEFT).unwrap();
         let not_again = Some(first.point_in_ring);
-        let second = plan_grasp(&bench, &moment, &GraspWish { not_again, ..LEFT }).unwrap();
+        let second = plan_grasp(&bench, &moment, &GraspRequest { not_again, ..LEFT }).unwrap();
         assert!((second.point_in_ring - first.point_in_ring).norm() > 0.004);
     }
 
@@ -334,7 +334,7 @@ mod tests {
         let held_at = center + Vector3::new(-0.64, 0.77, 0.0) * 0.008;
         moment.hands[0].tip = tip_pose(&held_at, &bench.graspers[0].apex, &Vector3::new(-0.64, 0.77, 0.0));
         moment.hands[0].held = Some(0);
-        let plan = plan_grasp(&bench, &moment, &GraspWish { hand: 1, ..LEFT }).unwrap();
+        let plan = plan_grasp(&bench, &moment, &GraspRequest { hand: 1, ..LEFT }).unwrap();
         let placed = plan.place(&moment.rings[0], &bench.graspers[1]);
         let (one, other) = (held_at - center, placed.tip - placed.shaft * plan.depth - center);
         assert!(one.angle(&other).to_degrees() > 75.0, "{}", one.angle(&other).to_degrees());
@@ -346,7 +346,7 @@ mod tests {
         // Below the board, and a ring that does not exist.
         let low = moment(vec![Isometry3::translation(-0.04, 0.0, -0.02)]);
         assert_eq!(plan_grasp(&bench, &low, &LEFT), None);
-        assert_eq!(plan_grasp(&bench, &low, &GraspWish { ring: 5, ..LEFT }), None);
+        assert_eq!(plan_grasp(&bench, &low, &GraspRequest { ring: 5, ..LEFT }), None);
     }
 
     #[test]
@@ -375,7 +375,7 @@ mod tests {
             let pose = Isometry3::from_parts(
                 Vector3::new(x, y, height).into(), UnitQuaternion::from_axis_angle(&axis, tilt));
             let moment = moment(vec![pose]);
-            if let Some(plan) = plan_grasp(&bench, &moment, &GraspWish { hand, ..LEFT }) {
+            if let Some(plan) = plan_grasp(&bench, &moment, &GraspRequest { hand, ..LEFT }) {
                 let placed = plan.place(&moment.rings[0], &bench.graspers[hand]);
                 prop_assert!((placed.closing.norm() - 1.0).abs() < 1e-9);
                 prop_assert!(placed.closing.dot(&placed.shaft).abs() < 1e-9);

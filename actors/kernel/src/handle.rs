@@ -96,16 +96,16 @@ pub enum Submitted {
 }
 
 /// A batch in a ring.
-pub(crate) struct Sealed {
+pub(crate) struct SealedBatch {
     pub(crate) at: SimTime,
     pub(crate) batch: Box<Batch>,
 }
 
 /// Parts of a handle: the writer's ends of its rings, and the doorbell.
-pub(crate) struct Ends {
-    pub(crate) batches: Producer<Sealed>,
+pub(crate) struct HandleParts {
+    pub(crate) batches: Producer<SealedBatch>,
     pub(crate) returns: Consumer<Box<Batch>>,
-    pub(crate) bell: Arc<Bell>,
+    pub(crate) bell: Arc<CoalescedDoorbell>,
     pub(crate) clock: Clock,
     pub(crate) registry: Arc<Registry>,
 }
@@ -114,7 +114,7 @@ pub(crate) struct Ends {
 pub struct WriterHandle {
     writer: WriterId,
     epoch: u32,
-    ends: Ends,
+    ends: HandleParts,
     allocator: EntityAllocator,
     flow: TokenBucket,
     current: Box<Batch>,
@@ -127,7 +127,7 @@ impl WriterHandle {
     pub(crate) fn new(
         writer: WriterId,
         epoch: u32,
-        ends: Ends,
+        ends: HandleParts,
         (capacity, flow): (usize, FlowLimit),
         allocator: EntityAllocator,
         status: Arc<LaneStatus>,
@@ -180,7 +180,7 @@ impl WriterHandle {
         let next = self.spares.pop_front().unwrap_or_else(|| self.blank());
         // Never full: only this end pushes, and there was room above.
         let batch = std::mem::replace(&mut self.current, next);
-        let _ = self.ends.batches.push(Sealed { at: now, batch });
+        let _ = self.ends.batches.push(SealedBatch { at: now, batch });
         self.status.sent.fetch_add(1, Ordering::Relaxed);
         self.ends.bell.ring();
         Submitted::Sent
@@ -209,12 +209,12 @@ impl fmt::Debug for WriterHandle {
 }
 
 /// The doorbell, which rings once until draining begins.
-pub(crate) struct Bell {
+pub(crate) struct CoalescedDoorbell {
     rung: Signal,
     target: Arc<dyn Doorbell>,
 }
 
-impl Bell {
+impl CoalescedDoorbell {
     pub(crate) fn new(target: Arc<dyn Doorbell>) -> Self {
         Self { rung: Signal::default(), target }
     }

@@ -10,15 +10,17 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_scene::{Batch, EntityAllocator, Registry, SimTime, WriterId};
 
-use crate::faults::{FaultOrder, LinkCounts, LinkFaults, Parcel};
-use crate::handle::{Bell, Doorbell, Ends, LaneStatus, Receipt, Sealed, WriterHandle};
+use crate::faults::{BatchInFlight, FaultOrder, LinkCounts, LinkFaults};
+use crate::handle::{
+    CoalescedDoorbell, Doorbell, HandleParts, LaneStatus, Receipt, SealedBatch, WriterHandle,
+};
 use crate::runtime::Clock;
 use crate::token_bucket::FlowLimit;
 
 /// The Model's end of one writer's rings.
 struct Lane {
     writer: WriterId,
-    batches: Consumer<Sealed>,
+    batches: Consumer<SealedBatch>,
     returns: Producer<Box<Batch>>,
     receipts: Option<Producer<Receipt>>,
 }
@@ -34,13 +36,13 @@ impl Lane {
 struct Link {
     writer: WriterId,
     status: Arc<LaneStatus>,
-    faults: LinkFaults<Parcel>,
+    faults: LinkFaults<BatchInFlight>,
     counted: LinkCounts,
 }
 
 impl Link {
-    fn send(&mut self, now: SimTime, parcel: Parcel) {
-        self.faults.send(now, parcel);
+    fn send(&mut self, now: SimTime, batch_in_flight: BatchInFlight) {
+        self.faults.send(now, batch_in_flight);
         self.status.count_link(&self.counted, self.faults.counts());
         self.counted = *self.faults.counts();
     }
@@ -66,7 +68,7 @@ struct Active {
 pub struct Intake {
     registry: Arc<Registry>,
     clock: Clock,
-    bell: Arc<Bell>,
+    bell: Arc<CoalescedDoorbell>,
     arrivals: Mutex<Arrivals>,
     /// Whether there are arrivals.
     arrived: AtomicBool,
@@ -83,7 +85,7 @@ impl Intake {
         Arc::new(Self {
             registry,
             clock,
-            bell: Arc::new(Bell::new(bell)),
+            bell: Arc::new(CoalescedDoorbell::new(bell)),
             arrivals: Mutex::default(),
             arrived: AtomicBool::new(false),
             drainer: AtomicU64::new(0),
@@ -139,7 +141,7 @@ impl Intake {
         unpoisoned(&self.arrivals).lanes.push(lane);
         self.arrived.store(true, Ordering::Release);
         let (bell, clock, registry) = (self.bell.clone(), self.clock.clone(), self.registry.clone());
-        let ends = Ends { batches, returns, bell, clock, registry };
+        let ends = HandleParts { batches, returns, bell, clock, registry };
         WriterHandle::new(writer, epoch, ends, (capacity, flow), allocator, status)
     }
 
@@ -183,7 +185,7 @@ impl Active {
     }
 
     /// The next waiting batch, round-robin over the lanes.
-    fn in_turn(&mut self) -> Option<(usize, Sealed)> {
+    fn in_turn(&mut self) -> Option<(usize, SealedBatch)> {
         let count = self.lanes.len();
         for step in 0..count {
             let index = (self.next + step) % count;
@@ -197,7 +199,7 @@ impl Active {
 
     fn next_off_links(&mut self, now: SimTime) -> Option<Arrival> {
         for link in &mut self.links {
-            if let Some(Parcel { sealed_at, batch, .. }) = link.faults.due(now) {
+            if let Some(BatchInFlight { sealed_at, batch, .. }) = link.faults.due(now) {
                 let lane = self.lanes.iter().rposition(|lane| lane.writer == link.writer);
                 return Some(Arrival { lane: LaneIndex(lane.unwrap_or(usize::MAX)), sealed_at, batch });
             }
@@ -212,10 +214,10 @@ impl Active {
             {
                 return Some(arrival);
             }
-            let (index, Sealed { at, batch }) = self.in_turn()?;
+            let (index, SealedBatch { at, batch }) = self.in_turn()?;
             let writer = self.lanes[index].writer;
             match self.links.iter_mut().find(|link| link.writer == writer) {
-                Some(link) => link.send(now, Parcel { sealed_at: at, batch }),
+                Some(link) => link.send(now, BatchInFlight { sealed_at: at, batch }),
                 None => return Some(Arrival { lane: LaneIndex(index), sealed_at: at, batch }),
             }
         }
@@ -321,21 +323,21 @@ mod tests {
     use crate::testing::{Count, registry};
     use trocar_scene::Revision;
 
-    struct Desk {
+    struct TestIntake {
         intake: Arc<Intake>,
         rings: Arc<AtomicUsize>,
     }
 
-    fn desk() -> Desk {
+    fn test_intake() -> TestIntake {
         let rings = Arc::new(AtomicUsize::new(0));
         let counter = rings.clone();
         let bell: Arc<dyn Doorbell> = Arc::new(move || {
             counter.fetch_add(1, Ordering::Relaxed);
         });
-        Desk { intake: Intake::new(registry(), Clock::start(), bell), rings }
+        TestIntake { intake: Intake::new(registry(), Clock::start(), bell), rings }
     }
 
-    impl Desk {
+    impl TestIntake {
         fn open(&self, writer: u16, epoch: u32, capacity: usize) -> WriterHandle {
             let allocator = EntityAllocator::new(0, writer);
             self.open_limited(writer, epoch, capacity, FlowLimit::UNLIMITED, allocator)
@@ -372,62 +374,62 @@ mod tests {
 
     #[test]
     fn a_flood_costs_only_its_sender() {
-        let desk = desk();
-        let (mut loud, mut quiet) = (desk.open(1, 1, 4), desk.open(2, 1, 4));
+        let test_intake = test_intake();
+        let (mut loud, mut quiet) = (test_intake.open(1, 1, 4), test_intake.open(2, 1, 4));
         for tick in 0..10 {
             send(&mut loud, tick);
         }
         assert_eq!(send(&mut quiet, 7), Submitted::Sent);
         assert_eq!((loud.status().sent(), loud.status().dropped()), (4, 6));
-        let mut lanes = desk.intake.take();
+        let mut lanes = test_intake.intake.take();
         assert_eq!(drain(&mut lanes), [(1, 0), (2, 7), (1, 1), (1, 2), (1, 3)], "in turn");
     }
 
     #[test]
     fn the_bell_rings_once_until_the_model_begins_to_drain() {
-        let desk = desk();
-        let mut handle = desk.open(1, 1, 8);
-        let mut lanes = desk.intake.take();
+        let test_intake = test_intake();
+        let mut handle = test_intake.open(1, 1, 8);
+        let mut lanes = test_intake.intake.take();
         for tick in 0..3 {
             send(&mut handle, tick);
         }
-        assert_eq!(desk.rings(), 1);
+        assert_eq!(test_intake.rings(), 1);
         assert_eq!(drain(&mut lanes).len(), 3);
         handle.begin(SimTime(0));
         assert_eq!(handle.submit(3, SimTime(0), Revision::ZERO), Submitted::Empty);
-        assert_eq!(desk.rings(), 1, "nothing to say, nothing rung");
+        assert_eq!(test_intake.rings(), 1, "nothing to say, nothing rung");
         send(&mut handle, 4);
-        assert_eq!(desk.rings(), 2);
+        assert_eq!(test_intake.rings(), 2);
     }
 
     #[test]
     fn batches_of_a_dead_model_wait_for_the_next_one() {
-        let desk = desk();
-        let mut handle = desk.open(1, 1, 8);
+        let test_intake = test_intake();
+        let mut handle = test_intake.open(1, 1, 8);
         for tick in 0..4 {
             send(&mut handle, tick);
         }
         let died = catch_unwind(AssertUnwindSafe(|| {
-            let mut lanes = desk.intake.take();
+            let mut lanes = test_intake.intake.take();
             lanes.begin_pass();
             let _first = lanes.pop(SimTime::ZERO);
             std::panic::resume_unwind(Box::new("the Model dies"));
         }));
         assert!(died.is_err());
         send(&mut handle, 4);
-        let mut lanes = desk.intake.take();
+        let mut lanes = test_intake.intake.take();
         assert_eq!(drain(&mut lanes), [(1, 1), (1, 2), (1, 3), (1, 4)]);
-        let before = desk.rings();
+        let before = test_intake.rings();
         send(&mut handle, 5);
-        assert_eq!(desk.rings(), before + 1, "the bell of a dead Model rings for the next one");
+        assert_eq!(test_intake.rings(), before + 1, "the bell of a dead Model rings for the next one");
     }
 
     #[test]
     fn a_new_life_gets_rings_of_its_own_and_spent_ones_go() {
-        let desk = desk();
-        let mut zombie = desk.open(1, 1, 2);
-        let mut lanes = desk.intake.take();
-        let mut reborn = desk.open(1, 2, 2);
+        let test_intake = test_intake();
+        let mut zombie = test_intake.open(1, 1, 2);
+        let mut lanes = test_intake.intake.take();
+        let mut reborn = test_intake.open(1, 2, 2);
         for tick in 0..5 {
             send(&mut zombie, tick);
         }
@@ -435,15 +437,15 @@ mod tests {
         assert_eq!(drain(&mut lanes).len(), 3);
         drop(zombie);
         lanes.begin_pass();
-        assert_eq!(unpoisoned(&desk.intake.active).lanes.len(), 1);
+        assert_eq!(unpoisoned(&test_intake.intake.active).lanes.len(), 1);
         send(&mut reborn, 10);
         assert_eq!(drain(&mut lanes), [(1, 10)]);
     }
 
     #[test]
     fn queue_full_is_a_fault_that_can_be_injected() {
-        let desk = desk();
-        let mut handle = desk.open(1, 1, 8);
+        let test_intake = test_intake();
+        let mut handle = test_intake.open(1, 1, 8);
         handle.status().clone().set_queue_full(true);
         assert_eq!(send(&mut handle, 0), Submitted::Dropped);
         handle.status().clone().set_queue_full(false);
@@ -452,9 +454,9 @@ mod tests {
 
     #[test]
     fn buffers_come_back_and_are_used_again() {
-        let desk = desk();
-        let mut handle = desk.open(1, 1, 8);
-        let mut lanes = desk.intake.take();
+        let test_intake = test_intake();
+        let mut handle = test_intake.open(1, 1, 8);
+        let mut lanes = test_intake.intake.take();
         let mut addresses = Vec::new();
         for tick in 0..50 {
             send(&mut handle, tick);
@@ -470,15 +472,15 @@ mod tests {
 
     #[test]
     fn a_drainer_that_was_left_behind_gets_nothing_and_what_waits_is_its_successors() {
-        let desk = desk();
-        let mut handle = desk.open(1, 1, 8);
-        let mut old = desk.intake.take();
+        let test_intake = test_intake();
+        let mut handle = test_intake.open(1, 1, 8);
+        let mut old = test_intake.intake.take();
         old.begin_pass();
         for tick in 0..3 {
             send(&mut handle, tick);
         }
         let taken = old.pop(SimTime::ZERO).expect("sent");
-        let mut new = desk.intake.take();
+        let mut new = test_intake.intake.take();
         assert!(!old.is_current() && new.is_current());
         assert_eq!(drain(&mut old), []);
         assert_eq!(drain(&mut new), [(1, 1), (1, 2)], "only the one that was taken is gone");
@@ -489,10 +491,10 @@ mod tests {
 
     #[test]
     fn who_sends_more_commands_than_it_may_is_refused_at_its_own_handle() {
-        let desk = desk();
+        let test_intake = test_intake();
         let limit = FlowLimit { commands_per_sec: 1e-3, burst: 10 };
-        let mut loud = desk.open_limited(1, 1, 64, limit, EntityAllocator::new(0, 1));
-        let mut quiet = desk.open(2, 1, 64);
+        let mut loud = test_intake.open_limited(1, 1, 64, limit, EntityAllocator::new(0, 1));
+        let mut quiet = test_intake.open(2, 1, 64);
         for tick in 0..20 {
             send(&mut loud, tick);
             send(&mut quiet, tick);
@@ -508,8 +510,8 @@ mod tests {
 
     #[test]
     fn a_bad_link_touches_its_own_writer_only_and_outlives_a_drainer() {
-        let desk = desk();
-        let (mut near, mut far) = (desk.open(1, 1, 64), desk.open(2, 1, 64));
+        let test_intake = test_intake();
+        let (mut near, mut far) = (test_intake.open(1, 1, 64), test_intake.open(2, 1, 64));
         let delay = FaultOrder {
             index: 0,
             target: "far".to_owned(),
@@ -521,20 +523,20 @@ mod tests {
             bytes_per_sec: 0.0,
             seed: 1,
         };
-        desk.intake.fault(WriterId(2), far.status(), &delay);
-        let mut lanes = desk.intake.take();
+        test_intake.intake.fault(WriterId(2), far.status(), &delay);
+        let mut lanes = test_intake.intake.take();
         send(&mut near, 0);
         send(&mut far, 0);
         assert_eq!(drain(&mut lanes), [(1, 0)]);
-        assert!(desk.intake.is_any_link_bad());
-        let mut lanes = desk.intake.take();
+        assert!(test_intake.intake.is_any_link_bad());
+        let mut lanes = test_intake.intake.take();
         lanes.begin_pass();
         assert!(lanes.pop(SimTime::from_millis(19)).is_none());
         let late = lanes.pop(SimTime::from_millis(20)).expect("it has come");
         assert_eq!((late.batch.provenance.writer.0, far.status().delayed()), (2, 1));
-        desk.intake.fault(WriterId(2), far.status(), &FaultOrder { begins: false, ..delay });
+        test_intake.intake.fault(WriterId(2), far.status(), &FaultOrder { begins: false, ..delay });
         send(&mut far, 1);
         assert_eq!(drain(&mut lanes), [(2, 1)]);
-        assert!(!desk.intake.is_any_link_bad());
+        assert!(!test_intake.intake.is_any_link_bad());
     }
 }

@@ -166,7 +166,7 @@ pub struct SessionSpec {
     pub zero_forces: Vec<ZeroForces>,
     /// End of the session; none: until stopped.
     pub until: Option<SimTime>,
-    /// Ends the session when the goal is reached.
+    /// HandleParts the session when the goal is reached.
     pub stop_when: Option<StopWhen>,
 }
 

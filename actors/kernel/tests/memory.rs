@@ -21,7 +21,7 @@ const PHYSICS: WriterId = WriterId(1);
 
 #[derive(Clone, Serialize, Deserialize, Component)]
 #[component(name = "place")]
-struct Place([f64; 7]);
+struct BodyPose([f64; 7]);
 #[derive(Clone, Serialize, Deserialize, Component)]
 #[component(name = "contacts")]
 struct Contacts(Vec<u32>);
@@ -36,7 +36,7 @@ fn body(n: u32) -> Entity {
 fn scene() -> Store {
     let mut builder = RegistryBuilder::new();
     builder
-        .register::<Place>()
+        .register::<BodyPose>()
         .and_then(|b| b.register::<Contacts>())
         .and_then(|b| b.register::<Memo>())
         .expect("new");
@@ -45,7 +45,7 @@ fn scene() -> Store {
     let mut commands = Commands::new(registry, EntityAllocator::new(0, 0));
     for n in 0..BODIES {
         assert_eq!(commands.spawn(), body(n));
-        commands.put(body(n), Place([0.0; 7]));
+        commands.put(body(n), BodyPose([0.0; 7]));
     }
     commands.seal();
     store.apply(&mut commands, SimTime::ZERO);
@@ -57,11 +57,14 @@ struct Physics;
 impl Controller for Physics {
     fn access(&self) -> Access {
         let bodies = (0..BODIES).map(body).collect();
-        Access::new().writes::<Place>(EntitySet::Of(bodies)).contributes::<Contacts>().contributes::<Memo>()
+        Access::new()
+            .writes::<BodyPose>(EntitySet::Of(bodies))
+            .contributes::<Contacts>()
+            .contributes::<Memo>()
     }
     fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         for n in 0..BODIES {
-            out.put(body(n), Place([tick.time.as_secs_f64(); 7]));
+            out.put(body(n), BodyPose([tick.time.as_secs_f64(); 7]));
         }
         out.contribute(Contacts(vec![0; (tick.number % 17) as usize]));
         out.contribute(Memo(tick.number));
@@ -96,13 +99,14 @@ impl Controller for Maker {
 struct Late;
 impl Controller for Late {
     fn access(&self) -> Access {
-        Access::new().reads::<Place>().contributes::<Memo>()
+        Access::new().reads::<BodyPose>().contributes::<Memo>()
     }
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let changed = scene.changed::<Place>(body(0)).unwrap_or_default();
+        let changed = scene.changed::<BodyPose>(body(0)).unwrap_or_default();
         match tick.number % 3 {
-            0 => out.require_unchanged::<Place>(body(0), trocar_scene::Revision(changed.0.saturating_sub(1))),
-            1 => out.put(body(1), Place([1.0; 7])),
+            0 => out
+                .require_unchanged::<BodyPose>(body(0), trocar_scene::Revision(changed.0.saturating_sub(1))),
+            1 => out.put(body(1), BodyPose([1.0; 7])),
             _ => {}
         }
         out.contribute(Memo(tick.number));

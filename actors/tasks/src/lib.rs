@@ -9,6 +9,7 @@
 pub mod fls_score;
 pub mod motion_metrics;
 pub mod outcome;
+pub mod peg_bench;
 pub mod peg_geometry;
 pub mod peg_rules;
 pub mod peg_transfer;

@@ -154,7 +154,7 @@ pub struct ExerciseError {
 
 /// An event of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Happening {
+pub enum TaskEvent {
     /// The clock started.
     Started,
     /// A ring was lifted.

@@ -20,7 +20,7 @@ use trocar_scene::Side;
 
 use crate::motion_metrics::MotionMetrics;
 use crate::peg_rules::{
-    ErrorKind, ExerciseError, Happening, PegTransferSetup, RingObservation, Rules, TipObservation,
+    ErrorKind, ExerciseError, PegTransferSetup, RingObservation, Rules, TaskEvent, TipObservation,
 };
 
 /// Errors beyond this number are counted, not listed.
@@ -120,7 +120,7 @@ impl PegTransfer {
         secs: f64,
         rings: &[RingObservation],
         tips: &[TipObservation; 2],
-    ) -> Vec<Happening> {
+    ) -> Vec<TaskEvent> {
         let mut happened = Vec::new();
         let stale = self.now_secs.is_some_and(|now| secs <= now);
         if stale || !secs.is_finite() || self.outcome.is_some() || rings.len() != self.rings.len() {
@@ -133,7 +133,7 @@ impl PegTransfer {
                 return happened;
             }
             self.started_secs = Some(secs);
-            happened.push(Happening::Started);
+            happened.push(TaskEvent::Started);
         }
         for (metrics, tip) in self.metrics.iter_mut().zip(tips) {
             metrics.sample(secs, tip.tip_in_world, tip.shaft_in_world, setup.rules.idle_speed);
@@ -152,7 +152,7 @@ impl PegTransfer {
         secs: f64,
         ring: usize,
         seen: &RingObservation,
-        happened: &mut Vec<Happening>,
+        happened: &mut Vec<TaskEvent>,
     ) {
         let holders = self.holders(ring, secs, seen, &setup.rules);
         let held = holders != [false; 2];
@@ -218,7 +218,7 @@ impl PegTransfer {
     }
 
     /// Handles a ring lifted off the board.
-    fn lift(&mut self, ring: usize, holders: [bool; 2], secs: f64, happened: &mut Vec<Happening>) {
+    fn lift(&mut self, ring: usize, holders: [bool; 2], secs: f64, happened: &mut Vec<TaskEvent>) {
         let giver_holds = holders[index(self.giver)];
         let progress = &mut self.rings[ring];
         progress.state = RingState::Held(holders);
@@ -228,7 +228,7 @@ impl PegTransfer {
         let wrong = !giver_holds && !progress.handed_over;
         let by = if giver_holds { self.giver } else { self.giver.other() };
         self.metrics[index(by)].mark();
-        happened.push(Happening::Lifted { ring, by });
+        happened.push(TaskEvent::Lifted { ring, by });
         if wrong {
             self.fail(ErrorKind::WrongHand, secs, ring, happened);
         }
@@ -244,7 +244,7 @@ impl PegTransfer {
         before: [bool; 2],
         now: [bool; 2],
         seen: &RingObservation,
-        happened: &mut Vec<Happening>,
+        happened: &mut Vec<TaskEvent>,
     ) {
         if before != [true; 2] || now == [true; 2] {
             return;
@@ -265,7 +265,7 @@ impl PegTransfer {
         }
         self.rings[ring].handed_over = true;
         self.metrics.iter_mut().for_each(MotionMetrics::mark);
-        happened.push(Happening::HandedOver { ring, to });
+        happened.push(TaskEvent::HandedOver { ring, to });
     }
 
     /// Judges where a released ring has come to rest.
@@ -275,7 +275,7 @@ impl PegTransfer {
         ring: usize,
         seen: &RingObservation,
         released_secs: f64,
-        happened: &mut Vec<Happening>,
+        happened: &mut Vec<TaskEvent>,
     ) {
         let handed_over = self.rings[ring].handed_over;
         self.rings[ring].state = RingState::Waiting;
@@ -296,22 +296,22 @@ impl PegTransfer {
         } else {
             self.rings[ring].state = RingState::Placed { peg };
             self.metrics[index(self.giver.other())].mark();
-            happened.push(Happening::Placed { ring, peg });
+            happened.push(TaskEvent::Placed { ring, peg });
         }
     }
 
-    fn fail(&mut self, kind: ErrorKind, at_secs: f64, ring: usize, happened: &mut Vec<Happening>) {
+    fn fail(&mut self, kind: ErrorKind, at_secs: f64, ring: usize, happened: &mut Vec<TaskEvent>) {
         let error = ExerciseError { kind, at_secs, ring };
         if self.errors.len() < MAX_ERRORS {
             self.errors.push(error);
         } else {
             self.errors_beyond = self.errors_beyond.saturating_add(1);
         }
-        happened.push(Happening::Error(error));
+        happened.push(TaskEvent::Error(error));
     }
 
     /// Swaps the roles after the last ring of the first half, and ends the exercise after the second.
-    fn advance(&mut self, setup: &PegTransferSetup, secs: f64, happened: &mut Vec<Happening>) {
+    fn advance(&mut self, setup: &PegTransferSetup, secs: f64, happened: &mut Vec<TaskEvent>) {
         let settled = |ring: &RingProgress| matches!(ring.state, RingState::Placed { .. } | RingState::Lost);
         if self.rings.iter().all(settled) {
             if !self.returning && self.lost() < self.ring_count() {
@@ -320,7 +320,7 @@ impl PegTransfer {
                 for ring in self.rings.iter_mut().filter(|ring| ring.state != RingState::Lost) {
                     *ring = RingProgress::WAITING;
                 }
-                happened.push(Happening::Returning);
+                happened.push(TaskEvent::Returning);
             } else {
                 let complete = self.lost() == 0;
                 self.end(if complete { Outcome::Completed } else { Outcome::SomeLost }, secs, happened);
@@ -331,10 +331,10 @@ impl PegTransfer {
         }
     }
 
-    fn end(&mut self, outcome: Outcome, secs: f64, happened: &mut Vec<Happening>) {
+    fn end(&mut self, outcome: Outcome, secs: f64, happened: &mut Vec<TaskEvent>) {
         self.outcome = Some(outcome);
         self.ended_secs = Some(secs);
-        happened.push(Happening::Finished);
+        happened.push(TaskEvent::Finished);
     }
 
     /// Number of rings.

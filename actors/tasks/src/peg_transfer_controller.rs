@@ -4,15 +4,15 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand};
 use trocar_scene::{
     Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
     EntitySet, Grasp, Parent, Pose, Side, Snapshot, TaskError, TaskState, Tick, Velocity,
 };
 
 use crate::fls_score::FlsWeights;
+use crate::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand};
 use crate::peg_geometry::{FieldOfView, Peg, RingPlacement, RingShape};
-use crate::peg_rules::{ErrorKind, Happening, PegTransferSetup, RingObservation, Rules, TipObservation};
+use crate::peg_rules::{ErrorKind, PegTransferSetup, RingObservation, Rules, TaskEvent, TipObservation};
 use crate::peg_transfer::{Outcome, PegTransfer};
 
 /// `TaskState` is written at least every this many ticks, and whenever something happened.
@@ -160,7 +160,7 @@ impl PegTransferController {
         }
     }
 
-    fn report(&self, me: Entity, happening: &Happening, out: &mut Commands) {
+    fn report(&self, me: Entity, happening: &TaskEvent, out: &mut Commands) {
         let ring = |index: usize| self.rings[index];
         let instrument = |side: Side| {
             Some(match side {
@@ -170,19 +170,19 @@ impl PegTransferController {
         };
         let done = f64::from(self.state.exercise.done());
         match *happening {
-            Happening::Started => out.event("task_started", me, None, 0.0),
-            Happening::Lifted { ring: index, by } => {
+            TaskEvent::Started => out.event("task_started", me, None, 0.0),
+            TaskEvent::Lifted { ring: index, by } => {
                 out.event("ring_lifted", ring(index), instrument(by), done);
             }
-            Happening::HandedOver { ring: index, to } => {
+            TaskEvent::HandedOver { ring: index, to } => {
                 out.event("ring_handed_over", ring(index), instrument(to), done);
             }
-            Happening::Placed { ring: index, .. } => out.event("ring_placed", ring(index), None, done),
-            Happening::Returning => out.event("rings_return", me, None, done),
-            Happening::Error(error) => {
+            TaskEvent::Placed { ring: index, .. } => out.event("ring_placed", ring(index), None, done),
+            TaskEvent::Returning => out.event("rings_return", me, None, done),
+            TaskEvent::Error(error) => {
                 out.event(error.kind.as_str(), ring(error.ring), None, error.at_secs);
             }
-            Happening::Finished => {
+            TaskEvent::Finished => {
                 let score = self.state.exercise.score(&self.setup).unwrap_or(0.0);
                 out.event("task_finished", me, None, score);
             }

@@ -5,7 +5,7 @@ use trocar_scene::Side;
 use trocar_tasks::fls_score::FlsWeights;
 use trocar_tasks::peg_geometry::{FieldOfView, Peg, RingPlacement, RingShape};
 use trocar_tasks::peg_rules::{
-    ErrorKind, Happening, PegTransferSetup, RingObservation, Rules, TipObservation,
+    ErrorKind, PegTransferSetup, RingObservation, Rules, TaskEvent, TipObservation,
 };
 use trocar_tasks::peg_transfer::{Outcome, PegTransfer};
 
@@ -40,7 +40,7 @@ struct Script {
     exercise: PegTransfer,
     secs: f64,
     rings: Vec<RingObservation>,
-    happened: Vec<Happening>,
+    happened: Vec<TaskEvent>,
 }
 
 impl Script {
@@ -104,7 +104,7 @@ impl Script {
     fn errors(&self) -> Vec<ErrorKind> {
         self.exercise.errors().iter().map(|error| error.kind).collect()
     }
-    fn count(&self, matches: impl Fn(&Happening) -> bool) -> usize {
+    fn count(&self, matches: impl Fn(&TaskEvent) -> bool) -> usize {
         self.happened.iter().filter(|happening| matches(happening)).count()
     }
 }
@@ -129,10 +129,10 @@ fn a_faultless_exercise_completes_with_a_score() {
         assert_eq!(exercise.outcome(), Some(Outcome::Completed));
         assert_eq!((exercise.done(), exercise.steps(), exercise.phase()), (12, 12, "finished"));
         assert_eq!(script.errors(), []);
-        assert_eq!(script.count(|h| matches!(h, Happening::Lifted { .. })), 12);
-        assert_eq!(script.count(|h| matches!(h, Happening::HandedOver { .. })), 12);
-        assert_eq!(script.count(|h| matches!(h, Happening::Placed { .. })), 12);
-        assert_eq!(script.count(|h| matches!(h, Happening::Returning)), 1);
+        assert_eq!(script.count(|h| matches!(h, TaskEvent::Lifted { .. })), 12);
+        assert_eq!(script.count(|h| matches!(h, TaskEvent::HandedOver { .. })), 12);
+        assert_eq!(script.count(|h| matches!(h, TaskEvent::Placed { .. })), 12);
+        assert_eq!(script.count(|h| matches!(h, TaskEvent::Returning)), 1);
         // The clock ran from the first touch at 5 s to the last rest.
         let seconds = exercise.seconds();
         assert!((seconds - (script.secs - 5.0)).abs() < 0.3, "{seconds}");
@@ -263,7 +263,7 @@ fn short_gaps_in_the_contacts_are_not_a_drop() {
         script.rings[0].held_by = [true, false];
         script.wait(0.02);
     }
-    assert_eq!(script.count(|h| matches!(h, Happening::Lifted { .. })), 1);
+    assert_eq!(script.count(|h| matches!(h, TaskEvent::Lifted { .. })), 1);
     assert_eq!(script.exercise.phase(), "over.hand_over");
 }
 

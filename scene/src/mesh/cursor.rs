@@ -4,7 +4,7 @@ use std::fmt::Display;
 use std::path::Path;
 use std::str::FromStr;
 
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::limits::Limits;
 
 /// Longest token or line that is quoted in a message \[characters\].
@@ -19,8 +19,8 @@ pub(super) enum Order {
 
 /// A position, converted to a line number only when a message needs it (lines are counted from the start).
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Where {
-    Place(Place),
+pub(super) enum LazyPosition {
+    Known(FilePosition),
     LineOfByte(usize),
 }
 
@@ -48,34 +48,34 @@ impl<'a> Cursor<'a> {
     }
 
     /// The line of the next byte.
-    pub fn line(&self) -> Where {
-        Where::LineOfByte(self.at)
+    pub fn line(&self) -> LazyPosition {
+        LazyPosition::LineOfByte(self.at)
     }
-    pub fn byte(&self) -> Where {
-        Where::Place(Place::Byte(self.at))
+    pub fn byte(&self) -> LazyPosition {
+        LazyPosition::Known(FilePosition::Byte(self.at))
     }
-    fn place(&self, at: Where) -> Place {
+    fn place(&self, at: LazyPosition) -> FilePosition {
         match at {
-            Where::Place(place) => place,
-            Where::LineOfByte(at) => Place::Line(
+            LazyPosition::Known(place) => place,
+            LazyPosition::LineOfByte(at) => FilePosition::Line(
                 1 + self.bytes[..at.min(self.bytes.len())].iter().filter(|&&b| b == b'\n').count(),
             ),
         }
     }
 
-    pub fn malformed(&self, at: Where, reason: impl Display) -> MeshError {
+    pub fn malformed(&self, at: LazyPosition, reason: impl Display) -> MeshError {
         MeshError::Malformed { file: self.file.into(), place: self.place(at), reason: reason.to_string() }
     }
-    pub fn unsupported(&self, at: Where, what: impl Display, supported: &'static str) -> MeshError {
+    pub fn unsupported(&self, at: LazyPosition, what: impl Display, supported: &'static str) -> MeshError {
         let (file, place) = (self.file.into(), self.place(at));
         MeshError::Unsupported { file, place, what: what.to_string(), supported }
     }
-    pub fn too_large(&self, at: Where, what: &'static str, count: u64, limit: u64) -> MeshError {
+    pub fn too_large(&self, at: LazyPosition, what: &'static str, count: u64, limit: u64) -> MeshError {
         MeshError::TooLarge { file: self.file.into(), place: self.place(at), what, count, limit }
     }
     pub fn out_of_range(
         &self,
-        at: Where,
+        at: LazyPosition,
         element: &'static str,
         index: usize,
         vertex: i64,
@@ -144,7 +144,7 @@ impl<'a> Cursor<'a> {
 
     pub fn finite(
         &self,
-        at: Where,
+        at: LazyPosition,
         what: &'static str,
         index: usize,
         numbers: &[f64],
@@ -162,7 +162,7 @@ impl<'a> Cursor<'a> {
     /// per item.
     pub fn count(
         &self,
-        at: Where,
+        at: LazyPosition,
         what: &'static str,
         declared: u64,
         least_bytes: u64,

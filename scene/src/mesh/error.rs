@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// Where in a file.
+/// Position in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum FilePosition {
     /// The file as a whole.
     Whole,
     /// A line of text, counted from 1.
@@ -16,12 +16,12 @@ pub enum Place {
     Byte(usize),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for FilePosition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Place::Whole => Ok(()),
-            Place::Line(line) => write!(f, ", line {line}"),
-            Place::Byte(byte) => write!(f, ", byte {byte}"),
+            FilePosition::Whole => Ok(()),
+            FilePosition::Line(line) => write!(f, ", line {line}"),
+            FilePosition::Byte(byte) => write!(f, ", byte {byte}"),
         }
     }
 }
@@ -43,8 +43,8 @@ pub enum MeshError {
     TooLarge {
         /// The file.
         file: PathBuf,
-        /// Place of the number.
-        place: Place,
+        /// Position of the number.
+        place: FilePosition,
         /// What is counted: bytes, vertices, elements.
         what: &'static str,
         /// How many there are, or are declared.
@@ -57,8 +57,8 @@ pub enum MeshError {
     Truncated {
         /// The file.
         file: PathBuf,
-        /// Place of the number.
-        place: Place,
+        /// Position of the number.
+        place: FilePosition,
         /// What is counted.
         what: &'static str,
         /// How many are declared.
@@ -71,8 +71,8 @@ pub enum MeshError {
     Malformed {
         /// The file.
         file: PathBuf,
-        /// Where.
-        place: Place,
+        /// Position in the file.
+        place: FilePosition,
         /// What was found and what was expected.
         reason: String,
     },
@@ -81,8 +81,8 @@ pub enum MeshError {
     Unsupported {
         /// The file.
         file: PathBuf,
-        /// Where.
-        place: Place,
+        /// Position in the file.
+        place: FilePosition,
         /// What was found.
         what: String,
         /// What is supported.
@@ -93,8 +93,8 @@ pub enum MeshError {
     IndexOutOfRange {
         /// The file.
         file: PathBuf,
-        /// Where.
-        place: Place,
+        /// Position in the file.
+        place: FilePosition,
         /// Triangle, face or tetrahedron.
         element: &'static str,
         /// Which one, counted from 0.
@@ -109,8 +109,8 @@ pub enum MeshError {
     NotFinite {
         /// The file.
         file: PathBuf,
-        /// Where.
-        place: Place,
+        /// Position in the file.
+        place: FilePosition,
         /// Vertex, normal or texture coordinate.
         what: &'static str,
         /// Which one, counted from 0.

@@ -14,9 +14,9 @@ use json::mesh::{Mode, Semantic};
 use json::validation::Checked;
 use nalgebra::{Matrix3, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
 
-use super::cursor::{Cursor, Where};
+use super::cursor::{Cursor, LazyPosition};
 use super::data::SurfaceData;
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::gltf_buffer::Buffers;
 use super::limits::Limits;
 
@@ -33,18 +33,18 @@ pub fn read_gltf(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDa
     let cursor = Cursor::new(file, bytes, limits);
     let (document, blob) = split_glb(&cursor, bytes)?;
     let root: json::Root = json::deserialize::from_slice(document).map_err(|error| {
-        let place = if blob.is_none() { Place::Line(error.line()) } else { Place::Whole };
-        cursor.malformed(Where::Place(place), format!("not a glTF document: {error}"))
+        let place = if blob.is_none() { FilePosition::Line(error.line()) } else { FilePosition::Whole };
+        cursor.malformed(LazyPosition::Known(place), format!("not a glTF document: {error}"))
     })?;
-    let fail = |reason: String| cursor.malformed(Where::Place(Place::Whole), reason);
+    let fail = |reason: String| cursor.malformed(LazyPosition::Known(FilePosition::Whole), reason);
     if root.asset.version.split('.').next() != Some("2") {
         let what = format!("glTF version '{}'", root.asset.version.escape_default());
-        return Err(cursor.unsupported(Where::Place(Place::Whole), what, "2.0"));
+        return Err(cursor.unsupported(LazyPosition::Known(FilePosition::Whole), what, "2.0"));
     }
     if let Some(extension) = root.extensions_required.first() {
         let what = format!("required extension '{}'", extension.escape_default());
         return Err(cursor.unsupported(
-            Where::Place(Place::Whole),
+            LazyPosition::Known(FilePosition::Whole),
             what,
             "documents without required extensions",
         ));
@@ -123,7 +123,7 @@ struct Walk<'a> {
 
 impl Walk<'_> {
     fn fail(&self, reason: String) -> MeshError {
-        self.cursor.malformed(Where::Place(Place::Whole), reason)
+        self.cursor.malformed(LazyPosition::Known(FilePosition::Whole), reason)
     }
 
     fn node(
@@ -159,7 +159,7 @@ impl Walk<'_> {
         for (k, primitive) in mesh.primitives.iter().enumerate() {
             let part = self.primitive(primitive, &format!("mesh {index}, primitive {k}"), transform)?;
             let limits = self.cursor.limits;
-            let whole = Where::Place(Place::Whole);
+            let whole = LazyPosition::Known(FilePosition::Whole);
             self.decoded += part.positions.len() as u64;
             if self.decoded > limits.vertices {
                 return Err(self.cursor.too_large(whole, "vertices", self.decoded, limits.vertices));
@@ -198,7 +198,7 @@ impl Walk<'_> {
         if let Some(k) = indices.iter().position(|&v| v as usize >= positions.len()) {
             let (vertex, count) = (i64::from(indices[k]), positions.len());
             return Err(self.cursor.out_of_range(
-                Where::Place(Place::Whole),
+                LazyPosition::Known(FilePosition::Whole),
                 "triangle",
                 k / 3,
                 vertex,
@@ -227,7 +227,7 @@ impl Walk<'_> {
         let positions: Vec<Point3<f64>> =
             positions.iter().map(|p| transform.transform_point(&Point3::from(*p))).collect();
         if let Some(index) = positions.iter().position(|p| !p.coords.iter().all(|x| x.is_finite())) {
-            let (at, coords) = (Where::Place(Place::Whole), positions[index].coords);
+            let (at, coords) = (LazyPosition::Known(FilePosition::Whole), positions[index].coords);
             self.cursor.finite(at, "vertex", index, coords.as_slice())?;
         }
         Ok(SurfaceData { positions, triangles, normals, uvs })

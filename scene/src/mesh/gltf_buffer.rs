@@ -6,12 +6,12 @@ use ::gltf::json;
 use json::accessor::{ComponentType, Type};
 use json::validation::Checked;
 
-use super::cursor::{Cursor, Where};
-use super::error::{MeshError, Place};
+use super::cursor::{Cursor, LazyPosition};
+use super::error::{FilePosition, MeshError};
 use super::limits::read_bytes;
 use crate::confined_path;
 
-const WHOLE: Where = Where::Place(Place::Whole);
+const WHOLE: LazyPosition = LazyPosition::Known(FilePosition::Whole);
 
 /// The bytes of every buffer of a document.
 pub(super) struct Buffers<'a> {
@@ -52,7 +52,7 @@ impl<'a> Buffers<'a> {
                     (cursor.file.into(), buffer.byte_length.0, bytes.len() as u64);
                 return Err(MeshError::Truncated {
                     file,
-                    place: Place::Whole,
+                    place: FilePosition::Whole,
                     what: "bytes of a buffer",
                     declared,
                     possible,

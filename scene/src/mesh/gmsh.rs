@@ -10,9 +10,9 @@ use std::path::Path;
 
 use nalgebra::Point3;
 
-use super::cursor::{Cursor, Order, Where, quoted};
+use super::cursor::{Cursor, LazyPosition, Order, quoted};
 use super::data::{LineData, TetData};
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::limits::Limits;
 use super::{gmsh_v2, gmsh_v4};
 
@@ -121,7 +121,10 @@ fn read(file: &Path, bytes: &[u8], limits: &Limits, mut volume: Volume) -> Resul
         Some(_) => None,
     };
     if let Some(missing) = missing {
-        return Err(cursor.malformed(Where::Place(Place::Whole), format!("the file ends without {missing}")));
+        return Err(cursor.malformed(
+            LazyPosition::Known(FilePosition::Whole),
+            format!("the file ends without {missing}"),
+        ));
     }
     Ok(volume)
 }
@@ -195,7 +198,7 @@ impl Volume {
     pub fn add_node(
         &mut self,
         cursor: &Cursor,
-        place: Where,
+        place: LazyPosition,
         tag: u64,
         point: [f64; 3],
     ) -> Result<(), MeshError> {
@@ -210,7 +213,7 @@ impl Volume {
     pub fn add_tet(
         &mut self,
         cursor: &Cursor,
-        place: Where,
+        place: LazyPosition,
         nodes: [u64; 4],
         tag: i32,
     ) -> Result<(), MeshError> {
@@ -224,7 +227,12 @@ impl Volume {
     }
 
     /// Adds a line of two nodes, when lines are read.
-    pub fn add_line(&mut self, cursor: &Cursor, place: Where, nodes: [u64; 2]) -> Result<(), MeshError> {
+    pub fn add_line(
+        &mut self,
+        cursor: &Cursor,
+        place: LazyPosition,
+        nodes: [u64; 2],
+    ) -> Result<(), MeshError> {
         let Some(lines) = &self.lines else { return Ok(()) };
         let ends = self.vertices(cursor, place, ("line", lines.len()), nodes)?;
         if ends[0] == ends[1] {
@@ -237,7 +245,7 @@ impl Volume {
     fn vertices<const N: usize>(
         &self,
         cursor: &Cursor,
-        place: Where,
+        place: LazyPosition,
         (element, index): (&'static str, usize),
         nodes: [u64; N],
     ) -> Result<[u32; N], MeshError> {
@@ -260,7 +268,11 @@ pub(super) enum ElementKind {
 }
 
 /// Gmsh's element types of dimension 0 to 2, with their number of nodes, and the tetrahedron.
-pub(super) fn element_kind(cursor: &Cursor, place: Where, kind: i64) -> Result<ElementKind, MeshError> {
+pub(super) fn element_kind(
+    cursor: &Cursor,
+    place: LazyPosition,
+    kind: i64,
+) -> Result<ElementKind, MeshError> {
     Ok(match kind {
         4 => ElementKind::Tetrahedron,
         1 => ElementKind::Line,

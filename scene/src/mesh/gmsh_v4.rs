@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::cursor::{Cursor, Where};
+use super::cursor::{Cursor, LazyPosition};
 use super::error::MeshError;
 use super::gmsh::{ElementKind, Encoding, Volume, element_kind};
 
@@ -16,7 +16,7 @@ struct Numbers<'c, 'a> {
 }
 
 impl Numbers<'_, '_> {
-    fn here(&self) -> Where {
+    fn here(&self) -> LazyPosition {
         match self.encoding {
             Encoding::Ascii => self.cursor.line(),
             Encoding::Binary(_) => self.cursor.byte(),

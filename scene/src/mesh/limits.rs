@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 
 /// Size limits of a mesh file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,7 +28,7 @@ pub(super) fn read_bytes(file: &Path, limits: &Limits) -> Result<Vec<u8>, MeshEr
     let io = |source| MeshError::Io { file: file.into(), source };
     let too_large = |count| MeshError::TooLarge {
         file: file.into(),
-        place: Place::Whole,
+        place: FilePosition::Whole,
         what: "bytes",
         count,
         limit: limits.bytes,

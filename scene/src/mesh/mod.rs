@@ -31,7 +31,7 @@ mod validate_tets;
 mod vtk;
 
 pub use data::{LineData, SplitSurface, SurfaceData, TetData};
-pub use error::{MeshError, Place};
+pub use error::{FilePosition, MeshError};
 pub use gltf::read_gltf;
 pub use gmsh::{read_gmsh, read_gmsh_line};
 pub use limits::Limits;

@@ -9,9 +9,9 @@ use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
 
-use super::cursor::{Cursor, Where, quoted};
+use super::cursor::{Cursor, LazyPosition, quoted};
 use super::data::{LineData, SurfaceData};
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::limits::Limits;
 
 /// Largest number of corners of one polygon.
@@ -46,7 +46,9 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
     let mut cursor = Cursor::new(file, bytes, limits);
     let parsed = parse(&mut cursor, limits, false)?;
     if parsed.triangles.is_empty() {
-        return Err(cursor.malformed(Where::Place(Place::Whole), "there is no face in the file"));
+        return Err(
+            cursor.malformed(LazyPosition::Known(FilePosition::Whole), "there is no face in the file")
+        );
     }
     Ok(parsed.into_surface())
 }
@@ -59,7 +61,8 @@ pub fn read_obj_line(file: &Path, bytes: &[u8], limits: &Limits) -> Result<LineD
     let mut cursor = Cursor::new(file, bytes, limits);
     let parsed = parse(&mut cursor, limits, true)?;
     if parsed.segments.is_empty() {
-        return Err(cursor.malformed(Where::Place(Place::Whole), "there is no polyline ('l') in the file"));
+        return Err(cursor
+            .malformed(LazyPosition::Known(FilePosition::Whole), "there is no polyline ('l') in the file"));
     }
     Ok(LineData { positions: parsed.positions, segments: parsed.segments })
 }
@@ -70,7 +73,7 @@ fn parse(cursor: &mut Cursor, limits: &Limits, lines: bool) -> Result<Parsed, Me
     let mut polygon = Vec::new();
     while let Some(line) = cursor.next_line() {
         number += 1;
-        let place = Where::Place(Place::Line(number));
+        let place = LazyPosition::Known(FilePosition::Line(number));
         let line = &line[..line.iter().position(|&b| b == b'#').unwrap_or(line.len())];
         if line.ends_with(b"\\") {
             return Err(cursor.unsupported(place, "a line continued by a backslash", "one element per line"));
@@ -145,7 +148,7 @@ fn parse(cursor: &mut Cursor, limits: &Limits, lines: bool) -> Result<Parsed, Me
 
 fn limit(
     cursor: &Cursor,
-    place: Where,
+    place: LazyPosition,
     what: &'static str,
     count: usize,
     limit: u64,
@@ -156,7 +159,7 @@ fn limit(
     Err(cursor.too_large(place, what, count as u64 + 1, limit))
 }
 
-fn number(cursor: &Cursor, place: Where, what: &str, word: Option<&[u8]>) -> Result<f64, MeshError> {
+fn number(cursor: &Cursor, place: LazyPosition, what: &str, word: Option<&[u8]>) -> Result<f64, MeshError> {
     let word = word.ok_or_else(|| cursor.malformed(place, format!("{what} has too few numbers")))?;
     std::str::from_utf8(word)
         .ok()
@@ -166,7 +169,7 @@ fn number(cursor: &Cursor, place: Where, what: &str, word: Option<&[u8]>) -> Res
 
 fn numbers<'a, const N: usize>(
     cursor: &Cursor,
-    place: Where,
+    place: LazyPosition,
     what: &'static str,
     index: usize,
     words: &mut impl Iterator<Item = &'a [u8]>,
@@ -182,7 +185,7 @@ fn numbers<'a, const N: usize>(
 /// One to three numbers; a missing v is 0 and the third is for volume textures.
 fn texture_coordinate<'a>(
     cursor: &Cursor,
-    place: Where,
+    place: LazyPosition,
     index: usize,
     mut words: impl Iterator<Item = &'a [u8]>,
 ) -> Result<[f64; 2], MeshError> {
@@ -194,7 +197,7 @@ fn texture_coordinate<'a>(
 }
 
 /// `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative numbers count back from the latest element.
-fn corner(cursor: &Cursor, place: Where, word: &[u8], parsed: &Parsed) -> Result<Corner, MeshError> {
+fn corner(cursor: &Cursor, place: LazyPosition, word: &[u8], parsed: &Parsed) -> Result<Corner, MeshError> {
     let bad = || {
         let reason = format!("corner {} is not v, v/vt, v//vn or v/vt/vn", quoted(word));
         cursor.malformed(place, reason)

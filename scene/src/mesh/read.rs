@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::data::{LineData, SurfaceData, TetData};
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::limits::{Limits, read_bytes};
 use super::{
     read_gltf, read_gmsh, read_gmsh_line, read_obj, read_obj_line, read_stl, read_vtk, read_vtk_line,
@@ -67,5 +67,5 @@ fn unknown_extension(file: &Path, extension: &str, supported: &'static str) -> M
     } else {
         format!("extension '{extension}'")
     };
-    MeshError::Unsupported { file: file.into(), place: Place::Whole, what, supported }
+    MeshError::Unsupported { file: file.into(), place: FilePosition::Whole, what, supported }
 }

@@ -8,9 +8,9 @@ use std::path::Path;
 
 use nalgebra::Point3;
 
-use super::cursor::{Cursor, Order, Where, quoted};
+use super::cursor::{Cursor, LazyPosition, Order, quoted};
 use super::data::SurfaceData;
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::limits::Limits;
 
 const HEADER: usize = 80;
@@ -30,12 +30,19 @@ pub fn read_stl(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
     let mut surface = if text && !exact { ascii(cursor)? } else { binary(cursor)? };
     if surface.triangles.is_empty() {
         let cursor = Cursor::new(file, bytes, limits);
-        return Err(cursor.malformed(Where::Place(Place::Whole), "there is no facet in the file"));
+        return Err(
+            cursor.malformed(LazyPosition::Known(FilePosition::Whole), "there is no facet in the file")
+        );
     }
     surface.weld_identical();
     if surface.positions.len() as u64 > limits.vertices {
         let (cursor, count) = (Cursor::new(file, bytes, limits), surface.positions.len() as u64);
-        return Err(cursor.too_large(Where::Place(Place::Whole), "vertices", count, limits.vertices));
+        return Err(cursor.too_large(
+            LazyPosition::Known(FilePosition::Whole),
+            "vertices",
+            count,
+            limits.vertices,
+        ));
     }
     Ok(surface)
 }

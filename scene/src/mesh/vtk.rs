@@ -8,9 +8,9 @@ use std::path::Path;
 
 use nalgebra::Point3;
 
-use super::cursor::{Cursor, Order, Where, quoted};
+use super::cursor::{Cursor, LazyPosition, Order, quoted};
 use super::data::{LineData, TetData};
-use super::error::{MeshError, Place};
+use super::error::{FilePosition, MeshError};
 use super::limits::Limits;
 
 const TETRA: i64 = 10;
@@ -40,7 +40,7 @@ enum Kind {
 }
 
 impl Kind {
-    fn parse(cursor: &Cursor, place: Where, name: &str) -> Result<Self, MeshError> {
+    fn parse(cursor: &Cursor, place: LazyPosition, name: &str) -> Result<Self, MeshError> {
         Ok(match name.to_ascii_lowercase().as_str() {
             "char" => Kind::I8,
             "unsigned_char" => Kind::U8,
@@ -223,18 +223,18 @@ impl Cells {
 }
 
 impl Reader<'_> {
-    fn twice(&self, place: Where, line: &str) -> MeshError {
+    fn twice(&self, place: LazyPosition, line: &str) -> MeshError {
         let reason = format!("{} stands twice, or without its counts", quoted(line.as_bytes()));
         self.cursor.malformed(place, reason)
     }
 
-    fn here(&self) -> Where {
+    fn here(&self) -> LazyPosition {
         if self.binary { self.cursor.byte() } else { self.cursor.line() }
     }
 
     fn count(
         &self,
-        place: Where,
+        place: LazyPosition,
         what: &'static str,
         word: &str,
         ascii: u64,
@@ -274,7 +274,12 @@ impl Reader<'_> {
         (0..count).map(|_| self.integer(kind, what)).collect()
     }
 
-    fn points(&mut self, place: Where, count: &str, kind: &str) -> Result<Vec<Point3<f64>>, MeshError> {
+    fn points(
+        &mut self,
+        place: LazyPosition,
+        count: &str,
+        kind: &str,
+    ) -> Result<Vec<Point3<f64>>, MeshError> {
         let kind = Kind::parse(&self.cursor, place, kind)?;
         let limit = self.cursor.limits.vertices;
         let count = self.count(place, "points", count, 6, 3 * kind.bytes(), limit)?;
@@ -305,7 +310,7 @@ impl Reader<'_> {
         Ok(points)
     }
 
-    fn cells(&mut self, place: Where, count: &str, size: &str) -> Result<Cells, MeshError> {
+    fn cells(&mut self, place: LazyPosition, count: &str, size: &str) -> Result<Cells, MeshError> {
         let limit = self.cursor.limits.elements;
         // Version 5 has a list of offsets here, marked by the next word, possibly on a line of its own.
         let mut ahead = self.cursor.clone();
@@ -379,7 +384,7 @@ impl Reader<'_> {
     }
 
     /// Arrays of a FIELD: `name components tuples type`, then the numbers.
-    fn skip_field(&mut self, place: Where, count: &str) -> Result<(), MeshError> {
+    fn skip_field(&mut self, place: LazyPosition, count: &str) -> Result<(), MeshError> {
         let arrays = self.count(place, "arrays", count, 8, 8, self.cursor.limits.elements)?;
         for _ in 0..arrays {
             self.cursor.skip_space();
@@ -423,7 +428,8 @@ type Parts = (Vec<Point3<f64>>, Cells, Option<Vec<i64>>);
 
 impl Sections<'_> {
     fn missing(&self, what: &str) -> MeshError {
-        self.cursor.malformed(Where::Place(Place::Whole), format!("the file has no {what} section"))
+        self.cursor
+            .malformed(LazyPosition::Known(FilePosition::Whole), format!("the file has no {what} section"))
     }
 
     fn parts(&mut self) -> Result<Parts, MeshError> {
@@ -437,7 +443,7 @@ impl Sections<'_> {
         let count = cells.offsets.len().saturating_sub(1);
         if types.len() != count {
             let reason = format!("there are {count} cells, but {} cell types", types.len());
-            return Err(self.cursor.malformed(Where::Place(Place::Whole), reason));
+            return Err(self.cursor.malformed(LazyPosition::Known(FilePosition::Whole), reason));
         }
         Ok((points, cells, Some(types)))
     }
@@ -451,14 +457,14 @@ impl Sections<'_> {
         match usize::try_from(written).is_ok_and(|vertex| vertex < vertices) {
             true => Ok(written as u32),
             false => {
-                let whole = Where::Place(Place::Whole);
+                let whole = LazyPosition::Known(FilePosition::Whole);
                 Err(self.cursor.out_of_range(whole, element, cell, written, vertices))
             }
         }
     }
 
     fn tets(mut self) -> Result<TetData, MeshError> {
-        let whole = Where::Place(Place::Whole);
+        let whole = LazyPosition::Known(FilePosition::Whole);
         let (positions, cells, types) = self.parts()?;
         let mut tets = Vec::new();
         for (cell, kind) in types.unwrap_or_default().into_iter().enumerate() {
@@ -488,7 +494,7 @@ impl Sections<'_> {
     }
 
     fn lines(mut self) -> Result<LineData, MeshError> {
-        let whole = Where::Place(Place::Whole);
+        let whole = LazyPosition::Known(FilePosition::Whole);
         let (positions, cells, types) = self.parts()?;
         let mut segments = Vec::new();
         for cell in 0..cells.offsets.len().saturating_sub(1) {

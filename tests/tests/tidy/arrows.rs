@@ -18,7 +18,7 @@ const ARROWS: [(&str, &[&str]); 16] = [
     ("trocar-simulator", &["trocar-scene", "trocar-collision", "trocar-dynamics"]),
     ("trocar-tasks", &["trocar-scene"]),
     ("trocar-haptics", &["trocar-scene", "trocar-devices"]),
-    ("trocar-input", &["trocar-scene", "trocar-devices"]),
+    ("trocar-input", &["trocar-scene", "trocar-devices", "trocar-tasks"]),
     (
         "trocar",
         &[

@@ -5,9 +5,10 @@ use super::{ROOMS, root};
 #[test]
 fn the_sessions_of_the_manual_are_the_examples_that_the_tests_build() {
     let read = |name: &str| std::fs::read_to_string(root().join(name)).expect("a readable file");
-    for (page, name) in
-        [("docs/sessions.md", "ui/sdk/examples/slippery.rs"), ("docs/pictures.md", "ui/cli/examples/eye.rs")]
-    {
+    for (page, name) in [
+        ("docs/sessions.md", "ui/sdk/examples/slippery.rs"),
+        ("docs/pictures.md", "ui/cli/examples/offscreen.rs"),
+    ] {
         let (page_text, example) = (read(page), read(name));
         let (_, program) = example.split_once("\n\n").expect("a head and a program");
         assert!(

@@ -10,7 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use serde_json::Value;
 use trocar::tuning;
 
-pub use picture::{Care, Eyes, PictureArgs, WindowArgs, size};
+pub use picture::{PictureArgs, PictureQuality, StereoLayout, WindowArgs, size};
 
 /// Surgical simulation by actors: one Model, many controllers, each at a rate of its own.
 #[derive(Debug, Parser)]

@@ -8,7 +8,7 @@ use serde_json::json;
 use trocar::app::{App, SCENARIOS};
 use trocar::run::{RunOptions, run};
 use trocar::summary::{Exit, SCHEMA};
-use trocar_viewer::{Eye, Layout, Quality, View};
+use trocar_viewer::{Layout, OffscreenRenderer, Quality, View};
 
 use crate::args::{positive, size};
 use crate::escape;
@@ -89,11 +89,12 @@ fn shoot(app: &App, args: &GalleryArgs, name: &str) -> Result<Shot, Failure> {
         RunOptions { lockstep: true, seconds: Some(args.at), seed: args.seed, ..RunOptions::default() };
     let outcome = run(app, &scenario, &options, &mut |_| {})?;
     let scene = &outcome.kernel.snapshot;
-    let mut eye = Eye::new(Some(scenario.folder().to_owned())).map_err(Failure::invalid)?;
-    eye.quality = Quality::FINE;
+    let mut renderer =
+        OffscreenRenderer::new(Some(scenario.folder().to_owned())).map_err(Failure::invalid)?;
+    renderer.quality = Quality::FINE;
     let (width, height) = args.size;
     let view = View::default_of(scene, Some(f64::from(width) / f64::from(height)));
-    let picture = eye.picture(scene, &view, &Layout::Mono, [width, height]).map_err(Failure::invalid)?;
+    let picture = renderer.picture(scene, &view, &Layout::Mono, [width, height]).map_err(Failure::invalid)?;
     let file = format!("{}.png", scenario.name);
     let path = args.folder.join(&file);
     output::check_writable(&path)?;

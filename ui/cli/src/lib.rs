@@ -30,6 +30,7 @@ mod report;
 mod run;
 mod show;
 mod soak;
+mod startup;
 mod tune;
 mod window;
 

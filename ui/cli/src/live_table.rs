@@ -52,6 +52,11 @@ impl Display {
         Self { kind, title: printable(&scenario.name) }
     }
 
+    /// Whether nothing is shown.
+    pub fn is_silent(&self) -> bool {
+        matches!(self.kind, Kind::Silent)
+    }
+
     /// Shows the state of the session; returns at once between two redraws.
     pub fn update(&mut self, progress: &Progress<'_>) {
         match &mut self.kind {
@@ -189,7 +194,7 @@ fn rate_row(row: &ControllerReport, before: Option<&(u64, f64)>, now: f64) -> Ve
 }
 
 /// Bodies that wait for a precomputation, and the share of it that is done.
-fn waiting(scene: &Snapshot) -> impl Iterator<Item = (&str, f64)> {
+pub fn waiting(scene: &Snapshot) -> impl Iterator<Item = (&str, f64)> {
     let measured = scene.iter::<Measured>().flat_map(|(_, measured)| &measured.values);
     let shares =
         measured.filter_map(|(what, share)| Some((what.strip_suffix(".precomputed_share")?, *share)));

@@ -17,7 +17,7 @@ pub fn new(args: &NewArgs) -> Result<Exit, Failure> {
     })?;
     let folder = args.path.clone().unwrap_or_else(|| PathBuf::from(&args.name));
     let files = known.write(&args.name, &folder, &source(args)?).map_err(|error| match error {
-        TemplateError::Name { .. } | TemplateError::Place(_) => Failure::usage(error),
+        TemplateError::Name { .. } | TemplateError::Path(_) => Failure::usage(error),
         error => Failure::invalid(error),
     })?;
     let mut lines = vec![format!("{}: {}", folder.display(), known.about)];

@@ -4,17 +4,17 @@ use std::path::{Path, PathBuf};
 
 use trocar::summary::RunSummary;
 use trocar_scene::{SimTime, Snapshot};
-use trocar_viewer::draw_list::Stage;
-use trocar_viewer::layout::Sight;
-use trocar_viewer::{Eye, Film, Layout, Motion, Overlays, Quality, View, ViewError};
+use trocar_viewer::draw_list::DrawList;
+use trocar_viewer::layout::TileView;
+use trocar_viewer::{Film, Layout, Motion, OffscreenRenderer, Overlays, Quality, View, ViewError};
 
-use crate::args::{Care, Eyes, PictureArgs};
+use crate::args::{PictureArgs, PictureQuality, StereoLayout};
 use crate::failure::Failure;
 use crate::output;
 
 /// Takes pictures and film frames during a run.
 pub struct Photographer {
-    eye: Eye,
+    renderer: OffscreenRenderer,
     /// `None` for four views, until the first picture fits them to the scene.
     layout: Option<Layout>,
     cameras: Vec<String>,
@@ -43,35 +43,35 @@ impl Photographer {
         for camera in &args.camera {
             View::named(scene, camera, None).map_err(Failure::usage)?;
         }
-        if args.eyes == Eyes::Quad && args.camera.len() > 1 {
+        if args.eyes == StereoLayout::Quad && args.camera.len() > 1 {
             return Err(Failure::usage("--eyes quad shows four views of one camera; several are named"));
         }
         let overlays = Overlays::parse(&args.show.join(",")).map_err(Failure::usage)?;
-        let mut eye = match Eye::new(folder.map(Path::to_owned)) {
-            Ok(eye) => eye,
+        let mut renderer = match OffscreenRenderer::new(folder.map(Path::to_owned)) {
+            Ok(renderer) => renderer,
             Err(error) => {
                 tracing::warn!("no pictures: {error}");
                 return Ok(None);
             }
         };
-        eye.quality = args.care.map_or(Quality::FINE, Care::quality);
-        eye.renderer_mut().overlays = overlays;
+        renderer.quality = args.care.map_or(Quality::FINE, PictureQuality::quality);
+        renderer.renderer_mut().overlays = overlays;
         let (width, height) = args.size;
         let stereo = args.stereo();
         let layout = match args.eyes {
-            Eyes::One => Some(Layout::Mono),
-            Eyes::SideBySide => Some(Layout::SideBySide(stereo)),
-            Eyes::TopBottom => Some(Layout::TopBottom(stereo)),
-            Eyes::Rows => Some(Layout::RowInterleaved(stereo)),
-            Eyes::Anaglyph => Some(Layout::Anaglyph(stereo)),
-            Eyes::Quad => None,
+            StereoLayout::One => Some(Layout::Mono),
+            StereoLayout::SideBySide => Some(Layout::SideBySide(stereo)),
+            StereoLayout::TopBottom => Some(Layout::TopBottom(stereo)),
+            StereoLayout::Rows => Some(Layout::RowInterleaved(stereo)),
+            StereoLayout::Anaglyph => Some(Layout::Anaglyph(stereo)),
+            StereoLayout::Quad => None,
         };
         let film = args.film.as_ref().map(|file| {
             Film::create(file, [width, height], args.frames_per_second).map(|film| (film, file.clone()))
         });
         let film = film.transpose().map_err(Failure::invalid)?;
         Ok(Some(Self {
-            eye,
+            renderer,
             layout,
             cameras: args.camera.clone(),
             size: [width, height],
@@ -87,7 +87,7 @@ impl Photographer {
     /// Adds the frames that are due to the film. Frequent calls also capture the past that slow overlays such as trails
     /// show.
     pub fn look(&mut self, scene: &Snapshot, now: SimTime) {
-        self.eye.renderer_mut().watch(scene);
+        self.renderer.renderer_mut().watch(scene);
         if self.film.is_none() || self.failed.is_some() {
             return;
         }
@@ -117,19 +117,19 @@ impl Photographer {
             None => View::default_of(scene, aspect),
         };
         let layout = self.layout.get_or_insert_with(|| {
-            let mut stage = Stage::new();
+            let mut stage = DrawList::new();
             stage.update(scene);
             Layout::quad(&stage, &view)
         });
         if let [_, _, ..] = self.cameras.as_slice() {
             let mut tiles = Vec::with_capacity(self.cameras.len());
             for name in &self.cameras {
-                tiles.push(Sight::Free(View::named(scene, name, None)?));
+                tiles.push(TileView::Free(View::named(scene, name, None)?));
             }
             let layout = Layout::grid(tiles).each(layout);
-            return self.eye.picture(scene, &view, &layout, self.size);
+            return self.renderer.picture(scene, &view, &layout, self.size);
         }
-        self.eye.picture(scene, &view, layout, self.size)
+        self.renderer.picture(scene, &view, layout, self.size)
     }
 
     /// Takes the last picture, and completes the film. A failure is added to the summary's losses; score, recording and

@@ -12,16 +12,22 @@ use trocar::run::{RunOptions, RunOutcome};
 use trocar::summary::{Exit, Mode, RunSummary, TaskSummary};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::supervision::{Cause, Incident};
+use trocar_scene::Snapshot;
 use trocar_scene::scenario::Scenario;
 
 use crate::args::{RunArgs, SessionArgs};
+use crate::escape::printable;
 use crate::failure::{Failure, did_you_mean};
-use crate::live_table::Display;
+use crate::live_table::{Display, waiting};
 use crate::output;
 use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
-use crate::tune::{self, Desk};
-use crate::window::{self, Attendant, Next, Show};
+use crate::startup::{self, Startup};
+use crate::tune::{self, TuningService};
+use crate::window::{self, Next, SessionHost, Show};
+
+/// First stage of a start.
+const READING: &str = "reading the scenario and its meshes";
 
 /// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
@@ -34,6 +40,7 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
         None => Bindings::default(),
     };
     // Errors in the scenario are reported before a window opens.
+    let startup = Startup::new(&args.session.scenario, READING, args.json);
     let (scenario, _) = tune::scenario(app, &args.session)?;
     let show = Show {
         title: if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() },
@@ -41,16 +48,17 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
         first: Arc::new(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
         play: args.play.then_some(bindings),
     };
-    window::with_session(windows, &args.pictures, show, |mut attendant| {
+    drop(startup);
+    window::with_session(windows, &args.pictures, show, |mut host| {
         let mut number = 0_u32;
         loop {
             number = number.saturating_add(1);
-            let outcome = attempt(app, args, number, Some(&mut attendant));
+            let outcome = attempt(app, args, number, Some(&mut host));
             let (verdict, bad) = match &outcome {
                 Ok((summary, exit)) => (verdict(summary), *exit != Exit::Ok),
                 Err(failure) => (failure.message.clone(), true),
             };
-            let next = attendant.wait(verdict, bad);
+            let next = host.wait(verdict, bad);
             let told = told(args, outcome);
             if next == Next::End {
                 return told;
@@ -104,8 +112,9 @@ fn attempt(
     app: &App,
     args: &RunArgs,
     number: u32,
-    mut attendant: Option<&mut Attendant>,
+    mut host: Option<&mut SessionHost>,
 ) -> Result<(RunSummary, Exit), Failure> {
+    let startup = Startup::new(&args.session.scenario, READING, args.json);
     let (scenario, tuner) = tune::scenario(app, &args.session)?;
     let stem = file_stem(&scenario);
     let record = (!args.no_record).then(|| {
@@ -129,42 +138,59 @@ fn attempt(
         tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
     }
 
-    if options.play && attendant.is_none() {
+    if options.play && host.is_none() {
         tracing::warn!(
             "without a window nobody drives the hands: they rest until a program writes 'person_input'"
         );
     }
-    if let Some(attendant) = &mut attendant {
-        attendant.prepare(&mut options);
+    if let Some(host) = &mut host {
+        host.prepare(&mut options);
     }
 
     let mut display = Display::new(&scenario, &options, args.window.headless || args.json);
-    let mut desk = Desk::new(app, &scenario, tuner);
+    let mut tuning_service = TuningService::new(app, &scenario, tuner);
     if !args.lockstep {
         // In virtual time a session is over before a user could tune it.
-        desk.open();
+        tuning_service.open();
     }
     let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
+    if args.pictures.are_asked_for() {
+        startup.stage("the renderer of the pictures");
+    }
     let mut photographer = Photographer::new(&args.pictures, Some(scenario.folder()), &first)?;
+    startup.stage(&startup::first_step(&first));
+    let mut startup = Some(startup);
+    let mut stage = String::new();
     let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| {
-        desk.serve(progress.session);
+        if let Some(shown) = &startup {
+            match unready(progress.scene, host.as_deref()).filter(|_| display.is_silent()) {
+                // A live session goes on meanwhile.
+                Some(awaited) if awaited != stage => {
+                    shown.stage(&awaited);
+                    stage = awaited;
+                }
+                Some(_) => {}
+                None => startup = None,
+            }
+        }
+        tuning_service.serve(progress.session);
         display.update(progress);
         if let Some(photographer) = &mut photographer {
             photographer.look(progress.scene, progress.now);
         }
-        if let Some(attendant) = &mut attendant {
-            attendant.attend(progress, &mut desk);
+        if let Some(host) = &mut host {
+            host.update(progress, &mut tuning_service);
         }
     });
-    desk.close();
+    tuning_service.close();
     display.clear();
     let mut outcome = outcome?;
     if let Some(photographer) = photographer {
         photographer.finish(&outcome.kernel.snapshot, &mut outcome.summary);
     }
-    outcome.summary.tuned = desk.tuned(&outcome.kernel.snapshot);
-    if let Some(attendant) = attendant {
-        attendant.ended(outcome.kernel.snapshot.clone());
+    outcome.summary.tuned = tuning_service.tuned(&outcome.kernel.snapshot);
+    if let Some(host) = host {
+        host.ended(outcome.kernel.snapshot.clone());
     }
 
     if let Some(file) = report_file {
@@ -188,6 +214,14 @@ fn attempt(
         }
     }
     Ok((outcome.summary, exit))
+}
+
+/// What a session that has begun still waits for: computed inverses, and the first picture in a window.
+fn unready(scene: &Snapshot, host: Option<&SessionHost>) -> Option<String> {
+    let inverses = waiting(scene)
+        .map(|(body, share)| format!("the inverse of {} ({:.0} %)", printable(body), 100.0 * share));
+    let picture = host.is_some_and(SessionHost::awaits_picture).then(|| "the window".to_owned());
+    inverses.chain(picture).next()
 }
 
 /// The file name for a repetition, beside that of the first run.

@@ -7,7 +7,7 @@ use std::thread;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use trocar::app::App;
-use trocar::soak::{Soaked, soak};
+use trocar::soak::{SoakResult, soak};
 use trocar::summary::{Exit, SCHEMA};
 
 use crate::args::SoakArgs;
@@ -22,7 +22,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
     let style = ProgressStyle::with_template("{bar:30} {pos} of {len} plans  {msg}  {elapsed}, {eta} left");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     let next = AtomicU64::new(0);
-    let done: Mutex<Vec<Soaked>> = Mutex::new(Vec::new());
+    let done: Mutex<Vec<SoakResult>> = Mutex::new(Vec::new());
     let workers = thread::available_parallelism().map_or(1, usize::from);
     thread::scope(|scope| {
         for worker in 0..workers {
@@ -37,7 +37,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
                     let seed = args.from.wrapping_add(number);
                     let soaked = soak(app, scenario, seed, args.seconds, &file).unwrap_or_else(|error| {
                         // The results of the other plans are kept.
-                        Soaked {
+                        SoakResult {
                             seed,
                             faults: Vec::new(),
                             completed: false,
@@ -64,7 +64,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
     report(args, &rows)
 }
 
-fn is_broken(row: &Soaked) -> bool {
+fn is_broken(row: &SoakResult) -> bool {
     !row.violations.is_empty()
 }
 
@@ -75,14 +75,14 @@ fn again(args: &SoakArgs, seed: u64) -> String {
 }
 
 /// A plan's violations, in words.
-fn told(args: &SoakArgs, row: &Soaked) -> String {
-    let Soaked { seed, faults, violations, .. } = row;
+fn told(args: &SoakArgs, row: &SoakResult) -> String {
+    let SoakResult { seed, faults, violations, .. } = row;
     let again = again(args, *seed);
     format!("seed {seed}: {}\n    {}\n    {again}", violations.join("; "), faults.join(", "))
 }
 
-fn report(args: &SoakArgs, rows: &[Soaked]) -> Result<Exit, Failure> {
-    let broken: Vec<&Soaked> = rows.iter().filter(|row| is_broken(row)).collect();
+fn report(args: &SoakArgs, rows: &[SoakResult]) -> Result<Exit, Failure> {
+    let broken: Vec<&SoakResult> = rows.iter().filter(|row| is_broken(row)).collect();
     let completed = rows.iter().filter(|row| row.completed).count();
     if args.json {
         let violations: Vec<_> = broken

@@ -191,7 +191,10 @@ fn without_json_a_person_reads_the_score_and_stderr_stays_quiet() {
     let output = trocar(folder.path(), &arguments);
     let text = stdout(&output);
     assert!(text.contains("not clinically validated") && text.contains("haptics.left"), "{text}");
-    assert_eq!(stderr(&output), "", "nobody looks at a terminal here");
+    // On a busy machine the start may be slow enough to be announced.
+    let told = stderr(&output);
+    let told: Vec<&str> = told.lines().filter(|line| !line.starts_with("Preparing ")).collect();
+    assert_eq!(told, [] as [&str; 0], "nobody looks at a terminal here");
     assert!(!text.contains('\u{1b}'), "NO_COLOR is respected");
 }
 

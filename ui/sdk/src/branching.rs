@@ -11,7 +11,7 @@ use trocar_kernel::{BranchError as KernelError, SessionError};
 use trocar_scene::{Snapshot, Store};
 
 use crate::hands::{HandPort, OpenedHand, SteppedHand};
-use crate::session::plan::{Bound, SessionPlan};
+use crate::session::plan::{BoundToHands, SessionPlan};
 use crate::session::{Running, Session};
 
 /// Why a session cannot be reset or branched.
@@ -63,8 +63,8 @@ impl Origin {
     }
 }
 
-impl From<Bound> for BranchError {
-    fn from(Bound(name): Bound) -> Self {
+impl From<BoundToHands> for BranchError {
+    fn from(BoundToHands(name): BoundToHands) -> Self {
         Self::Controller(name)
     }
 }

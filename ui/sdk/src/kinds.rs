@@ -16,7 +16,7 @@ use trocar_dynamics::rigid_bodies::RigidBodiesController;
 use trocar_engine::{EngineController, EngineSettings, EngineSoftController};
 use trocar_haptics::renderer::RendererConfig;
 use trocar_haptics::{HapticsConfig, HapticsController};
-use trocar_input::manual::controller::sit_down;
+use trocar_input::manual::controller::add_person;
 use trocar_input::{
     AutopilotConfig, AutopilotController, ManualConfig, ManualController, PathConfig, PathController, Skill,
 };
@@ -377,8 +377,8 @@ fn path(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
 fn nothing(params: &Params) -> Result<(), ScenarioError> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
-    struct Nothing {}
-    params.parse::<Nothing>().map(drop)
+    struct NoParams {}
+    params.parse::<NoParams>().map(drop)
 }
 
 /// The exercise's parameters with the options of the run.
@@ -420,6 +420,6 @@ fn manual(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     config.check().map_err(|reason| context.entry.params.error(reason))?;
     let mut blueprint = plain(RuntimeClass::Task, move |context| ManualController::new(&config, context));
     // Without a hand the controller returns the error when it is built.
-    blueprint.arrange = Some(Box::new(|scene, out| sit_down(scene, out).unwrap_or_default()));
+    blueprint.arrange = Some(Box::new(|scene, out| add_person(scene, out).unwrap_or_default()));
     Ok(blueprint)
 }

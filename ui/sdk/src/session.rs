@@ -15,7 +15,7 @@ use trocar_kernel::live::{Guest, HostedActor, LiveError, LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
 use trocar_kernel::operator::{OPERATOR, OperatorError};
 use trocar_kernel::runtime::sched;
-use trocar_kernel::runtime::{Clock, ControllerReport, Standstill};
+use trocar_kernel::runtime::{Clock, ControllerReport, PausableClock};
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::{GroupSpec, RuntimeClass};
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
@@ -109,14 +109,14 @@ impl Session {
     /// When the session's specification is contradictory, or the system cannot start a thread.
     pub fn live(assembly: Assembly) -> Result<Self, RunError> {
         let hands: Vec<HandPort> = assembly.hands.iter().map(|hand| hand.port().clone()).collect();
-        let (start, still) = (Instant::now(), Arc::<Standstill>::default());
+        let (start, clock) = (Instant::now(), Arc::<PausableClock>::default());
         let priority =
             sched::fifo_priority(RuntimeClass::Driver).and_then(|p| u8::try_from(p).ok()).unwrap_or(1);
         let mut drivers = Vec::with_capacity(hands.len());
         for hand in assembly.hands {
-            drivers.push(hand.into_thread(start, pause::device_time(&still), priority)?);
+            drivers.push(hand.into_thread(start, pause::device_time(&clock), priority)?);
         }
-        let live = LiveSession::start_on(assembly.spec, Clock::standing(start, still))?;
+        let live = LiveSession::start_on(assembly.spec, Clock::pausable(start, clock))?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;

@@ -26,7 +26,7 @@ pub const FORCE_MAX: f64 = 3.3;
 
 /// The outcome for one seed.
 #[derive(Clone, Debug)]
-pub struct Soaked {
+pub struct SoakResult {
     /// The seed.
     pub seed: u64,
     /// The injected faults, one name each.
@@ -83,7 +83,7 @@ pub fn soak(
     seed: u64,
     seconds: Option<f64>,
     file: &Path,
-) -> Result<Soaked, RunError> {
+) -> Result<SoakResult, RunError> {
     let plan = random_plan(scenario, seed);
     let faults = plan.faults.iter().map(|fault| fault.id.clone()).collect();
     let options = RunOptions {
@@ -97,7 +97,7 @@ pub fn soak(
     let mut violations = Vec::new();
     let outcome = run(app, scenario, &options, &mut |progress| look(progress, &mut violations))?;
     judge(app, &outcome, file, &mut violations);
-    Ok(Soaked { seed, faults, completed: outcome.summary.task.completed, violations })
+    Ok(SoakResult { seed, faults, completed: outcome.summary.task.completed, violations })
 }
 
 /// The invariants of every moment.

@@ -145,7 +145,7 @@ pub enum TemplateError {
     #[error(
         "'{0}' cannot stand in a manifest; valid: text without quotes, backslashes and control characters"
     )]
-    Place(String),
+    Path(String),
     /// A file cannot be written.
     #[error("{}: {error}", file.display())]
     Write {
@@ -228,11 +228,7 @@ impl Template {
 fn places(source: &Source) -> Result<(String, String), TemplateError> {
     let plain = |text: &str| {
         let is_plain = !text.chars().any(|c| c == '"' || c == '\\' || c.is_control());
-        if is_plain {
-            Ok(text.to_owned())
-        } else {
-            Err(TemplateError::Place(text.escape_debug().to_string()))
-        }
+        if is_plain { Ok(text.to_owned()) } else { Err(TemplateError::Path(text.escape_debug().to_string())) }
     };
     match source {
         Source::Git(url) => {
@@ -342,7 +338,7 @@ mod tests {
         let error = TEMPLATES[0].write("sim", &project, &elsewhere).unwrap_err();
         assert!(matches!(error, TemplateError::NoCheckout(_)), "{error}");
         let quoted = Source::Git("https://example.org/\"".to_owned());
-        assert!(matches!(TEMPLATES[0].write("sim", &project, &quoted), Err(TemplateError::Place(_))));
+        assert!(matches!(TEMPLATES[0].write("sim", &project, &quoted), Err(TemplateError::Path(_))));
         assert!(!project.exists());
     }
 

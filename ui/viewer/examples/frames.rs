@@ -4,7 +4,7 @@
 use std::cell::RefCell;
 use std::path::Path;
 
-use trocar_viewer::bench::{Studio, in_turns};
+use trocar_viewer::bench::{BenchRenderer, in_turns};
 use trocar_viewer::layout::Stereo;
 use trocar_viewer::{Layout, Quality};
 
@@ -13,8 +13,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let triangles = args.next().map_or(Ok(20_000), |text| text.parse())?;
     let size = args.next().unwrap_or_else(|| "800x600".into());
     let (width, height) = size.split_once('x').ok_or("a size is WIDTHxHEIGHT")?;
-    let studio = RefCell::new(Studio::new(triangles, [width.parse()?, height.parse()?])?);
-    println!("drawn by {}", studio.borrow().gpu().describe());
+    let bench_renderer = RefCell::new(BenchRenderer::new(triangles, [width.parse()?, height.parse()?])?);
+    println!("drawn by {}", bench_renderer.borrow().gpu().describe());
     let (mono, stereo) = (&Layout::Mono, &Layout::SideBySide(Stereo::default()));
     let kinds = [
         ("plain", mono, Quality::PLAIN),
@@ -25,9 +25,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("plain, two eyes", stereo, Quality::PLAIN),
         ("full, two eyes", stereo, Quality::FULL),
     ];
-    let mut bare = || studio.borrow_mut().bare_frame();
-    let mut frames: Vec<_> =
-        kinds.iter().map(|(_, layout, quality)| || studio.borrow_mut().frame(layout, *quality)).collect();
+    let mut bare = || bench_renderer.borrow_mut().bare_frame();
+    let mut frames: Vec<_> = kinds
+        .iter()
+        .map(|(_, layout, quality)| || bench_renderer.borrow_mut().frame(layout, *quality))
+        .collect();
     let mut contestants: Vec<&mut dyn FnMut()> = vec![&mut bare];
     contestants.extend(frames.iter_mut().map(|frame| frame as &mut dyn FnMut()));
     let times = in_turns(9, 3, &mut contestants);
@@ -43,8 +45,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if let Some(folder) = args.next() {
         for (name, layout, quality) in &kinds {
-            studio.borrow_mut().frame(layout, *quality);
-            studio.borrow().picture()?.save(&Path::new(&folder).join(format!("{name}.png")))?;
+            bench_renderer.borrow_mut().frame(layout, *quality);
+            bench_renderer.borrow().picture()?.save(&Path::new(&folder).join(format!("{name}.png")))?;
         }
     }
     Ok(())

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use trocar_scene::{RegistryBuilder, Scenario};
-use trocar_viewer::{Eye, Layout, Quality, View};
+use trocar_viewer::{Layout, OffscreenRenderer, Quality, View};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
@@ -16,20 +16,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Who acts in it, and with what, is not looked at.
     let scenario = Scenario::load(Path::new(&file), &registry)?;
     let scene = scenario.spawn(&registry)?.snapshot();
-    let mut eye = Eye::new(Some(scenario.folder().to_owned()))?;
-    println!("drawn by {}", eye.gpu().describe());
+    let mut renderer = OffscreenRenderer::new(Some(scenario.folder().to_owned()))?;
+    println!("drawn by {}", renderer.gpu().describe());
     let [width, height] = [960_u32, 720];
     let view = View::default_of(&scene, Some(f64::from(width) / f64::from(height)));
     for (name, quality) in [("plain", Quality::PLAIN), ("full", Quality::FULL), ("fine", Quality::FINE)] {
-        eye.quality = quality;
+        renderer.quality = quality;
         // The first one compiles what is to be drawn with.
-        eye.picture(&scene, &view, &Layout::Mono, [width, height])?;
+        renderer.picture(&scene, &view, &Layout::Mono, [width, height])?;
         let begun = Instant::now();
-        let taken = eye.picture(&scene, &view, &Layout::Mono, [width, height])?;
+        let taken = renderer.picture(&scene, &view, &Layout::Mono, [width, height])?;
         println!("{name}: {:.1} ms", begun.elapsed().as_secs_f64() * 1e3);
         taken.save(Path::new(&picture))?;
     }
-    let probe = eye.probe(&scene, &view, [width, height])?;
+    let probe = renderer.probe(&scene, &view, [width, height])?;
     let middle = [width / 2, height / 2];
     let depth = probe.depth[(middle[1] * width + middle[0]) as usize];
     let who = probe.entity(middle[0], middle[1]).map(|entity| scene.name(entity));

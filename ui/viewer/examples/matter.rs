@@ -11,7 +11,7 @@ use trocar_scene::{
     RegistryBuilder, SCENARIO_SPAWNER, SimTime, Snapshot, Store, SurfaceMesh, Texture, TextureCoordinates,
     VertexPositions, VisualMaterial,
 };
-use trocar_viewer::{Eye, Layout, Lens, Quality, View};
+use trocar_viewer::{Layout, Lens, OffscreenRenderer, Quality, View};
 
 /// Squares along a side of the tissue.
 const CELLS: u32 = 60;
@@ -35,12 +35,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             ("both", [true; 2]),
         ] {
             let scene = scene(smoke, blood)?;
-            let mut eye = Eye::new(None)?;
-            eye.quality = quality;
+            let mut renderer = OffscreenRenderer::new(None)?;
+            renderer.quality = quality;
             // What is made once is made before the time is taken.
-            eye.picture(&scene, &view, &Layout::Mono, size)?;
+            renderer.picture(&scene, &view, &Layout::Mono, size)?;
             let started = std::time::Instant::now();
-            let picture = eye.picture(&scene, &view, &Layout::Mono, size)?;
+            let picture = renderer.picture(&scene, &view, &Layout::Mono, size)?;
             println!("{name}, {matter}: {:.0} ms", started.elapsed().as_secs_f64() * 1e3);
             picture.save(&folder.join(format!("{name}-{matter}.png")))?;
         }

@@ -10,8 +10,8 @@ use trocar_scene::{
     Shape, Side, SimTime, Store, SurfaceMesh, Temperature, Texture, TextureCoordinates, VertexPositions,
     VisualMaterial,
 };
-use trocar_viewer::draw_list::Stage;
-use trocar_viewer::{Eye, Layout, Lens, Overlay, Overlays, View};
+use trocar_viewer::draw_list::DrawList;
+use trocar_viewer::{Layout, Lens, OffscreenRenderer, Overlay, Overlays, View};
 
 /// Squares along a side of the tissue.
 const CELLS: u32 = 40;
@@ -24,8 +24,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let registry = builder.build();
     let mut store = Store::new(Arc::clone(&registry));
     let mut out = Commands::new(registry, EntityAllocator::new(0, SCENARIO_SPAWNER));
-    let mut eye = Eye::new(None)?;
-    eye.renderer_mut().overlays = Overlays::of(&[Overlay::Trails]);
+    let mut renderer = OffscreenRenderer::new(None)?;
+    renderer.renderer_mut().overlays = Overlays::of(&[Overlay::Trails]);
 
     out.begin(SimTime::ZERO);
     let (tissue, tool, ball) = (out.spawn(), out.spawn(), out.spawn());
@@ -88,25 +88,27 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Vector3::new(0.026 + 0.02 * (turn.cos() - 1.0), -0.008 + 0.02 * turn.sin(), 0.008 + 0.002 * turn);
         out.put(tool, Pose::new(tip, lean));
         store.apply(&mut out, time);
-        eye.renderer_mut().watch(&store.snapshot());
+        renderer.renderer_mut().watch(&store.snapshot());
     }
     let scene = store.snapshot();
     let lens = Lens { field_of_view: 0.6, ..Lens::default() };
     let view =
         View::looking_at(Point3::new(0.02, -0.16, 0.13), Point3::new(0.0, 0.0, 0.005), Vector3::z(), lens);
     for overlay in Overlay::ALL {
-        let trails = eye.renderer().overlays.shows(Overlay::Trails);
+        let trails = renderer.renderer().overlays.shows(Overlay::Trails);
         // Trails that are hidden are forgotten.
-        eye.renderer_mut().overlays = Overlays::of(&[overlay]);
-        eye.renderer_mut().overlays.set(Overlay::Trails, trails && overlay <= Overlay::Trails);
-        let picture = eye.picture(&scene, &view, &Layout::Mono, [960, 720])?;
+        renderer.renderer_mut().overlays = Overlays::of(&[overlay]);
+        renderer.renderer_mut().overlays.set(Overlay::Trails, trails && overlay <= Overlay::Trails);
+        let picture = renderer.picture(&scene, &view, &Layout::Mono, [960, 720])?;
         picture.save(&folder.join(format!("{}.png", overlay.name())))?;
     }
-    let mut stage = Stage::new();
-    stage.update(&scene);
+    let mut draw_list = DrawList::new();
+    draw_list.update(&scene);
     let shown = [Overlay::Contacts, Overlay::Forces, Overlay::Temperature, Overlay::Names];
-    eye.renderer_mut().overlays = Overlays::of(&shown);
-    eye.picture(&scene, &view, &Layout::quad(&stage, &view), [960, 720])?.save(&folder.join("quad.png"))?;
+    renderer.renderer_mut().overlays = Overlays::of(&shown);
+    renderer
+        .picture(&scene, &view, &Layout::quad(&draw_list, &view), [960, 720])?
+        .save(&folder.join("quad.png"))?;
     Ok(())
 }
 

@@ -1,4 +1,5 @@
-//! The stage: geometry, poses and materials of a snapshot. Only changes since the last snapshot are processed.
+//! The list of what is drawn: geometry, poses and materials of a snapshot. Only changes since the last snapshot are
+//! processed.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -32,7 +33,7 @@ pub enum Part {
 /// A surface with a number for its copies on devices.
 #[derive(Clone, Debug)]
 pub struct Surface {
-    /// Unique within a stage.
+    /// Unique within a draw list.
     pub id: u64,
     /// How often its triangles and texture coordinates changed.
     pub topology: u64,
@@ -69,7 +70,7 @@ struct Entry {
 
 /// The drawables of a scene, kept in step with its snapshots.
 #[derive(Default)]
-pub struct Stage {
+pub struct DrawList {
     entries: BTreeMap<Entity, Entry>,
     /// Surfaces of shapes that several entities share, by shape.
     shared: BTreeMap<String, Surface>,
@@ -79,8 +80,8 @@ pub struct Stage {
     next_id: u64,
 }
 
-impl Stage {
-    /// An empty stage.
+impl DrawList {
+    /// An empty list.
     pub fn new() -> Self {
         Self::default()
     }

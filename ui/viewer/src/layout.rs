@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Entity, Snapshot};
 
-use crate::draw_list::{Part, Stage};
+use crate::draw_list::{DrawList, Part};
 use crate::view::{Lens, View};
 
 /// Field of view of nearly parallel projections \[rad\].
@@ -65,7 +65,7 @@ pub enum Layout {
 
 /// The view of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum Sight {
+pub enum TileView {
     /// The view of the whole picture.
     #[default]
     Given,
@@ -81,7 +81,7 @@ pub struct Tile {
     /// Its part of the picture.
     pub pane: Pane,
     /// Its view.
-    pub sight: Sight,
+    pub view: TileView,
     /// Pose of its eye in the frame of that view.
     pub view_from_eye: Isometry3<f64>,
     /// Layout within the tile: one eye, two, or tiles again.
@@ -90,8 +90,8 @@ pub struct Tile {
 
 impl Tile {
     /// A tile of one eye.
-    pub fn new(pane: Pane, sight: Sight) -> Self {
-        Self { pane, sight, view_from_eye: Isometry3::identity(), layout: Layout::Mono }
+    pub fn new(pane: Pane, view: TileView) -> Self {
+        Self { pane, view, view_from_eye: Isometry3::identity(), layout: Layout::Mono }
     }
 }
 
@@ -136,16 +136,16 @@ pub struct Shot {
 
 impl Layout {
     /// Tiles of equal size, row by row from the upper left: as many columns as rows, or one more.
-    pub fn grid(sights: impl IntoIterator<Item = Sight>) -> Self {
-        let sights: Vec<Sight> = sights.into_iter().collect();
-        let columns = (1..=sights.len()).find(|columns| columns * columns >= sights.len()).unwrap_or(1);
-        let rows = sights.len().div_ceil(columns).max(1);
+    pub fn grid(views: impl IntoIterator<Item = TileView>) -> Self {
+        let views: Vec<TileView> = views.into_iter().collect();
+        let columns = (1..=views.len()).find(|columns| columns * columns >= views.len()).unwrap_or(1);
+        let rows = views.len().div_ceil(columns).max(1);
         let (width, height) = (1.0 / columns as f64, 1.0 / rows as f64);
-        let tile = |(index, sight): (usize, Sight)| {
+        let tile = |(index, view): (usize, TileView)| {
             let (row, column) = (index / columns, index % columns);
-            Tile::new(Pane { x: column as f64 * width, y: row as f64 * height, width, height }, sight)
+            Tile::new(Pane { x: column as f64 * width, y: row as f64 * height, width, height }, view)
         };
-        Self::Tiles(sights.into_iter().enumerate().map(tile).collect())
+        Self::Tiles(views.into_iter().enumerate().map(tile).collect())
     }
 
     /// The same tiles, each with that layout; other layouts are unchanged.
@@ -159,8 +159,8 @@ impl Layout {
 
     /// Four tiles, as in technical drawings: the given view, and the same scene from above, from the front (along +y)
     /// and from the right (along −x), nearly without perspective.
-    pub fn quad(stage: &Stage, view: &View) -> Self {
-        let (centre, radius) = shown(stage, view);
+    pub fn quad(draw_list: &DrawList, view: &View) -> Self {
+        let (centre, radius) = shown(draw_list, view);
         let distance = radius / (0.5 * NARROW).tan();
         let from = |direction: Vector3<f64>, up: Vector3<f64>| {
             let lens = Lens {
@@ -169,10 +169,10 @@ impl Layout {
                 far: distance + 20.0 * radius,
                 ..Lens::default()
             };
-            Sight::Free(View::looking_at(centre + direction * distance, centre, up, lens))
+            TileView::Free(View::looking_at(centre + direction * distance, centre, up, lens))
         };
         let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
-        Self::grid([Sight::Given, from(z, y), from(-y, z), from(x, z)])
+        Self::grid([TileView::Given, from(z, y), from(-y, z), from(x, z)])
     }
 
     /// The drawings of the panes, in order. `size` is that of the picture \[pixels\].
@@ -207,10 +207,10 @@ impl Layout {
                     let pane = tile.pane.within(&pane);
                     let [.., width, height] = pane.pixels(size);
                     let aspect = f64::from(width) / f64::from(height);
-                    let mut own = match tile.sight {
-                        Sight::Given => *view,
-                        Sight::Free(free) => free,
-                        Sight::Camera(camera) => match View::through(scene, camera, None) {
+                    let mut own = match tile.view {
+                        TileView::Given => *view,
+                        TileView::Free(free) => free,
+                        TileView::Camera(camera) => match View::through(scene, camera, None) {
                             Ok(seen) => seen,
                             Err(_) => continue,
                         },
@@ -225,8 +225,8 @@ impl Layout {
 }
 
 /// A bounding sphere of what a view shows: centre and radius \[m\]. Shafts are left out, since they extend far outside.
-fn shown(stage: &Stage, view: &View) -> (Point3<f64>, f64) {
-    let things = || stage.items().iter().filter(|item| item.part != Part::Shaft);
+fn shown(draw_list: &DrawList, view: &View) -> (Point3<f64>, f64) {
+    let things = || draw_list.items().iter().filter(|item| item.part != Part::Shaft);
     let ball = |item: &crate::draw_list::Item| {
         (Point3::from(item.world_from_item.translation.vector), f64::from(item.surface.geometry.radius))
     };

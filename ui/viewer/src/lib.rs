@@ -4,11 +4,11 @@
 //! of viewers can show one scene. Data flows one way:
 //!
 //! ```text
-//! Snapshot ─▶ Stage (drawables: geometry, pose, material; only what changed) ─▶ GPU copies ─▶ frames
+//! Snapshot ─▶ DrawList (drawables: geometry, pose, material; only what changed) ─▶ GPU copies ─▶ frames
 //!    Camera, Optics, HeadTracked ─▶ View ─▶ Layout (mono, stereo, tiles) ───────────────────▶ panes of a frame
 //! ```
 //!
-//! [`Renderer`] draws into textures; [`Eye`] is the headless viewer for programs.
+//! [`Renderer`] draws into textures; [`OffscreenRenderer`] is the headless viewer for programs.
 
 pub mod bench;
 pub mod colormap;
@@ -40,7 +40,7 @@ pub use error::ViewError;
 pub use film::Film;
 pub use layout::{Layout, Pane};
 pub use motion::Motion;
-pub use offscreen::Eye;
+pub use offscreen::OffscreenRenderer;
 pub use overlay::{Legend, Overlay, Overlays};
 pub use picture::Picture;
 pub use quality::Quality;

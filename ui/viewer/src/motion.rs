@@ -23,8 +23,8 @@ const PAUSE_SECS: f64 = 0.25;
 const FORGET_SECS: f64 = 10.0;
 
 /// Interpolates between the snapshots of a viewer; one instance for each viewer. Every snapshot from [`Motion::at`]
-/// must be followed ([`Renderer::update`](crate::Renderer::update), [`Stage::update`](crate::draw_list::Stage::update))
-/// before the next one is asked for.
+/// must be followed ([`Renderer::update`](crate::Renderer::update),
+/// [`DrawList::update`](crate::draw_list::DrawList::update)) before the next one is asked for.
 #[derive(Default)]
 pub struct Motion {
     latest: Option<Snapshot>,

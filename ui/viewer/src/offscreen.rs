@@ -13,7 +13,7 @@ use crate::renderer::Renderer;
 use crate::view::View;
 
 /// A headless viewer: renders pictures, depths and segmentations of snapshots.
-pub struct Eye {
+pub struct OffscreenRenderer {
     gpu: Gpu,
     renderer: Renderer,
     target: Option<wgpu::Texture>,
@@ -22,7 +22,7 @@ pub struct Eye {
     pub quality: Quality,
 }
 
-impl Eye {
+impl OffscreenRenderer {
     /// On any adapter; `folder` is the scenario's, below which files of textures are.
     ///
     /// # Errors

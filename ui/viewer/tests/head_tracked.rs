@@ -1,9 +1,9 @@
 //! A screen as a window into the scene: whoever writes the pose of the head moves the eye.
 
-use crate::support::{Scene, eye, middle_column};
+use crate::support::{Scene, middle_column, renderer};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_scene::{Pose, Scenario};
-use trocar_viewer::layout::{Sight, Stereo, Tile};
+use trocar_viewer::layout::{Stereo, Tile, TileView};
 use trocar_viewer::{Layout, Pane, View, ViewError};
 
 /// A screen of 0.48 m × 0.32 m that shows 0.12 m × 0.08 m of the scene; it stands upright in the world's origin, seen along
@@ -61,15 +61,15 @@ fn move_head(scene: &mut Scene, scenario: &Scenario, pose: Pose) {
 }
 
 /// The column, from 0 to 1, in which an eye in the frame of the shrunken screen sees a point of that frame.
-fn column(eye: Vector3<f64>, point: Vector3<f64>) -> f64 {
-    let on_screen = eye.x + (point.x - eye.x) * eye.z / (eye.z - point.z);
+fn column(renderer: Vector3<f64>, point: Vector3<f64>) -> f64 {
+    let on_screen = renderer.x + (point.x - renderer.x) * renderer.z / (renderer.z - point.z);
     0.5 + on_screen / SHOWN[0]
 }
 
 #[test]
 fn moving_the_head_moves_what_is_seen_as_a_window_would() {
     let (mut scene, scenario) = scene();
-    let mut eye = eye();
+    let mut renderer = renderer();
     let is_red = |[r, _, b, _]: [u8; 4]| r > 60 && b < r / 2;
     let is_blue = |[r, _, b, _]: [u8; 4]| b > 60 && r < b / 2;
     let size = [384, 256];
@@ -77,15 +77,15 @@ fn moving_the_head_moves_what_is_seen_as_a_window_would() {
     for x in [0.0, 0.15, -0.3] {
         move_head(&mut scene, &scenario, Pose::at(x, 0.02, -0.6));
         let view = view(&scene);
-        let picture = eye.picture(&scene.view(), &view, &Layout::Mono, size).expect("a picture");
+        let picture = renderer.picture(&scene.view(), &view, &Layout::Mono, size).expect("a picture");
         // A quarter of the size: so is the head's distance.
-        let eye = 0.25 * Vector3::new(x, 0.02, -0.6);
+        let renderer = 0.25 * Vector3::new(x, 0.02, -0.6);
         let columns = [
             (middle_column(&picture, is_red).expect("the red ball"), 0.02),
             (middle_column(&picture, is_blue).expect("the blue ball"), -0.01),
         ];
         for (middle, depth) in columns {
-            let expected = column(eye, Vector3::new(0.01, 0.0, depth)) * f64::from(size[0]);
+            let expected = column(renderer, Vector3::new(0.01, 0.0, depth)) * f64::from(size[0]);
             assert!((middle - expected).abs() < 1.0, "{x} {depth}: {middle}, expected {expected}");
         }
         seen.push(columns.map(|(middle, _)| middle));
@@ -106,11 +106,11 @@ fn the_two_eyes_of_the_head_look_through_the_same_window() {
     for (shot, side) in shots.iter().zip([-1.0, 1.0]) {
         let [seen] = shot.eyes.as_slice() else { panic!("one eye in each half") };
         let in_head = Vector3::new(side * 0.03, 0.0, 0.0);
-        let eye = 0.25 * (Vector3::new(0.1, 0.0, -0.5) + turned * in_head);
+        let renderer = 0.25 * (Vector3::new(0.1, 0.0, -0.5) + turned * in_head);
         // The world's axes: x is the screen's, −z its y, y its z.
         let point = Vector3::new(0.01, 0.0, 0.02);
         let ([x, _], _) = seen.project(&Point3::new(point.x, point.z, -point.y)).expect("in front");
-        assert!((x - column(eye, point)).abs() < 1e-12, "{x}");
+        assert!((x - column(renderer, point)).abs() < 1e-12, "{x}");
         for (x, y) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
             let corner = Point3::new((x - 0.5) * SHOWN[0], 0.0, (0.5 - y) * SHOWN[1]);
             let (at, _) = seen.project(&corner).expect("in front");
@@ -124,7 +124,7 @@ fn a_screen_in_a_pane_of_another_shape_keeps_its_height() {
     let (mut scene, scenario) = scene();
     move_head(&mut scene, &scenario, Pose::at(0.2, -0.1, -0.6));
     let window = scenario.entity("window").expect("a camera");
-    let half = Tile::new(Pane { x: 0.5, y: 0.0, width: 0.5, height: 1.0 }, Sight::Camera(window));
+    let half = Tile::new(Pane { x: 0.5, y: 0.0, width: 0.5, height: 1.0 }, TileView::Camera(window));
     let shots = Layout::Tiles(vec![half]).shots(&scene.view(), &view(&scene), [300, 200]);
     let asked = View::through(&scene.view(), window, Some(0.75)).expect("a view");
     for view in [shots[0].centre, asked] {

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use crate::support::{Scene, colored, eye, front, grid, mean, picture};
+use crate::support::{Scene, colored, front, grid, mean, picture, renderer};
 use nalgebra::{Point3, Vector2};
 use trocar_scene::{
     Burn, Entity, LineMesh, Pose, Shape, SurfaceMesh, Texture, TextureCoordinates, VertexPositions,
     VisualMaterial,
 };
-use trocar_viewer::{Eye, Layout, Picture};
+use trocar_viewer::{Layout, OffscreenRenderer, Picture};
 
 const SIDE: u32 = 128;
 
@@ -32,7 +32,7 @@ fn lit_wall(material: VisualMaterial) -> Picture {
     let mut scene = Scene::new();
     scene.light();
     wall(&mut scene, 4, material);
-    picture(&mut eye(), &scene, &front(), &Layout::Mono, SIDE)
+    picture(&mut renderer(), &scene, &front(), &Layout::Mono, SIDE)
 }
 
 /// How much brightness varies over the middle of the picture.
@@ -106,14 +106,14 @@ fn burned(scene: &mut Scene, entity: Entity, cells: u32, is: impl Fn(u32, u32) -
 
 #[test]
 fn burns_are_where_the_tissue_was_burned_and_nowhere_else() {
-    let (mut scene, mut eye, cells) = (Scene::new(), eye(), 10);
+    let (mut scene, mut renderer, cells) = (Scene::new(), renderer(), 10);
     scene.light();
     let tissue = wall(&mut scene, cells, colored(0.8, 0.3, 0.3));
     burned(&mut scene, tissue, cells, |_, _| false);
-    let before = picture(&mut eye, &scene, &front(), &Layout::Mono, SIDE);
+    let before = picture(&mut renderer, &scene, &front(), &Layout::Mono, SIDE);
     // The upper right corner of the wall, as seen.
     burned(&mut scene, tissue, cells, |column, row| column >= 8 && row >= 8);
-    let after = picture(&mut eye, &scene, &front(), &Layout::Mono, SIDE);
+    let after = picture(&mut renderer, &scene, &front(), &Layout::Mono, SIDE);
     let view = front();
     let (mut blackened, mut kept) = (0, 0);
     for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
@@ -136,22 +136,22 @@ fn burns_are_where_the_tissue_was_burned_and_nowhere_else() {
 
 #[test]
 fn only_the_burned_part_of_an_edit_map_is_sent() {
-    let (mut scene, mut eye, cells) = (Scene::new(), eye(), 20);
+    let (mut scene, mut renderer, cells) = (Scene::new(), renderer(), 20);
     let tissue = wall(&mut scene, cells, colored(0.8, 0.3, 0.3));
     burned(&mut scene, tissue, cells, |_, _| false);
-    picture(&mut eye, &scene, &front(), &Layout::Mono, 16);
-    let (whole, geometry) = (eye.renderer().texels_sent(), eye.renderer().bytes_sent());
+    picture(&mut renderer, &scene, &front(), &Layout::Mono, 16);
+    let (whole, geometry) = (renderer.renderer().texels_sent(), renderer.renderer().bytes_sent());
     burned(&mut scene, tissue, cells, |column, row| column == 3 && row == 4);
-    picture(&mut eye, &scene, &front(), &Layout::Mono, 16);
-    let part = eye.renderer().texels_sent() - whole;
+    picture(&mut renderer, &scene, &front(), &Layout::Mono, 16);
+    let part = renderer.renderer().texels_sent() - whole;
     // Two cells in each direction of twenty.
     assert!(part > 0 && part < whole / 50, "{part} of {whole}");
-    assert_eq!(eye.renderer().bytes_sent(), geometry);
+    assert_eq!(renderer.renderer().bytes_sent(), geometry);
 }
 
 #[test]
 fn a_thread_is_a_smooth_tube_and_follows_its_points() {
-    let (mut scene, mut eye) = (Scene::new(), eye());
+    let (mut scene, mut renderer) = (Scene::new(), renderer());
     scene.light();
     let points = |height: f64| {
         let bow = |index: i32| {
@@ -169,18 +169,18 @@ fn a_thread_is_a_smooth_tube_and_follows_its_points() {
         out.put(entity, colored(1.0, 1.0, 1.0));
         entity
     });
-    let highest = |eye: &mut Eye, scene: &Scene| {
-        let probe = eye.probe(&scene.view(), &front(), [SIDE, SIDE]).unwrap();
+    let highest = |renderer: &mut OffscreenRenderer, scene: &Scene| {
+        let probe = renderer.probe(&scene.view(), &front(), [SIDE, SIDE]).unwrap();
         let middle = SIDE / 2;
         let rows: Vec<u32> = (0..SIDE).filter(|y| probe.entity(middle, *y) == Some(thread)).collect();
         (rows[0], rows.len())
     };
-    let (top, thick) = highest(&mut eye, &scene);
+    let (top, thick) = highest(&mut renderer, &scene);
     // 8 mm at 0.3 m: the picture is 2 tan(0.4) × 0.3 m high.
     let expected = 0.008 / (2.0 * 0.4_f64.tan() * 0.3) * f64::from(SIDE);
     assert!((thick as f64 - expected).abs() <= 1.5, "{thick} {expected}");
     scene.write(|out| out.put(thread, points(0.0)));
-    let (lower, _) = highest(&mut eye, &scene);
+    let (lower, _) = highest(&mut renderer, &scene);
     assert!(lower > top + 10, "{top} {lower}");
 }
 
@@ -197,8 +197,8 @@ fn a_material_brings_its_own_shader_and_one_that_is_wrong_is_left_out() {
         let shape = Shape::Sphere { radius: 0.05 };
         let material = VisualMaterial { shader: Some(file.into()), ..colored(1.0, 0.02, 0.02) };
         scene.shape(shape, Pose::default(), material);
-        let mut eye = Eye::new(Some(folder.path().to_owned())).unwrap();
-        let [r, g, _] = mean(&picture(&mut eye, &scene, &front(), &Layout::Mono, 64), 28, 28, 8, 8);
+        let mut renderer = OffscreenRenderer::new(Some(folder.path().to_owned())).unwrap();
+        let [r, g, _] = mean(&picture(&mut renderer, &scene, &front(), &Layout::Mono, 64), 28, 28, 8, 8);
         assert_eq!(g > r, glows, "{file}: {r} {g}");
     }
 }

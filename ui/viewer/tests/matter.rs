@@ -3,13 +3,13 @@
 use crate::support as common;
 use std::sync::Arc;
 
-use crate::support::{Scene, colored, eye, front, mean, picture};
+use crate::support::{Scene, colored, front, mean, picture, renderer};
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{Entity, Light, ParticleKind, Particles, Pose, Shape};
-use trocar_viewer::layout::{Pane, Sight, Stereo, Tile};
+use trocar_viewer::layout::{Pane, Stereo, Tile, TileView};
 use trocar_viewer::pacing::Pace;
 use trocar_viewer::picture::Probe;
-use trocar_viewer::{Eye, Layout, Picture, Quality, View};
+use trocar_viewer::{Layout, OffscreenRenderer, Picture, Quality, View};
 
 const SIDE: u32 = 192;
 
@@ -64,8 +64,8 @@ fn sheet(layers: u32, radius: f64) -> Particles {
     }
 }
 
-fn seen(eye: &mut Eye, scene: &Scene) -> Picture {
-    picture(eye, scene, &front(), &Layout::Mono, SIDE)
+fn seen(renderer: &mut OffscreenRenderer, scene: &Scene) -> Picture {
+    picture(renderer, scene, &front(), &Layout::Mono, SIDE)
 }
 
 fn middle(picture: &Picture) -> [f64; 3] {
@@ -78,15 +78,15 @@ fn linear(stored: f64) -> f64 {
     if share <= 0.04045 { share / 12.92 } else { ((share + 0.055) / 1.055).powf(2.4) }
 }
 
-fn whole(scene: &Scene, eye: &mut Eye, view: &View) -> Probe {
-    eye.probe(&scene.view(), view, [SIDE, SIDE]).expect("a probe")
+fn whole(scene: &Scene, renderer: &mut OffscreenRenderer, view: &View) -> Probe {
+    renderer.probe(&scene.view(), view, [SIDE, SIDE]).expect("a probe")
 }
 
 /// Scenes of their own are told apart by who looks: each has an eye of its own.
 fn anew(quality: Quality, scene: &Scene) -> Picture {
-    let mut eye = eye();
-    eye.quality = quality;
-    seen(&mut eye, scene)
+    let mut renderer = renderer();
+    renderer.quality = quality;
+    seen(&mut renderer, scene)
 }
 
 const QUALITIES: [Quality; 3] = [Quality::PLAIN, Quality::FULL, Quality::FINE];
@@ -123,7 +123,7 @@ fn smoke_is_lit_by_the_lights_of_the_scene() {
         });
         let white = Particles { color: [0.9; 3], extinction: 200.0, ..soot(3) };
         put(&mut scene, white, Pose::default());
-        middle(&seen(&mut eye(), &scene))
+        middle(&seen(&mut renderer(), &scene))
     };
     let (red, blue) = (lit([1.0, 0.1, 0.1]), lit([0.1, 0.1, 1.0]));
     assert!(red[0] > 60.0 && red[0] > 1.3 * red[2], "{red:?}");
@@ -155,11 +155,11 @@ fn smoke_is_hidden_by_what_is_in_front_and_fades_where_it_meets_a_surface() {
         scene.shape(floor, Pose::at(0.0, 0.0, -0.005), colored(0.75, 0.75, 0.75));
         let view =
             View::looking_at(Point3::new(0.0, -0.25, 0.15), Point3::origin(), Vector3::z(), front().lens);
-        let mut eye = common::eye();
-        eye.quality = quality;
-        let before = picture(&mut eye, &scene, &view, &Layout::Mono, SIDE);
+        let mut renderer = common::renderer();
+        renderer.quality = quality;
+        let before = picture(&mut renderer, &scene, &view, &Layout::Mono, SIDE);
         put(&mut scene, Particles { extinction: 30.0, ..soot(1) }, Pose::default());
-        let after = picture(&mut eye, &scene, &view, &Layout::Mono, SIDE);
+        let after = picture(&mut renderer, &scene, &view, &Layout::Mono, SIDE);
         let veil = |y: u32| {
             let [before, after] =
                 [&before, &after].map(|picture| linear(mean(picture, SIDE / 2 - 6, y, 12, 1)[0]));
@@ -229,7 +229,7 @@ fn drops_are_one_smooth_surface() {
     let mut fluid = Scene::new();
     let entity = put(&mut fluid, drops, Pose::default());
     let view = front();
-    let (of_balls, of_fluid) = (whole(&balls, &mut eye(), &view), whole(&fluid, &mut eye(), &view));
+    let (of_balls, of_fluid) = (whole(&balls, &mut renderer(), &view), whole(&fluid, &mut renderer(), &view));
     let (rough, smooth) = (roughness(&of_balls, &view), roughness(&of_fluid, &view));
     assert!(rough > 0.05 && smooth < 0.25 * rough, "{smooth} {rough}");
     // It is where the drops are, and everywhere between them.
@@ -243,12 +243,12 @@ fn drops_are_one_smooth_surface() {
 
 #[test]
 fn a_probe_sees_fluids_and_sees_through_smoke() {
-    let (mut eye, view) = (eye(), front());
+    let (mut renderer, view) = (renderer(), front());
     let mut scene = wall();
     let ball = scene.shape(Shape::Sphere { radius: 0.02 }, Pose::at(0.0, -0.05, 0.0), colored(1.0, 1.0, 1.0));
     let fluid = put(&mut scene, sheet(1, 0.004), Pose::default());
     put(&mut scene, Particles { extinction: 1e3, ..soot(4) }, Pose::at(0.0, -0.1, 0.0));
-    let probe = whole(&scene, &mut eye, &view);
+    let probe = whole(&scene, &mut renderer, &view);
     let middle = SIDE / 2;
     assert_eq!(probe.entity(middle, middle), Some(ball), "what is before a fluid hides it");
     assert_eq!(probe.entity(middle + 30, middle), Some(fluid), "it hides the wall");
@@ -298,14 +298,14 @@ fn every_tile_eye_and_lens_sees_them() {
     let mut scene = wall();
     put(&mut scene, Particles { extinction: 60.0, ..soot(2) }, Pose::at(0.04, 0.0, 0.04));
     put(&mut scene, Particles { extinction: 2e3, ..sheet(1, 0.002) }, Pose::at(-0.04, 0.0, -0.04));
-    let (mut eye, view) = (eye(), front());
+    let (mut renderer, view) = (renderer(), front());
     for quality in [Quality::FULL, Quality::FINE] {
-        eye.quality = quality;
+        renderer.quality = quality;
         let close = |a: [u8; 4], b: [u8; 4]| (0..3).all(|channel| a[channel].abs_diff(b[channel]) <= 6);
-        let alone = seen(&mut eye, &scene);
+        let alone = seen(&mut renderer, &scene);
         let pane = |x: f64, y: f64| Pane { x, y, width: 0.5, height: 0.5 };
-        let tiles = [pane(0.0, 0.0), pane(0.5, 0.5)].map(|pane| Tile::new(pane, Sight::Given));
-        let tiled = picture(&mut eye, &scene, &view, &Layout::Tiles(tiles.into()), 2 * SIDE);
+        let tiles = [pane(0.0, 0.0), pane(0.5, 0.5)].map(|pane| Tile::new(pane, TileView::Given));
+        let tiled = picture(&mut renderer, &scene, &view, &Layout::Tiles(tiles.into()), 2 * SIDE);
         for (left, top) in [(0, 0), (SIDE, SIDE)] {
             for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
                 let (a, b) = (tiled.at(left + x, top + y).unwrap(), alone.at(x, y).unwrap());
@@ -313,10 +313,10 @@ fn every_tile_eye_and_lens_sees_them() {
             }
         }
         let stereo = Stereo { interocular: 0.02, convergence: 0.3 };
-        let woven = picture(&mut eye, &scene, &view, &Layout::RowInterleaved(stereo), SIDE);
+        let woven = picture(&mut renderer, &scene, &view, &Layout::RowInterleaved(stereo), SIDE);
         let [first, second] = view.stereo(stereo.interocular, stereo.convergence);
         for (parity, one) in [(0, first), (1, second)] {
-            let alone = picture(&mut eye, &scene, &one, &Layout::Mono, SIDE);
+            let alone = picture(&mut renderer, &scene, &one, &Layout::Mono, SIDE);
             for (x, y) in (0..SIDE).filter(|y| y % 2 == parity).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
                 let (a, b) = (woven.at(x, y).unwrap(), alone.at(x, y).unwrap());
                 assert!(close(a, b), "{quality:?}, {x} {y}: {a:?} {b:?}");
@@ -327,41 +327,43 @@ fn every_tile_eye_and_lens_sees_them() {
 
 #[test]
 fn without_particles_nothing_is_drawn_for_them_and_only_changed_ones_are_sent() {
-    let (mut eye, view) = (eye(), front());
+    let (mut renderer, view) = (renderer(), front());
     let mut scene = wall();
-    seen(&mut eye, &scene);
-    let counts = |eye: &Eye| (eye.renderer().particle_passes(), eye.renderer().particle_bytes_sent());
-    assert_eq!(counts(&eye), (0, 0));
+    seen(&mut renderer, &scene);
+    let counts = |renderer: &OffscreenRenderer| {
+        (renderer.renderer().particle_passes(), renderer.renderer().particle_bytes_sent())
+    };
+    assert_eq!(counts(&renderer), (0, 0));
     let empty = put(&mut scene, soot(0), Pose::default());
-    let clear = seen(&mut eye, &scene);
-    assert_eq!(counts(&eye), (0, 0), "a list of none is none");
+    let clear = seen(&mut renderer, &scene);
+    assert_eq!(counts(&renderer), (0, 0), "a list of none is none");
     let smoke = put(&mut scene, soot(100), Pose::default());
     put(&mut scene, sheet(1, 0.002), Pose::default());
-    seen(&mut eye, &scene);
-    let (passes, sent) = counts(&eye);
+    seen(&mut renderer, &scene);
+    let (passes, sent) = counts(&renderer);
     assert!(passes > 0 && sent >= 32 * (100 + 841), "{passes} {sent}");
     // The same again, from elsewhere, and something else moved: they lie where they are.
     scene.write(|out| out.put(smoke, Pose::at(0.01, 0.0, 0.0)));
-    seen(&mut eye, &scene);
-    assert_eq!(counts(&eye).1, sent);
+    seen(&mut renderer, &scene);
+    assert_eq!(counts(&renderer).1, sent);
     scene.write(|out| out.put(smoke, soot(90)));
-    seen(&mut eye, &scene);
-    assert_eq!(counts(&eye).1, sent + 32 * 90, "only the smoke has changed");
+    seen(&mut renderer, &scene);
+    assert_eq!(counts(&renderer).1, sent + 32 * 90, "only the smoke has changed");
     // A picture that would be the same need not be drawn.
     let target =
-        trocar_viewer::gpu::targets::target(eye.gpu(), [64, 64], trocar_viewer::gpu::targets::COLOR, 1);
+        trocar_viewer::gpu::targets::target(renderer.gpu(), [64, 64], trocar_viewer::gpu::targets::COLOR, 1);
     let (gpu, snapshot, pace) =
-        (eye.gpu().clone(), scene.view(), Pace { quality: Quality::PLAIN, scale: 1.0 });
-    let renderer = eye.renderer_mut();
-    renderer.update(&gpu, &snapshot);
-    renderer.draw_scaled(&gpu, &snapshot, &view, &Layout::Mono, pace, &target);
-    assert!(!renderer.needs_draw(&snapshot, &view, &Layout::Mono, pace, &target));
+        (renderer.gpu().clone(), scene.view(), Pace { quality: Quality::PLAIN, scale: 1.0 });
+    let inner = renderer.renderer_mut();
+    inner.update(&gpu, &snapshot);
+    inner.draw_scaled(&gpu, &snapshot, &view, &Layout::Mono, pace, &target);
+    assert!(!inner.needs_draw(&snapshot, &view, &Layout::Mono, pace, &target));
     scene.write(|out| out.put(smoke, soot(80)));
-    assert!(renderer.needs_draw(&scene.view(), &view, &Layout::Mono, pace, &target));
+    assert!(inner.needs_draw(&scene.view(), &view, &Layout::Mono, pace, &target));
     // What is gone is gone.
     let all: Vec<Entity> = scene.view().iter::<Particles>().map(|(entity, _)| entity).collect();
     scene.write(|out| all.iter().filter(|entity| **entity != empty).for_each(|entity| out.despawn(*entity)));
-    let before = counts(&eye);
-    assert!(seen(&mut eye, &scene) == clear);
-    assert_eq!(counts(&eye), before);
+    let before = counts(&renderer);
+    assert!(seen(&mut renderer, &scene) == clear);
+    assert_eq!(counts(&renderer), before);
 }

@@ -4,12 +4,12 @@ use crate::support as common;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::support::{Scene, colored, eye, front, middle_column};
+use crate::support::{Scene, colored, front, middle_column, renderer};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_scene::{
     Entity, JawState, Parent, Particles, Pose, Shape, SimTime, Snapshot, SurfaceMesh, VertexPositions,
 };
-use trocar_viewer::draw_list::Stage;
+use trocar_viewer::draw_list::DrawList;
 use trocar_viewer::{Layout, Motion};
 
 const FRAME: f64 = 1.0 / 60.0;
@@ -113,7 +113,7 @@ fn a_mover_at_1_khz_is_not_delayed() {
 
 #[test]
 fn a_mesh_that_deforms_at_10_hz_moves_all_the_time_and_is_sent_only_then() {
-    let (mut scene, mut eye) = (Scene::new(), eye());
+    let (mut scene, mut renderer) = (Scene::new(), renderer());
     scene.light();
     let body = body(&mut scene);
     let corners = |height: f64| {
@@ -138,8 +138,8 @@ fn a_mesh_that_deforms_at_10_hz_moves_all_the_time_and_is_sent_only_then() {
     };
     play(0.1, false, 2.0, &mut scene, deform, |shown, time| {
         heights.push((time, shown.get::<VertexPositions>(mesh).unwrap().positions[2].z));
-        eye.picture(shown, &front(), &Layout::Mono, [16, 16]).unwrap();
-        sent.push((time, eye.renderer().bytes_sent()));
+        renderer.picture(shown, &front(), &Layout::Mono, [16, 16]).unwrap();
+        sent.push((time, renderer.renderer().bytes_sent()));
     });
     let step = 0.05 * FRAME;
     for pair in heights.windows(2).filter(|pair| pair[0].0 > 0.4 && pair[1].0 < 1.1) {
@@ -205,7 +205,7 @@ fn puffs_are_told_apart_by_their_numbers_and_rise_all_the_time() {
 
 #[test]
 fn what_is_drawn_in_the_end_is_what_is_there_in_the_end() {
-    let (mut scene, mut eye) = (Scene::new(), eye());
+    let (mut scene, mut renderer) = (Scene::new(), renderer());
     scene.light();
     let body = body(&mut scene);
     let is_red = |[r, g, _, _]: [u8; 4]| r > 60 && g < r / 2;
@@ -215,13 +215,13 @@ fn what_is_drawn_in_the_end_is_what_is_there_in_the_end() {
             scene.write(|out| out.put(body, Pose::at(0.1 * time, 0.0, 0.0)));
         }
     };
-    let mut drawn = eye;
+    let mut drawn = renderer;
     play(0.1, false, 1.0, &mut scene, go, |shown, _| {
         let picture = drawn.picture(shown, &front(), &Layout::Mono, [128, 128]).unwrap();
         column = middle_column(&picture, is_red).unwrap();
     });
-    eye = common::eye();
-    let picture = eye.picture(&scene.view(), &front(), &Layout::Mono, [128, 128]).unwrap();
+    renderer = common::renderer();
+    let picture = renderer.picture(&scene.view(), &front(), &Layout::Mono, [128, 128]).unwrap();
     assert_eq!(column, middle_column(&picture, is_red).unwrap());
 }
 
@@ -305,14 +305,14 @@ fn a_reset_and_another_parent_are_shown_at_once() {
 fn while_nothing_moves_nothing_changes() {
     let mut scene = Scene::new();
     let body = body(&mut scene);
-    let (mut stage, mut changes) = (Stage::new(), Vec::new());
+    let (mut draw_list, mut changes) = (DrawList::new(), Vec::new());
     let once = |scene: &mut Scene, time: f64| {
         if time < 0.15 {
             scene.write(|out| out.put(body, Pose::at(0.01, 0.0, 0.0)));
         }
     };
     play(0.1, false, 1.0, &mut scene, once, |shown, time| {
-        if stage.update(shown) {
+        if draw_list.update(shown) {
             changes.push(time);
         }
     });

@@ -1,11 +1,11 @@
 //! Several views in one picture.
 
-use crate::support::{Scene, colored, eye, front, middle_column, picture};
+use crate::support::{Scene, colored, front, middle_column, picture, renderer};
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Camera, Entity, Light, Pose, Shape};
-use trocar_viewer::draw_list::Stage;
-use trocar_viewer::layout::{Sight, Stereo, Tile};
-use trocar_viewer::{Eye, Layout, Overlay, Overlays, Pane, Picture, Quality, View};
+use trocar_viewer::draw_list::DrawList;
+use trocar_viewer::layout::{Stereo, Tile, TileView};
+use trocar_viewer::{Layout, OffscreenRenderer, Overlay, Overlays, Pane, Picture, Quality, View};
 
 fn scene() -> Scene {
     let mut scene = Scene::new();
@@ -48,10 +48,15 @@ fn difference(a: &Picture, b: &Picture) -> f64 {
     a.color.iter().zip(&b.color).filter(differ).count() as f64 / a.color.len() as f64
 }
 
-fn single(eye: &mut Eye, scene: &Scene, view: &View, [width, height]: [u32; 2]) -> Picture {
+fn single(
+    renderer: &mut OffscreenRenderer,
+    scene: &Scene,
+    view: &View,
+    [width, height]: [u32; 2],
+) -> Picture {
     let mut view = *view;
     view.lens.aspect = f64::from(width) / f64::from(height);
-    eye.picture(&scene.view(), &view, &Layout::Mono, [width, height]).expect("a picture")
+    renderer.picture(&scene.view(), &view, &Layout::Mono, [width, height]).expect("a picture")
 }
 
 fn above() -> View {
@@ -60,28 +65,28 @@ fn above() -> View {
 
 #[test]
 fn each_tile_shows_what_its_own_camera_shows() {
-    let (mut scene, mut eye) = (scene(), eye());
+    let (mut scene, mut renderer) = (scene(), renderer());
     let side = View::looking_at(Point3::new(0.3, 0.0, 0.1), Point3::origin(), Vector3::z(), front().lens);
     let camera = camera(&mut scene, &side);
     let pane = |x, y, width, height| Pane { x, y, width, height };
     let tiles = vec![
-        Tile::new(pane(0.0, 0.0, 0.75, 0.5), Sight::Given),
-        Tile::new(pane(0.75, 0.0, 0.25, 1.0), Sight::Camera(camera)),
-        Tile::new(pane(0.0, 0.5, 0.75, 0.5), Sight::Free(above())),
+        Tile::new(pane(0.0, 0.0, 0.75, 0.5), TileView::Given),
+        Tile::new(pane(0.75, 0.0, 0.25, 1.0), TileView::Camera(camera)),
+        Tile::new(pane(0.0, 0.5, 0.75, 0.5), TileView::Free(above())),
     ];
     for (quality, overlays) in [
         (Quality::PLAIN, Overlays::default()),
         (Quality::FULL, Overlays::default()),
         (Quality::FINE, Overlays::of(&[Overlay::Wireframe, Overlay::Axes])),
     ] {
-        eye.quality = quality;
-        eye.renderer_mut().overlays = overlays;
+        renderer.quality = quality;
+        renderer.renderer_mut().overlays = overlays;
         let layout = Layout::Tiles(tiles.clone());
-        let whole = eye.picture(&scene.view(), &front(), &layout, [256, 192]).unwrap();
+        let whole = renderer.picture(&scene.view(), &front(), &layout, [256, 192]).unwrap();
         for (pixels, view) in
             [([0, 0, 192, 96], front()), ([192, 0, 64, 192], side), ([0, 96, 192, 96], above())]
         {
-            let alone = single(&mut eye, &scene, &view, [pixels[2], pixels[3]]);
+            let alone = single(&mut renderer, &scene, &view, [pixels[2], pixels[3]]);
             let off = difference(&part(&whole, pixels), &alone);
             assert!(off < 0.002, "{quality:?} {pixels:?}: {off}");
         }
@@ -90,12 +95,12 @@ fn each_tile_shows_what_its_own_camera_shows() {
 
 #[test]
 fn a_tile_behind_a_lens_is_bent_and_the_others_are_not() {
-    let (scene, mut eye) = (scene(), eye());
+    let (scene, mut renderer) = (scene(), renderer());
     let bent = View { distortion: 0.3, vignette: 0.7, ..front() };
-    let layout = Layout::grid([Sight::Free(bent), Sight::Free(above())]);
-    let whole = eye.picture(&scene.view(), &front(), &layout, [256, 128]).unwrap();
+    let layout = Layout::grid([TileView::Free(bent), TileView::Free(above())]);
+    let whole = renderer.picture(&scene.view(), &front(), &layout, [256, 128]).unwrap();
     for (left, view) in [(0, bent), (128, above())] {
-        let alone = single(&mut eye, &scene, &view, [128, 128]);
+        let alone = single(&mut renderer, &scene, &view, [128, 128]);
         let off = difference(&part(&whole, [left, 0, 128, 128]), &alone);
         assert!(off < 0.002, "{left}: {off}");
     }
@@ -103,10 +108,10 @@ fn a_tile_behind_a_lens_is_bent_and_the_others_are_not() {
 
 #[test]
 fn a_tile_has_a_transform_and_two_eyes_of_its_own() {
-    let (scene, mut eye) = (scene(), eye());
+    let (scene, mut renderer) = (scene(), renderer());
     let stereo = Stereo { interocular: 0.03, convergence: 0.3 };
     let aside = Isometry3::translation(0.02, 0.0, 0.05);
-    let mut tile = Tile::new(Pane { x: 0.0, y: 0.0, width: 0.5, height: 1.0 }, Sight::Given);
+    let mut tile = Tile::new(Pane { x: 0.0, y: 0.0, width: 0.5, height: 1.0 }, TileView::Given);
     tile.view_from_eye = aside;
     let woven = Tile {
         pane: Pane { x: 0.5, ..tile.pane },
@@ -114,36 +119,36 @@ fn a_tile_has_a_transform_and_two_eyes_of_its_own() {
         layout: Layout::Anaglyph(stereo),
         ..tile.clone()
     };
-    let whole = picture(&mut eye, &scene, &front(), &Layout::Tiles(vec![tile, woven]), 256);
+    let whole = picture(&mut renderer, &scene, &front(), &Layout::Tiles(vec![tile, woven]), 256);
     let moved = View { world_from_eye: front().world_from_eye * aside, ..front() };
-    let alone = single(&mut eye, &scene, &moved, [128, 256]);
+    let alone = single(&mut renderer, &scene, &moved, [128, 256]);
     assert!(difference(&part(&whole, [0, 0, 128, 256]), &alone) < 0.002);
     let mut narrow = front();
     narrow.lens.aspect = 0.5;
-    let anaglyph = eye.picture(&scene.view(), &narrow, &Layout::Anaglyph(stereo), [128, 256]).unwrap();
+    let anaglyph = renderer.picture(&scene.view(), &narrow, &Layout::Anaglyph(stereo), [128, 256]).unwrap();
     assert!(difference(&part(&whole, [128, 0, 128, 256]), &anaglyph) < 0.002);
 }
 
 #[test]
 fn a_camera_that_is_gone_leaves_its_tile_empty_and_no_tiles_leave_all_of_it() {
-    let (scene, mut eye) = (scene(), eye());
-    let layout = Layout::grid([Sight::Given, Sight::Camera(Entity::new(7, 7, 7))]);
-    let whole = eye.picture(&scene.view(), &front(), &layout, [256, 128]).unwrap();
+    let (scene, mut renderer) = (scene(), renderer());
+    let layout = Layout::grid([TileView::Given, TileView::Camera(Entity::new(7, 7, 7))]);
+    let whole = renderer.picture(&scene.view(), &front(), &layout, [256, 128]).unwrap();
     let empty = part(&whole, [128, 0, 128, 128]);
     assert!(empty.color.iter().all(|pixel| *pixel == empty.color[0]));
     assert!(part(&whole, [0, 0, 128, 128]).color.iter().any(|pixel| *pixel != empty.color[0]));
-    let nothing = eye.picture(&scene.view(), &front(), &Layout::Tiles(Vec::new()), [64, 64]).unwrap();
+    let nothing = renderer.picture(&scene.view(), &front(), &Layout::Tiles(Vec::new()), [64, 64]).unwrap();
     assert!(nothing.color.iter().all(|pixel| *pixel == empty.color[0]));
 }
 
 #[test]
 fn four_views_show_a_thing_from_the_front_from_above_and_from_the_right() {
-    let (scene, mut eye) = (scene(), eye());
-    let mut stage = Stage::new();
-    stage.update(&scene.view());
-    let layout = Layout::quad(&stage, &front());
-    eye.quality = Quality::PLAIN;
-    let whole = picture(&mut eye, &scene, &front(), &layout, 256);
+    let (scene, mut renderer) = (scene(), renderer());
+    let mut draw_list = DrawList::new();
+    draw_list.update(&scene.view());
+    let layout = Layout::quad(&draw_list, &front());
+    renderer.quality = Quality::PLAIN;
+    let whole = picture(&mut renderer, &scene, &front(), &layout, 256);
     let [top, front, right] = [[128, 0], [0, 128], [128, 128]].map(|[x, y]| part(&whole, [x, y, 128, 128]));
     let is_red = |[r, g, _, _]: [u8; 4]| r > 60 && g < r / 2;
     let is_blue = |[r, _, b, _]: [u8; 4]| b > 60 && r < b / 2;
@@ -161,11 +166,11 @@ fn four_views_show_a_thing_from_the_front_from_above_and_from_the_right() {
 
 #[test]
 fn legends_stand_in_the_first_of_several_views() {
-    let (scene, mut eye) = (scene(), eye());
-    let layout = Layout::grid([Sight::Given, Sight::Free(above())]);
+    let (scene, mut renderer) = (scene(), renderer());
+    let layout = Layout::grid([TileView::Given, TileView::Free(above())]);
     let mut drawn = |legends: bool| {
-        eye.renderer_mut().overlays = Overlays { legends, ..Overlays::of(&[Overlay::Forces]) };
-        eye.picture(&scene.view(), &front(), &layout, [512, 256]).unwrap()
+        renderer.renderer_mut().overlays = Overlays { legends, ..Overlays::of(&[Overlay::Forces]) };
+        renderer.picture(&scene.view(), &front(), &layout, [512, 256]).unwrap()
     };
     let (with, without) = (drawn(true), drawn(false));
     let of = |left| [&with, &without].map(|whole| part(whole, [left, 0, 256, 256]));
@@ -176,7 +181,7 @@ fn legends_stand_in_the_first_of_several_views() {
 #[test]
 fn a_grid_is_as_square_as_it_can_be() {
     for (count, columns, rows) in [(1, 1, 1), (2, 2, 1), (3, 2, 2), (4, 2, 2), (5, 3, 2), (9, 3, 3)] {
-        let Layout::Tiles(tiles) = Layout::grid(vec![Sight::Given; count]) else { unreachable!() };
+        let Layout::Tiles(tiles) = Layout::grid(vec![TileView::Given; count]) else { unreachable!() };
         let size = (1.0 / f64::from(columns), 1.0 / f64::from(rows));
         assert!(tiles.iter().all(|tile| (tile.pane.width, tile.pane.height) == size), "{count}");
         assert_eq!(tiles.len(), count);

@@ -72,7 +72,7 @@ pub(super) fn smaller(first: f32, second: f32) -> f32 {
 }
 
 /// A query object with a lower bound of its distance from boxes.
-pub(super) trait Near {
+pub(super) trait LowerBound {
     /// Lower bound of its distance from each of the four boxes \[m\]; undefined for a lane without a child.
     fn lower(&self, node: &Node) -> [f32; LANES];
 }
@@ -92,13 +92,13 @@ fn gaps(node: &Node, low: &[f32; 3], high: &[f32; 3]) -> [f32; LANES] {
 }
 
 /// A box, or a point as a box without extent.
-pub(super) struct NearBox {
+pub(super) struct BoxBound {
     low: [f32; 3],
     high: [f32; 3],
     slack: f32,
 }
 
-impl NearBox {
+impl BoxBound {
     pub(super) fn new(bounds: &Aabb, scale: f32) -> Self {
         let low = [down(bounds.min.x), down(bounds.min.y), down(bounds.min.z)];
         let high = [up(bounds.max.x), up(bounds.max.y), up(bounds.max.z)];
@@ -110,7 +110,7 @@ impl NearBox {
     }
 }
 
-impl Near for NearBox {
+impl LowerBound for BoxBound {
     #[inline]
     fn lower(&self, node: &Node) -> [f32; LANES] {
         gaps(node, &self.low, &self.high).map(|gap| larger(gap - self.slack, 0.0))
@@ -118,7 +118,7 @@ impl Near for NearBox {
 }
 
 /// A segment.
-pub(super) struct NearSegment {
+pub(super) struct SegmentBound {
     low: [f32; 3],
     high: [f32; 3],
     start: [f32; 3],
@@ -129,7 +129,7 @@ pub(super) struct NearSegment {
     slack: f32,
 }
 
-impl NearSegment {
+impl SegmentBound {
     pub(super) fn new(segment: &Segment, scale: f32) -> Self {
         let [start, end] = segment.map(|end| [end.x as f32, end.y as f32, end.z as f32]);
         let (mut low, mut high, mut along) = ([0.0; 3], [0.0; 3], [0.0; 3]);
@@ -145,7 +145,7 @@ impl NearSegment {
     }
 }
 
-impl Near for NearSegment {
+impl LowerBound for SegmentBound {
     /// The larger of two bounds: the distance of its own box, and its gap to the box along the direction from its point
     /// nearest to the box's centre towards that centre. Any direction gives a valid bound; the support of the segment
     /// is taken at both ends, so that an error of the direction does not grow with its length.
@@ -190,20 +190,20 @@ impl Near for NearSegment {
 }
 
 /// A sphere moving along a segment: distance of its start, for boxes near enough to its path.
-pub(super) struct NearWay {
-    start: NearBox,
-    way: NearSegment,
+pub(super) struct SphereSweepBound {
+    start: BoxBound,
+    way: SegmentBound,
     radius: f32,
 }
 
-impl NearWay {
+impl SphereSweepBound {
     pub(super) fn new(segment: &Segment, radius: f64, scale: f32) -> Self {
-        let start = NearBox::point(&segment[0], scale);
-        Self { start, way: NearSegment::new(segment, scale), radius: up(radius) }
+        let start = BoxBound::point(&segment[0], scale);
+        Self { start, way: SegmentBound::new(segment, scale), radius: up(radius) }
     }
 }
 
-impl Near for NearWay {
+impl LowerBound for SphereSweepBound {
     #[inline]
     fn lower(&self, node: &Node) -> [f32; LANES] {
         let mut lower = self.start.lower(node);

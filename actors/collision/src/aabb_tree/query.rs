@@ -2,7 +2,7 @@
 
 use nalgebra::Point3;
 
-use super::bound::{Near, NearBox, NearSegment, NearWay, up};
+use super::bound::{BoxBound, LowerBound, SegmentBound, SphereSweepBound, up};
 use super::{Aabb, AabbTree, NONE};
 use crate::primitive::{
     PointTriangle, Segment, SegmentTriangle, closest_on_triangle, closest_segment_triangle,
@@ -45,7 +45,7 @@ pub struct NearestToSegment {
 
 /// A pending node, with a lower bound of its distance.
 #[derive(Clone, Copy)]
-struct Waiting {
+struct PendingNode {
     lower: f32,
     node: u32,
 }
@@ -94,7 +94,7 @@ impl AabbTree {
         if let Some(first) = first {
             look(first, &mut limit);
         }
-        self.nearest_first(&NearBox::point(point, self.scale), limit, |triangle, _| {
+        self.nearest_first(&BoxBound::point(point, self.scale), limit, |triangle, _| {
             if Some(triangle) != first {
                 look(triangle, &mut limit);
             }
@@ -116,7 +116,7 @@ impl AabbTree {
         self.expect(surface)?;
         let mut best: Option<NearestToSegment> = None;
         let mut limit = radius;
-        self.nearest_first(&NearSegment::new(segment, self.scale), radius, |triangle, _| {
+        self.nearest_first(&SegmentBound::new(segment, self.scale), radius, |triangle, _| {
             let nearest = closest_segment_triangle(segment, &surface.triangle(triangle));
             let distance = nearest.distance_squared.sqrt();
             if distance <= limit && best.is_none_or(|best| distance < best.distance) {
@@ -131,19 +131,19 @@ impl AabbTree {
     /// Triangles whose box overlaps `bounds`, appended to `found` in the tree's order. None is missing; some may be
     /// outside by a rounding error.
     pub fn overlapping(&self, bounds: &Aabb, found: &mut Vec<u32>) -> QueryCost {
-        self.within(&NearBox::new(bounds, self.scale), 0.0, |triangle, _| found.push(triangle))
+        self.within(&BoxBound::new(bounds, self.scale), 0.0, |triangle, _| found.push(triangle))
     }
 
     /// Triangles whose box may be nearer than `radius` \[m\] to `point`, appended with a lower bound of their distance.
     pub fn around_point(&self, point: &Point3<f64>, radius: f64, found: &mut Vec<(u32, f32)>) -> QueryCost {
-        let near = NearBox::point(point, self.scale);
+        let near = BoxBound::point(point, self.scale);
         self.within(&near, radius, |triangle, lower| found.push((triangle, lower)))
     }
 
     /// Triangles whose box may be nearer than `radius` \[m\] to `segment`, which a sphere of that radius may hit along
     /// it, appended with a lower bound of their distance.
     pub fn around_segment(&self, segment: &Segment, radius: f64, found: &mut Vec<(u32, f32)>) -> QueryCost {
-        let near = NearSegment::new(segment, self.scale);
+        let near = SegmentBound::new(segment, self.scale);
         self.within(&near, radius, |triangle, lower| found.push((triangle, lower)))
     }
 
@@ -155,7 +155,7 @@ impl AabbTree {
         limit: f64,
         visit: impl FnMut(u32, f32) -> f64,
     ) -> QueryCost {
-        self.nearest_first(&NearSegment::new(segment, self.scale), limit, visit)
+        self.nearest_first(&SegmentBound::new(segment, self.scale), limit, visit)
     }
 
     /// The same for a point.
@@ -165,7 +165,7 @@ impl AabbTree {
         limit: f64,
         visit: impl FnMut(u32, f32) -> f64,
     ) -> QueryCost {
-        self.nearest_first(&NearBox::point(point, self.scale), limit, visit)
+        self.nearest_first(&BoxBound::point(point, self.scale), limit, visit)
     }
 
     /// Visits the triangles that a sphere may hit along `segment`, those near its start first. `visit` returns the
@@ -177,7 +177,7 @@ impl AabbTree {
         mut visit: impl FnMut(u32) -> f64,
     ) -> QueryCost {
         let length = (segment[1] - segment[0]).norm();
-        let near = NearWay::new(segment, radius, self.scale);
+        let near = SphereSweepBound::new(segment, radius, self.scale);
         self.nearest_first(&near, radius + length, |triangle, _| radius + length * visit(triangle))
     }
 
@@ -192,7 +192,7 @@ impl AabbTree {
 
     /// Visits all of them, in no particular order.
     #[inline]
-    fn within(&self, near: &impl Near, radius: f64, mut visit: impl FnMut(u32, f32)) -> QueryCost {
+    fn within(&self, near: &impl LowerBound, radius: f64, mut visit: impl FnMut(u32, f32)) -> QueryCost {
         let mut cost = QueryCost::default();
         let mut stack = [0_u32; WAITING];
         let mut height = usize::from(!self.nodes.is_empty());
@@ -222,12 +222,12 @@ impl AabbTree {
     #[inline]
     fn nearest_first(
         &self,
-        near: &impl Near,
+        near: &impl LowerBound,
         limit: f64,
         mut visit: impl FnMut(u32, f32) -> f64,
     ) -> QueryCost {
         let mut cost = QueryCost::default();
-        let mut stack = [Waiting { lower: 0.0, node: 0 }; WAITING];
+        let mut stack = [PendingNode { lower: 0.0, node: 0 }; WAITING];
         let mut height = usize::from(!self.nodes.is_empty());
         let mut limit = up(limit);
         while height > 0 {
@@ -255,7 +255,7 @@ impl AabbTree {
                     stack[place] = stack[place - 1];
                     place -= 1;
                 }
-                stack[place] = Waiting { lower, node: node.child[lane] };
+                stack[place] = PendingNode { lower, node: node.child[lane] };
                 height += 1;
             }
         }

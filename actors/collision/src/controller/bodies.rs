@@ -38,14 +38,14 @@ pub enum Change {
 
 /// Required geometry of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wanted {
+pub enum RequiredGeometry {
     /// Triangles.
     Surface,
     /// Triangles, or segments with a radius: a needle, a thread, a band.
     SurfaceOrLine,
 }
 
-impl Wanted {
+impl RequiredGeometry {
     fn is(self, scene: &Snapshot, entity: Entity) -> bool {
         let is_line = || scene.get::<LineMesh>(entity).is_some();
         scene.get::<SurfaceMesh>(entity).is_some() || self == Self::SurfaceOrLine && is_line()
@@ -66,8 +66,8 @@ enum Parts {
 }
 
 impl Parts {
-    fn of(scene: &Snapshot, entity: Entity, wanted: Wanted) -> Option<Self> {
-        let line = scene.get::<LineMesh>(entity).filter(|_| wanted == Wanted::SurfaceOrLine);
+    fn of(scene: &Snapshot, entity: Entity, wanted: RequiredGeometry) -> Option<Self> {
+        let line = scene.get::<LineMesh>(entity).filter(|_| wanted == RequiredGeometry::SurfaceOrLine);
         match line {
             Some(line) => Some(Self::Segments(line.segments.clone(), line.radius)),
             None => scene.get::<SurfaceMesh>(entity).map(|mesh| Self::Triangles(mesh.triangles.clone())),
@@ -108,7 +108,7 @@ pub struct Body {
     /// `world_from_body`.
     pub pose: Isometry3<f64>,
     name: String,
-    wanted: Wanted,
+    wanted: RequiredGeometry,
     vertices: Arc<Vec<Point3<f64>>>,
     parts: Parts,
     /// Whether the last read data is valid.
@@ -122,7 +122,11 @@ impl Body {
     ///
     /// # Errors
     /// There is none of that name, or its geometry is missing or invalid.
-    pub fn named(context: &BuildContext<'_>, name: &str, wanted: Wanted) -> Result<Self, ControllerError> {
+    pub fn named(
+        context: &BuildContext<'_>,
+        name: &str,
+        wanted: RequiredGeometry,
+    ) -> Result<Self, ControllerError> {
         let scene = context.scene;
         let found = find(scene, name, &|entity| wanted.is(scene, entity), wanted.words());
         let mut body = Self {

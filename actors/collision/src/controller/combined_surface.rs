@@ -3,12 +3,12 @@
 use nalgebra::{Isometry3, Point3};
 use trocar_scene::{BuildContext, Commands, ControllerError, Entity, Snapshot};
 
-use super::bodies::{Body, Change, Wanted};
+use super::bodies::{Body, Change, RequiredGeometry};
 use crate::Surface;
 use crate::moving_surface::MovingSurface;
 
 /// Bodies in the frame of the first one, so that common rigid motion causes no change.
-pub struct Felt {
+pub struct CombinedSurface {
     bodies: Vec<Body>,
     /// Pose of each in that frame.
     places: Vec<Isometry3<f64>>,
@@ -20,13 +20,13 @@ pub struct Felt {
     moving: MovingSurface,
 }
 
-impl Felt {
+impl CombinedSurface {
     /// The bodies of these names.
     ///
     /// # Errors
     /// A body does not exist or is invalid.
     pub fn named(context: &BuildContext<'_>, names: &[String]) -> Result<Self, ControllerError> {
-        let bodies = names.iter().map(|name| Body::named(context, name, Wanted::Surface));
+        let bodies = names.iter().map(|name| Body::named(context, name, RequiredGeometry::Surface));
         let bodies: Vec<Body> = bodies.collect::<Result<_, _>>()?;
         let Some(first) = bodies.first() else {
             return Err(ControllerError::Scene("surfaces: none is named; one at least is needed".to_owned()));

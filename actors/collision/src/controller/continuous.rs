@@ -12,8 +12,8 @@ use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Snapshot, Tick,
 };
 
-use super::bodies::{self, Body, Change, Wanted};
-use super::report::{self, Found, Report, primitive};
+use super::bodies::{self, Body, Change, RequiredGeometry};
+use super::report::{self, FoundContact, Report, primitive};
 use crate::continuous::{FoundImpact, ImpactFinder, SweptLine, SweptSurface};
 use crate::{Line, Part, Surface};
 
@@ -56,14 +56,18 @@ pub struct HeldImpacts {
 }
 
 /// A body with its vertices at the last tick and now, in world.
-struct Moved {
+struct SweptBody {
     body: Body,
     before: Vec<Point3<f64>>,
     now: Vec<Point3<f64>>,
 }
 
-impl Moved {
-    fn new(context: &BuildContext<'_>, name: &str, wanted: Wanted) -> Result<Self, ControllerError> {
+impl SweptBody {
+    fn new(
+        context: &BuildContext<'_>,
+        name: &str,
+        wanted: RequiredGeometry,
+    ) -> Result<Self, ControllerError> {
         let body = Body::named(context, name, wanted)?;
         let mut moved = Self { body, before: Vec::new(), now: Vec::new() };
         moved.place();
@@ -107,7 +111,7 @@ impl Moved {
 
 struct Pair {
     /// Both are the same for self-collision.
-    bodies: [Moved; 2],
+    bodies: [SweptBody; 2],
     is_self: bool,
 }
 
@@ -158,9 +162,9 @@ impl ContinuousController {
     pub fn new(config: &ContinuousConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let pair = |[first, second]: &[String; 2]| {
             let is_self = first == second;
-            let wanted = if is_self { Wanted::Surface } else { Wanted::SurfaceOrLine };
-            let first = Moved::new(context, first, wanted)?;
-            Ok(Pair { bodies: [first, Moved::new(context, second, Wanted::Surface)?], is_self })
+            let wanted = if is_self { RequiredGeometry::Surface } else { RequiredGeometry::SurfaceOrLine };
+            let first = SweptBody::new(context, first, wanted)?;
+            Ok(Pair { bodies: [first, SweptBody::new(context, second, RequiredGeometry::Surface)?], is_self })
         };
         Ok(Self {
             pairs: config.pairs.iter().map(pair).collect::<Result<_, ControllerError>>()?,
@@ -225,7 +229,7 @@ impl Controller for ContinuousController {
                 if depth < 0.0 {
                     return false;
                 }
-                report.add(Found {
+                report.add(FoundContact {
                     parts: [(first.body.entity, held.parts[0]), (second.body.entity, held.parts[1])],
                     on_second_in_world: on_second,
                     normal_in_world: held.normal_in_world,

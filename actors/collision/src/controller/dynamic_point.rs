@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::components::{Detection, Instrument, Primitive};
 use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, Entity, Snapshot, Tick};
 
-use super::bodies::{self, Body, Change, Wanted};
-use super::report::{self, Found, Report};
+use super::bodies::{self, Body, Change, RequiredGeometry};
+use super::report::{self, FoundContact, Report};
 use crate::dynamic_point::{DynamicPoint, LineConfig, LineContact};
 use crate::moving_surface::MovingSurface;
 
@@ -34,7 +34,7 @@ fn segments() -> usize {
 }
 
 /// A body, with a detector for each shaft.
-struct Watched {
+struct TrackedBody {
     body: Body,
     moving: MovingSurface,
     watches: Vec<DynamicPoint>,
@@ -43,7 +43,7 @@ struct Watched {
 /// Finds contacts of shafts with surfaces.
 pub struct DynamicPointController {
     instruments: Vec<Entity>,
-    bodies: Vec<Watched>,
+    bodies: Vec<TrackedBody>,
     report: Report,
 }
 
@@ -63,9 +63,9 @@ impl DynamicPointController {
             lines.push(watch.map_err(|error| ControllerError::Scene(format!("'{name}': {error}")))?);
         }
         let bodies = config.bodies.iter().map(|name| {
-            let body = Body::named(context, name, Wanted::Surface)?;
+            let body = Body::named(context, name, RequiredGeometry::Surface)?;
             let moving = MovingSurface::new(&body.surface());
-            Ok(Watched { body, moving, watches: lines.clone() })
+            Ok(TrackedBody { body, moving, watches: lines.clone() })
         });
         let bodies = bodies.collect::<Result<_, ControllerError>>()?;
         Ok(Self { instruments, bodies, report: Report::new(Detection::DynamicPoint, config.stiffness) })
@@ -103,8 +103,8 @@ impl Controller for DynamicPointController {
     }
 }
 
-fn found(shaft: Entity, body: &Body, contact: &LineContact) -> Found {
-    Found {
+fn found(shaft: Entity, body: &Body, contact: &LineContact) -> FoundContact {
+    FoundContact {
         parts: [(shaft, Primitive::Shaft), (body.entity, Primitive::Triangle(contact.triangle))],
         on_second_in_world: body.pose * contact.on_surface,
         normal_in_world: body.pose * -contact.direction,

@@ -13,9 +13,9 @@ use trocar_scene::{
 };
 
 use super::bodies;
-use super::combined_surface::Felt;
-use super::report::{self, Found, Report};
-use crate::finger_proxy::{FingerProxy, PlaneFeel, ProxyConfig};
+use super::combined_surface::CombinedSurface;
+use super::report::{self, FoundContact, Report};
+use crate::finger_proxy::{FingerProxy, PlaneProperties, ProxyConfig};
 
 /// Configuration: instruments, surfaces and contact properties.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,7 +54,7 @@ fn foresight() -> f64 {
 const TICKS_AHEAD: f64 = 2.0;
 
 /// A proxy, and its last position in world.
-struct Hand {
+struct InstrumentProxy {
     instrument: Entity,
     proxy: FingerProxy,
     before: Option<(SimTime, Point3<f64>)>,
@@ -62,9 +62,9 @@ struct Hand {
 
 /// Updates the proxies of instruments on surfaces, and writes local contact models for haptics.
 pub struct FingerProxyController {
-    hands: Vec<Hand>,
-    felt: Felt,
-    feel: PlaneFeel,
+    hands: Vec<InstrumentProxy>,
+    felt: CombinedSurface,
+    feel: PlaneProperties,
     foresight: f64,
     report: Report,
 }
@@ -92,7 +92,7 @@ impl FingerProxyController {
             dynamic_friction: friction,
             ..ProxyConfig::default()
         };
-        let felt = Felt::named(context, &config.surfaces)?;
+        let felt = CombinedSurface::named(context, &config.surfaces)?;
         let hand = |instrument: Entity| {
             let proxy = match context.scene.get::<LocalContactModel>(instrument) {
                 Some(model) => {
@@ -102,27 +102,27 @@ impl FingerProxyController {
                 None => FingerProxy::new(proxy),
             };
             let proxy = proxy.map_err(|error| ControllerError::Scene(error.to_string()))?;
-            Ok(Hand { instrument, proxy, before: None })
+            Ok(InstrumentProxy { instrument, proxy, before: None })
         };
         let hands = bodies::instruments(context, &config.instruments)?.into_iter().map(hand);
         Ok(Self {
             hands: hands.collect::<Result<_, ControllerError>>()?,
             felt,
-            feel: PlaneFeel { stiffness: config.stiffness, damping: config.damping },
+            feel: PlaneProperties { stiffness: config.stiffness, damping: config.damping },
             foresight: config.foresight,
             report: Report::new(Detection::Proxy, config.stiffness),
         })
     }
 }
 
-impl Hand {
+impl InstrumentProxy {
     /// Follows the hand, and returns its local contact model.
     fn follow(
         &mut self,
         tick: &Tick<'_>,
         target: &InstrumentTarget,
-        felt: &Felt,
-        feel: &PlaneFeel,
+        felt: &CombinedSurface,
+        feel: &PlaneProperties,
         foresight: f64,
     ) -> Result<LocalContactModel, ControllerError> {
         let world_from_tip = target.tip_in_world.isometry();
@@ -169,7 +169,7 @@ impl Controller for FingerProxyController {
             let pose = self.felt.pose();
             for contact in hand.proxy.contacts() {
                 let (surface, triangle) = self.felt.owner(contact.triangle);
-                self.report.add(Found {
+                self.report.add(FoundContact {
                     parts: [(hand.instrument, Primitive::Shape(0)), (surface, Primitive::Triangle(triangle))],
                     on_second_in_world: pose * contact.on_surface,
                     normal_in_world: pose * -contact.normal,

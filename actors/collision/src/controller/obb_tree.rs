@@ -6,7 +6,7 @@ use trocar_scene::components::{Detection, Primitive};
 use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, Snapshot, Tick};
 
 use super::bodies::{self, Body, Change};
-use super::report::{self, COLLISIONS_MAX, Found, Report};
+use super::report::{self, COLLISIONS_MAX, FoundContact, Report};
 use super::tree_body::TreeBody;
 use crate::moving_surface::MovingSurface;
 use crate::obb_tree::{TouchingPair, TreeFront, TreeQuery};
@@ -121,8 +121,8 @@ impl Pair {
     }
 }
 
-fn in_first(a: &Tree, b: &Tree, inside: &VertexInside) -> Found {
-    Found {
+fn in_first(a: &Tree, b: &Tree, inside: &VertexInside) -> FoundContact {
+    FoundContact {
         parts: [
             (a.body().entity, Primitive::Triangle(inside.triangle)),
             (b.body().entity, Primitive::Vertex(inside.vertex)),
@@ -133,8 +133,8 @@ fn in_first(a: &Tree, b: &Tree, inside: &VertexInside) -> Found {
     }
 }
 
-fn in_second(a: &Tree, b: &Tree, inside: &VertexInside) -> Found {
-    Found {
+fn in_second(a: &Tree, b: &Tree, inside: &VertexInside) -> FoundContact {
+    FoundContact {
         parts: [
             (a.body().entity, Primitive::Vertex(inside.vertex)),
             (b.body().entity, Primitive::Triangle(inside.triangle)),
@@ -148,12 +148,12 @@ fn in_second(a: &Tree, b: &Tree, inside: &VertexInside) -> Found {
 /// Contact of two triangles that cross without a corner inside: they separate along the mean of their outward
 /// directions, by half the length of their intersection segment, an upper bound of the depth if both are edges of flat
 /// bodies.
-fn crossing(a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>, pair: &TouchingPair) -> Found {
+fn crossing(a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>, pair: &TouchingPair) -> FoundContact {
     let [of_a, of_b] = pair.triangles;
     let normal = apart(&face(&a.moving.surface(), of_a), &(b_in_a * face(&b.moving.surface(), of_b)));
     let [p, q] = pair.points_in_a;
     let depth = 0.5 * (q - p).norm();
-    Found {
+    FoundContact {
         parts: [(a.body().entity, Primitive::Triangle(of_a)), (b.body().entity, Primitive::Triangle(of_b))],
         on_second_in_world: a.body().pose * (nalgebra::center(&p, &q) - normal * (0.5 * depth)),
         normal_in_world: a.body().pose * normal,
@@ -164,7 +164,7 @@ fn crossing(a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>, pair: &TouchingPair) ->
 /// Contact of two triangles of one surface that cross at a fold. The depth along the mean of their outward directions
 /// is the separating translation, at most half the length of their intersection segment: the first applies to sheets
 /// lying on each other, the second to an edge through a sheet.
-fn fold(a: &Tree, pair: &TouchingPair) -> Found {
+fn fold(a: &Tree, pair: &TouchingPair) -> FoundContact {
     let mut found = crossing(a, a, &Isometry3::identity(), pair);
     let surface = a.moving.surface();
     let normal = a.body().pose.inverse_transform_vector(&found.normal_in_world);

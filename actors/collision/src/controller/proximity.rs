@@ -5,7 +5,7 @@ use trocar_scene::components::{Detection, Primitive};
 use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, Snapshot, Tick};
 
 use super::bodies::{self, Change};
-use super::report::{self, Found, Report};
+use super::report::{self, FoundContact, Report};
 use super::tree_body::TreeBody;
 use crate::obb_tree::{Proximity, TreeQuery};
 
@@ -31,7 +31,7 @@ fn margin() -> f64 {
 struct Pair {
     bodies: [usize; 2],
     last: Option<[u32; 2]>,
-    found: Option<Found>,
+    found: Option<FoundContact>,
 }
 
 /// Finds the nearest points of nearby surfaces.
@@ -66,7 +66,7 @@ impl ProximityController {
 }
 
 impl Pair {
-    fn look(&mut self, trees: &[TreeBody], query: &mut TreeQuery, margin: f64) -> Option<Found> {
+    fn look(&mut self, trees: &[TreeBody], query: &mut TreeQuery, margin: f64) -> Option<FoundContact> {
         let [a, b] = self.bodies.map(|number| &trees[number]);
         let b_in_a = a.body.pose.inv_mul(&b.body.pose);
         let near = query.distance(&a.tree, &b.tree, &b_in_a, self.last)?;
@@ -79,7 +79,7 @@ impl Pair {
         let apart = a.body.pose * (on_b - on_a);
         // If they overlap, their nearest points define no direction: the last separation direction is used.
         let normal = apart.try_normalize(1e-12).or(self.found.map(|found| found.normal_in_world))?;
-        let found = Found {
+        let found = FoundContact {
             parts: [(a.body.entity, Primitive::Triangle(of_a)), (b.body.entity, Primitive::Triangle(of_b))],
             on_second_in_world: a.body.pose * on_b,
             normal_in_world: normal,

@@ -25,7 +25,7 @@ pub fn primitive(part: Part) -> Primitive {
 
 /// A contact, before the stiffness is divided among the contacts of its pair.
 #[derive(Clone, Copy, Debug)]
-pub struct Found {
+pub struct FoundContact {
     /// Entities, and their parts.
     pub parts: [(Entity, Primitive); 2],
     /// Contact point on the second one, in world \[m\]; the first reaches beyond it by the depth.
@@ -42,7 +42,7 @@ pub struct Report {
     method: Detection,
     /// Total stiffness of a pair of bodies, shared by its contacts \[N/m\].
     stiffness: f64,
-    found: Vec<Found>,
+    found: Vec<FoundContact>,
     /// End index of each pair of bodies in the list.
     pairs: Vec<usize>,
     penetration_max: f64,
@@ -70,7 +70,7 @@ impl Report {
     }
 
     /// Adds a contact of the current pair of bodies.
-    pub fn add(&mut self, found: Found) {
+    pub fn add(&mut self, found: FoundContact) {
         self.found.push(found);
     }
 
@@ -105,7 +105,7 @@ impl Report {
     }
 }
 
-fn collision(found: &Found, stiffness: f64, method: Detection, detected_at: SimTime) -> Collision {
+fn collision(found: &FoundContact, stiffness: f64, method: Detection, detected_at: SimTime) -> Collision {
     let [(a, primitive_a), (b, primitive_b)] = found.parts;
     let normal_in_world = found.normal_in_world;
     Collision {

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::components::{Detection, LineMesh};
 use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, Snapshot, Tick};
 
-use super::bodies::{self, Body, Change, Wanted};
-use super::report::{self, Found, Report, primitive};
+use super::bodies::{self, Body, Change, RequiredGeometry};
+use super::report::{self, FoundContact, Report, primitive};
 use crate::spherical_hash::{SphericalContact, SphericalHash};
 use crate::{Line, Part, Surface};
 
@@ -24,7 +24,7 @@ pub struct SphericalHashConfig {
 }
 
 /// A possible contact partner: another body, a band or a thread.
-struct Other {
+struct Partner {
     body: Body,
     hash: SphericalHash,
 }
@@ -34,7 +34,7 @@ pub struct SphericalHashController {
     body: Body,
     hash: SphericalHash,
     hashed: bool,
-    others: Vec<Other>,
+    others: Vec<Partner>,
     /// Vertices of the current partner, in the body's frame.
     moved: Vec<Point3<f64>>,
     contacts: Vec<SphericalContact>,
@@ -48,11 +48,11 @@ impl SphericalHashController {
     /// One does not exist or is invalid.
     pub fn new(config: &SphericalHashConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let other = |name: &String| {
-            let body = Body::named(context, name, Wanted::SurfaceOrLine)?;
-            Ok(Other { body, hash: SphericalHash::new() })
+            let body = Body::named(context, name, RequiredGeometry::SurfaceOrLine)?;
+            Ok(Partner { body, hash: SphericalHash::new() })
         };
         Ok(Self {
-            body: Body::named(context, &config.body, Wanted::Surface)?,
+            body: Body::named(context, &config.body, RequiredGeometry::Surface)?,
             hash: SphericalHash::new(),
             hashed: false,
             others: config.others.iter().map(other).collect::<Result<_, ControllerError>>()?,
@@ -102,7 +102,7 @@ impl Controller for SphericalHashController {
                 }
             }
             for contact in contacts.iter() {
-                report.add(Found {
+                report.add(FoundContact {
                     parts: [(body.entity, primitive(contact.a)), (entity, primitive(contact.b))],
                     on_second_in_world: body.pose * contact.points[1],
                     normal_in_world: body.pose * contact.direction,

@@ -2,7 +2,7 @@
 
 use trocar_scene::{BuildContext, Commands, ControllerError, Snapshot};
 
-use super::bodies::{Body, Change, Wanted};
+use super::bodies::{Body, Change, RequiredGeometry};
 use crate::obb_tree::ObbTree;
 
 /// A body and its tree, which is updated only when the body has changed.
@@ -17,7 +17,7 @@ impl TreeBody {
     /// # Errors
     /// As [`Body::named`].
     pub fn named(context: &BuildContext<'_>, name: &str) -> Result<Self, ControllerError> {
-        let body = Body::named(context, name, Wanted::Surface)?;
+        let body = Body::named(context, name, RequiredGeometry::Surface)?;
         let tree = ObbTree::build(&body.surface());
         Ok(Self { body, tree })
     }

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::components::{Detection, Instrument, Primitive};
 use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, Entity, Snapshot, Tick};
 
-use super::bodies::{self, Body, Wanted};
-use super::report::{self, Found, Report};
+use super::bodies::{self, Body, RequiredGeometry};
+use super::report::{self, FoundContact, Report};
 use crate::continuous::Sweep;
 use crate::primitive::closest_on_segment;
 use crate::pseudonormal::face;
@@ -41,7 +41,7 @@ fn pixels_max() -> usize {
 }
 
 /// A body, with the last port and tip of each shaft in its frame.
-struct Watched {
+struct TrackedBody {
     body: Body,
     before: Vec<Option<[Point3<f64>; 2]>>,
 }
@@ -49,7 +49,7 @@ struct Watched {
 /// Finds triangles that shafts touch or have passed through.
 pub struct ZBufferController {
     instruments: Vec<Entity>,
-    bodies: Vec<Watched>,
+    bodies: Vec<TrackedBody>,
     image: ZBuffer,
     hits: Vec<VolumeHit>,
     report: Report,
@@ -63,8 +63,8 @@ impl ZBufferController {
     pub fn new(config: &ZBufferConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let instruments = bodies::instruments(context, &config.instruments)?;
         let watched = |name: &String| {
-            let body = Body::named(context, name, Wanted::Surface)?;
-            Ok(Watched { body, before: vec![None; instruments.len()] })
+            let body = Body::named(context, name, RequiredGeometry::Surface)?;
+            Ok(TrackedBody { body, before: vec![None; instruments.len()] })
         };
         let image = ZBuffer::new(config.pixel, config.pixels_max);
         Ok(Self {
@@ -114,7 +114,7 @@ impl Controller for ZBufferController {
                     if normal.dot(&face(&surface, hit.triangle)) > 0.0 {
                         continue;
                     }
-                    self.report.add(Found {
+                    self.report.add(FoundContact {
                         parts: [
                             (*entity, Primitive::Shaft),
                             (watched.body.entity, Primitive::Triangle(hit.triangle)),

@@ -54,7 +54,7 @@ pub struct LineContact {
 }
 
 /// Geometry of a contact, without segment and triangle.
-pub(super) struct Found {
+pub(super) struct ContactGeometry {
     pub(super) triangle: u32,
     pub(super) nearest: SegmentTriangle,
     pub(super) kind: LineContactKind,
@@ -69,7 +69,7 @@ pub(super) fn beside(
     nearest: &SegmentTriangle,
     radius: f64,
     scale: f64,
-) -> Found {
+) -> ContactGeometry {
     let distance = nearest.distance_squared.sqrt();
     let away = nearest.on_segment - nearest.on_triangle;
     let outward = pseudonormal(&mesh.surface(), mesh.topology(), triangle, &nearest.weights);
@@ -84,7 +84,7 @@ pub(super) fn beside(
     } else {
         (LineContactKind::Outside, radius - distance)
     };
-    Found { triangle, nearest: *nearest, kind, depth, direction }
+    ContactGeometry { triangle, nearest: *nearest, kind, depth, direction }
 }
 
 /// The crossings of one segment, in a fixed-size buffer.
@@ -112,7 +112,7 @@ impl Crossings {
         mesh: &MovingSurface,
         segment: &Segment,
         radius: f64,
-    ) -> Option<Found> {
+    ) -> Option<ContactGeometry> {
         let list = &mut self.list[..self.count];
         list.sort_unstable_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
         let direction = segment[1] - segment[0];
@@ -142,6 +142,6 @@ impl Crossings {
         }
         let (triangle, depth, direction) = best?;
         let nearest = closest_segment_triangle(segment, &mesh.surface().triangle(triangle));
-        Some(Found { triangle, nearest, kind: LineContactKind::Crossing, depth, direction })
+        Some(ContactGeometry { triangle, nearest, kind: LineContactKind::Crossing, depth, direction })
     }
 }

@@ -23,7 +23,7 @@ use nalgebra::Point3;
 use support::Support;
 use thiserror::Error;
 
-use crate::candidates::{Candidates, Found};
+use crate::candidates::{Candidate, Candidates};
 use crate::moving_surface::MovingSurface;
 use crate::primitive::{Segment, SegmentTriangle, closest_on_segment, closest_segment_triangle};
 
@@ -72,7 +72,7 @@ pub enum LineError {
 
 /// Tracking state of one segment.
 #[derive(Clone, Debug)]
-struct Watched {
+struct TrackedSegment {
     placed: Segment,
     /// The triangle of the dynamic point.
     triangle: Option<u32>,
@@ -85,9 +85,9 @@ struct Watched {
 #[derive(Clone, Debug)]
 pub struct DynamicPoint {
     config: LineConfig,
-    watched: Vec<Watched>,
+    watched: Vec<TrackedSegment>,
     contacts: Vec<Option<LineContact>>,
-    found: Vec<Found<Support>>,
+    found: Vec<Candidate<Support>>,
     /// Topology revision, and motion of the surface up to the last update.
     seen: Option<(u64, f64)>,
     statistics: LineStatistics,
@@ -125,7 +125,7 @@ fn part_within(segment: &Segment, mesh: &MovingSurface, horizon: f64) -> Option<
 
 /// The nearest triangle of one segment so far.
 #[derive(Clone, Copy)]
-struct Best {
+struct NearestTriangle {
     triangle: Option<u32>,
     nearest: SegmentTriangle,
     distance: f64,
@@ -145,7 +145,7 @@ impl DynamicPoint {
                 return Err(LineError::Length { what, value });
             }
         }
-        let nothing = Watched {
+        let nothing = TrackedSegment {
             placed: [Point3::origin(); 2],
             triangle: None,
             candidates: Candidates::none(),
@@ -277,7 +277,7 @@ impl DynamicPoint {
         segment: &Segment,
         scale: f64,
         begins: bool,
-    ) -> Best {
+    ) -> NearestTriangle {
         let reach = self.config.radius + self.config.margin + ROUNDING * scale;
         let none = SegmentTriangle {
             on_segment: segment[0],
@@ -286,7 +286,7 @@ impl DynamicPoint {
             weights: [1.0, 0.0, 0.0],
             distance_squared: f64::INFINITY,
         };
-        let mut best = Best { triangle: None, nearest: none, distance: f64::INFINITY };
+        let mut best = NearestTriangle { triangle: None, nearest: none, distance: f64::INFINITY };
         let candidates = &self.watched[index].candidates;
         if candidates.len() == 0 && candidates.certify(reach) {
             return best;
@@ -318,7 +318,7 @@ impl DynamicPoint {
         index: usize,
         segment: &Segment,
         triangle: u32,
-        best: &mut Best,
+        best: &mut NearestTriangle,
     ) -> bool {
         let corners = mesh.surface().triangle(triangle);
         let nearest = closest_segment_triangle(segment, &corners);
@@ -331,13 +331,13 @@ impl DynamicPoint {
         }
         let is_nearer = distance < best.distance;
         if is_nearer {
-            *best = Best { triangle: Some(triangle), nearest, distance };
+            *best = NearestTriangle { triangle: Some(triangle), nearest, distance };
         }
         is_nearer
     }
 
     /// Walks from triangle to neighbour while that is nearer: over the edge or around the vertex of the nearest point.
-    fn walk(&mut self, mesh: &MovingSurface, index: usize, segment: &Segment, best: &mut Best) {
+    fn walk(&mut self, mesh: &MovingSurface, index: usize, segment: &Segment, best: &mut NearestTriangle) {
         for _ in 0..HOPS_MAX {
             let Some(from) = best.triangle else { return };
             let corners = &mesh.surface().triangles()[from as usize];
@@ -364,7 +364,7 @@ impl DynamicPoint {
         index: usize,
         segment: &Segment,
         (reach, rounding): (f64, f64),
-        best: &mut Best,
+        best: &mut NearestTriangle,
     ) {
         let candidates = &mut self.watched[index].candidates;
         let mut from = 0;
@@ -417,7 +417,7 @@ impl DynamicPoint {
                 candidates.set(slot, distance);
                 candidates.set_note(slot, Support::new(&nearest, &corners, mesh.motion()));
                 if distance < best.distance {
-                    *best = Best { triangle: Some(triangle), nearest, distance };
+                    *best = NearestTriangle { triangle: Some(triangle), nearest, distance };
                 }
             }
             if next.is_none() {
@@ -433,7 +433,7 @@ impl DynamicPoint {
         index: usize,
         segment: &Segment,
         (reach, rounding): (f64, f64),
-        best: &mut Best,
+        best: &mut NearestTriangle,
     ) {
         let watched = &mut self.watched[index];
         let surface = mesh.surface();
@@ -444,7 +444,7 @@ impl DynamicPoint {
         self.found.clear();
         let mut tests = 0;
         let cost = mesh.tree().nearest_to_segment_first(segment, limit(best.distance), |triangle, lower| {
-            let mut found = Found { triangle, at_least: f64::from(lower), note: Support::default() };
+            let mut found = Candidate { triangle, at_least: f64::from(lower), note: Support::default() };
             if found.at_least <= best.distance && best.triangle.is_some() {
                 found.note = Support::guess(segment, &surface.triangle(triangle), mesh.motion());
                 let at_least = found.note.at_least(segment, mesh.motion()) - rounding;
@@ -457,7 +457,7 @@ impl DynamicPoint {
                 found.note = Support::new(&nearest, &corners, mesh.motion());
                 tests += 1;
                 if found.at_least < best.distance {
-                    *best = Best { triangle: Some(triangle), nearest, distance: found.at_least };
+                    *best = NearestTriangle { triangle: Some(triangle), nearest, distance: found.at_least };
                 }
             }
             self.found.push(found);
@@ -479,7 +479,7 @@ impl DynamicPoint {
         mesh: &MovingSurface,
         index: usize,
         segment: &Segment,
-        best: &Best,
+        best: &NearestTriangle,
         scale: f64,
     ) -> Option<LineContact> {
         let triangle = best.triangle?;

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::components::{ContactPlane, LocalContactModel, Pose, Velocity};
 use trocar_scene::time::SimTime;
 
-use super::{FingerProxy, Touched};
+use super::{FingerProxy, TouchedTriangle};
 use crate::moving_surface::MovingSurface;
 
 /// Of two planes whose normals differ by less than this (about 18°) the farther one is dropped.
@@ -16,7 +16,7 @@ const SEEN_MAX: usize = 32;
 
 /// Contact properties of a plane of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PlaneFeel {
+pub struct PlaneProperties {
     /// Stiffness against penetration, the tissue's compliance linearised where it is \[N/m\].
     pub stiffness: f64,
     /// Damping along the normal \[N·s/m\].
@@ -32,7 +32,7 @@ impl FingerProxy {
         &self,
         mesh: &MovingSurface,
         world_from_surface: &Isometry3<f64>,
-        feel: &PlaneFeel,
+        feel: &PlaneProperties,
         foresight: f64,
         at: SimTime,
     ) -> LocalContactModel {
@@ -51,7 +51,7 @@ impl FingerProxy {
             taken[count] = contact.normal;
             count += 1;
         }
-        let mut seen: [Option<Touched>; SEEN_MAX] = [None; SEEN_MAX];
+        let mut seen: [Option<TouchedTriangle>; SEEN_MAX] = [None; SEEN_MAX];
         self.nearest_around(mesh, self.hold() + foresight, &mut seen);
         for own in seen.iter().flatten() {
             let is_part = seen.iter().flatten().any(|other| own.is_part_of(other, mesh));
@@ -73,13 +73,19 @@ impl FingerProxy {
     }
 
     /// The nearest triangles within `reach` \[m\], nearest first.
-    fn nearest_around(&self, mesh: &MovingSurface, reach: f64, seen: &mut [Option<Touched>; SEEN_MAX]) {
+    fn nearest_around(
+        &self,
+        mesh: &MovingSurface,
+        reach: f64,
+        seen: &mut [Option<TouchedTriangle>; SEEN_MAX],
+    ) {
         let mut count = 0;
         mesh.tree().nearest_to_point_first(&self.proxy, reach, |triangle, _| {
-            let Some(touched) = Touched::of(mesh, triangle, &self.proxy) else { return reach };
+            let Some(touched) = TouchedTriangle::of(mesh, triangle, &self.proxy) else { return reach };
             if touched.distance <= reach {
-                let further =
-                    |other: &Option<Touched>| other.is_none_or(|other| other.distance > touched.distance);
+                let further = |other: &Option<TouchedTriangle>| {
+                    other.is_none_or(|other| other.distance > touched.distance)
+                };
                 let place = seen[..count].iter().position(further).unwrap_or(count);
                 if place < SEEN_MAX {
                     count = (count + 1).min(SEEN_MAX);

@@ -19,7 +19,7 @@ mod planes;
 mod rolling;
 
 pub use config::{ProxyConfig, ProxyError};
-pub use local_model::PlaneFeel;
+pub use local_model::PlaneProperties;
 
 use nalgebra::{Point3, Vector3};
 
@@ -27,7 +27,7 @@ use crate::moving_surface::MovingSurface;
 use crate::primitive::closest_on_triangle;
 use crate::pseudonormal::pseudonormal;
 use neighbourhood::Neighbourhood;
-use planes::{Held, Plane, Planes};
+use planes::{ConstrainedMotion, Plane, Planes};
 use rolling::Rolling;
 
 /// Most moves of a step; the rest is done in the next step.
@@ -87,7 +87,7 @@ pub struct FingerProxy {
     contacts: [Option<ProxyContact>; 3],
     is_sticking: bool,
     /// Triangles touched at the last query.
-    touched: Vec<Touched>,
+    touched: Vec<TouchedTriangle>,
     around: Neighbourhood,
     carried: carry::Carried,
     /// Topology revision and number of updates that the proxy has followed.
@@ -99,7 +99,7 @@ pub struct FingerProxy {
 
 /// A triangle that the proxy touches.
 #[derive(Clone, Copy, Debug)]
-struct Touched {
+struct TouchedTriangle {
     triangle: u32,
     weights: [f64; 3],
     on_surface: Point3<f64>,
@@ -107,7 +107,7 @@ struct Touched {
     distance: f64,
 }
 
-impl Touched {
+impl TouchedTriangle {
     fn of(mesh: &MovingSurface, triangle: u32, proxy: &Point3<f64>) -> Option<Self> {
         let nearest = closest_on_triangle(proxy, &mesh.surface().triangle(triangle));
         let away = proxy - nearest.point;
@@ -318,7 +318,7 @@ impl FingerProxy {
                 Some(_) => planes.nearest(&wish, tolerance),
                 None => planes.without_retreat().nearest(&wish, tolerance),
             };
-            let mut held = held.unwrap_or(Held { motion: Vector3::zeros(), active: [None; 3] });
+            let mut held = held.unwrap_or(ConstrainedMotion { motion: Vector3::zeros(), active: [None; 3] });
             if retreat.is_none() {
                 held.motion += planes.compromise();
             }
@@ -405,7 +405,7 @@ impl FingerProxy {
 
     /// The motion that friction allows, and whether the proxy sticks (the friction cone: Harwin and Melder, *Improved
     /// haptic rendering for multi-finger manipulation using friction cone based god-objects*, 2002).
-    fn rub(&self, held: &Held, retreat: &Vector3<f64>) -> (Vector3<f64>, bool) {
+    fn rub(&self, held: &ConstrainedMotion, retreat: &Vector3<f64>) -> (Vector3<f64>, bool) {
         let pressed: f64 = held.active.iter().flatten().map(|(_, push)| push).sum();
         if self.config.static_friction <= 0.0 || pressed <= 0.0 {
             return (held.motion, false);

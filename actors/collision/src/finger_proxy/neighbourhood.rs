@@ -2,8 +2,8 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::{ProxyStatistics, Touched};
-use crate::candidates::{Candidates, Found};
+use super::{ProxyStatistics, TouchedTriangle};
+use crate::candidates::{Candidate, Candidates};
 use crate::moving_surface::MovingSurface;
 use crate::primitive::sweep_sphere_triangle;
 
@@ -17,22 +17,22 @@ const WANTED: std::ops::Range<usize> = 24..56;
 pub(super) struct Neighbourhood {
     candidates: Candidates<(), KEPT>,
     found: Vec<(u32, f32)>,
-    bounds: Vec<Found<()>>,
+    bounds: Vec<Candidate<()>>,
     /// Radius of the gathering \[m\].
     ahead: f64,
     /// Distance, normal and slot of each triangle at the last query.
-    looked: [Looked; KEPT],
+    looked: [VertexVisit; KEPT],
     count: usize,
 }
 
 /// Result of a sweep: the share reached, and the blocking triangle.
-struct Met {
+struct SweepHit {
     share: f64,
     by: Option<u32>,
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Looked {
+struct VertexVisit {
     slot: u32,
     distance: f64,
     normal: Vector3<f64>,
@@ -45,7 +45,7 @@ impl Neighbourhood {
             found: Vec::with_capacity(8 * KEPT),
             bounds: Vec::with_capacity(8 * KEPT),
             ahead: 2.0 * hold,
-            looked: [Looked { slot: 0, distance: 0.0, normal: Vector3::zeros() }; KEPT],
+            looked: [VertexVisit { slot: 0, distance: 0.0, normal: Vector3::zeros() }; KEPT],
             count: 0,
         }
     }
@@ -75,7 +75,8 @@ impl Neighbourhood {
         let limit = reach + self.ahead;
         mesh.tree().around_point(place, limit, &mut self.found);
         self.bounds.clear();
-        let bound = |&(triangle, lower): &(u32, f32)| Found { triangle, at_least: lower.into(), note: () };
+        let bound =
+            |&(triangle, lower): &(u32, f32)| Candidate { triangle, at_least: lower.into(), note: () };
         self.bounds.extend(self.found.iter().map(bound));
         let count = self.candidates.gather(&mut self.bounds, limit);
         if count >= WANTED.end {
@@ -93,7 +94,7 @@ impl Neighbourhood {
         place: &Point3<f64>,
         reach: f64,
         statistics: &mut ProxyStatistics,
-        mut show: impl FnMut(&Touched),
+        mut show: impl FnMut(&TouchedTriangle),
     ) {
         self.cover(mesh, place, reach, statistics);
         self.count = 0;
@@ -101,10 +102,12 @@ impl Neighbourhood {
             if !self.candidates.may_reach(slot, reach) {
                 continue;
             }
-            let Some(touched) = Touched::of(mesh, self.candidates.triangle(slot), place) else { continue };
+            let Some(touched) = TouchedTriangle::of(mesh, self.candidates.triangle(slot), place) else {
+                continue;
+            };
             self.candidates.set(slot, touched.distance);
             self.looked[self.count] =
-                Looked { slot: slot as u32, distance: touched.distance, normal: touched.normal };
+                VertexVisit { slot: slot as u32, distance: touched.distance, normal: touched.normal };
             self.count += 1;
             show(&touched);
         }
@@ -121,12 +124,12 @@ impl Neighbourhood {
         statistics: &mut ProxyStatistics,
     ) -> (f64, Option<u32>) {
         let length = motion.norm();
-        let mut met = Met { share: 1.0, by: None };
+        let mut met = SweepHit { share: 1.0, by: None };
         let surface = mesh.surface();
-        let meet = |met: &mut Met, triangle: u32| {
+        let meet = |met: &mut SweepHit, triangle: u32| {
             let share = sweep_sphere_triangle(place, guard, motion, &surface.triangle(triangle));
             if share < met.share {
-                *met = Met { share, by: Some(triangle) };
+                *met = SweepHit { share, by: Some(triangle) };
             }
         };
         // On this share of the path only candidates can be hit.

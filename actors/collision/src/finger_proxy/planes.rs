@@ -31,7 +31,7 @@ pub(super) struct Planes {
 
 /// The proxy's constrained motion, and the active planes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Held {
+pub(super) struct ConstrainedMotion {
     pub(super) motion: Vector3<f64>,
     /// Owner and push \[m\] of each active plane.
     pub(super) active: [Option<(usize, f64)>; 3],
@@ -39,7 +39,7 @@ pub(super) struct Held {
 
 /// A motion, and the active planes (by index) that push it away from the desired one.
 #[derive(Clone, Copy, Debug)]
-struct Pushed {
+struct PlaneCorrection {
     motion: Vector3<f64>,
     by: [Option<(usize, f64)>; 3],
 }
@@ -90,9 +90,9 @@ impl Planes {
     /// ones each gives a small problem that is solved directly, and the distance from the wish grows in each round, so
     /// that no set repeats (the dual method of Goldfarb and Idnani, 1983, in three dimensions). `None` if no motion is
     /// allowed, or rounding prevents a decision.
-    pub(super) fn nearest(&self, wish: &Vector3<f64>, tolerance: f64) -> Option<Held> {
+    pub(super) fn nearest(&self, wish: &Vector3<f64>, tolerance: f64) -> Option<ConstrainedMotion> {
         let planes = self.as_slice();
-        let mut found = Pushed { motion: *wish, by: [None; 3] };
+        let mut found = PlaneCorrection { motion: *wish, by: [None; 3] };
         for _ in 0..ROUNDS_MAX {
             let mut worst = (tolerance, None);
             for (index, plane) in planes.iter().enumerate() {
@@ -103,7 +103,7 @@ impl Planes {
             }
             let Some(added) = worst.1 else {
                 let active = found.by.map(|pushing| pushing.map(|(index, push)| (planes[index].owner, push)));
-                return Some(Held { motion: found.motion, active });
+                return Some(ConstrainedMotion { motion: found.motion, active });
             };
             found = self.with(added, &found, wish, tolerance)?;
         }
@@ -112,7 +112,13 @@ impl Planes {
 
     /// The nearest motion that one more plane and the previously active ones allow: the new one is active, with none,
     /// one or two others.
-    fn with(&self, added: usize, before: &Pushed, wish: &Vector3<f64>, tolerance: f64) -> Option<Pushed> {
+    fn with(
+        &self,
+        added: usize,
+        before: &PlaneCorrection,
+        wish: &Vector3<f64>,
+        tolerance: f64,
+    ) -> Option<PlaneCorrection> {
         let planes = self.as_slice();
         let old = before.by.map(|pushing| pushing.map(|(index, _)| index));
         let allowed = |motion: &Vector3<f64>| {
@@ -129,7 +135,7 @@ impl Planes {
         let push = short(new);
         let motion = wish + new.normal * push;
         if push >= 0.0 && allowed(&motion) {
-            return Some(Pushed { motion, by: [Some((added, push)), None, None] });
+            return Some(PlaneCorrection { motion, by: [Some((added, push)), None, None] });
         }
         for &index in old.iter().flatten() {
             let other = &planes[index];
@@ -140,7 +146,10 @@ impl Planes {
             let motion = wish + new.normal * first + other.normal * second;
             let pushes = first >= 0.0 && second >= 0.0;
             if pushes && on(added, &motion) && on(index, &motion) && allowed(&motion) {
-                return Some(Pushed { motion, by: [Some((added, first)), Some((index, second)), None] });
+                return Some(PlaneCorrection {
+                    motion,
+                    by: [Some((added, first)), Some((index, second)), None],
+                });
             }
         }
         for (i, j) in [(0, 1), (0, 2), (1, 2)] {
@@ -154,7 +163,7 @@ impl Planes {
             let pushes = push.iter().all(|push| *push >= 0.0);
             if pushes && corner.iter().all(|&index| on(index, &motion)) && allowed(&motion) {
                 let by = [Some((added, push[0])), Some((i, push[1])), Some((j, push[2]))];
-                return Some(Pushed { motion, by });
+                return Some(PlaneCorrection { motion, by });
             }
         }
         None

@@ -1,7 +1,7 @@
 //! Top-down construction: triangles are split at the median of their centroids along the direction of greatest spread,
 //! twice for each node, so that a node has four children and every leaf but one four triangles.
 
-use super::fit::Spread;
+use super::fit::Moments;
 use super::lanes::{each, three};
 use super::leaf::Leaf;
 use super::obb::{Obb, ObbQuad};
@@ -122,7 +122,7 @@ impl Builder<'_> {
 
     fn axes(&self, from: usize, to: usize) -> [[f32; 3]; 3] {
         let items = &self.items[self.of(from, to)];
-        let mut spread = Spread::about(items[0].middle);
+        let mut spread = Moments::about(items[0].middle);
         for item in items {
             for vertex in self.corners[item.number as usize] {
                 spread.add(self.units[vertex as usize]);

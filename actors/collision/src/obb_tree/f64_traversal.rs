@@ -16,19 +16,19 @@ const ROUNDING: f64 = 1e-14;
 pub(super) type FarPending = ([u32; 2], f64);
 
 /// A box in metres and in the frame of the first surface.
-struct Wide {
+struct MetricBox {
     center: Vector3<f64>,
     axes: Matrix3<f64>,
     half: Vector3<f64>,
 }
 
-fn wide(tree: &ObbTree, obb: &Obb) -> Wide {
+fn wide(tree: &ObbTree, obb: &Obb) -> MetricBox {
     let vector = |v: [f32; 3]| Vector3::from(v.map(f64::from));
     // Orthonormal to the last digit: over a large distance the rounding of an axis becomes a large length.
     let x = vector(obb.axes[0]).normalize();
     let y = vector(obb.axes[1]);
     let y = (y - x * x.dot(&y)).normalize();
-    Wide {
+    MetricBox {
         center: vector(obb.center) * tree.scale + tree.origin.coords,
         axes: Matrix3::from_columns(&[x, y, x.cross(&y)]),
         half: vector(obb.half).map(|half| (half + BOX_ROUNDING) * tree.scale),

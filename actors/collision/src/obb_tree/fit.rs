@@ -5,7 +5,7 @@ use super::obb::{Obb, ObbQuad};
 
 /// Accumulated moments for the principal directions.
 #[derive(Clone, Copy)]
-pub(super) struct Spread {
+pub(super) struct Moments {
     /// Reference point among the others: without it squares of coordinates would cancel their differences.
     from: [f32; 3],
     count: f32,
@@ -14,7 +14,7 @@ pub(super) struct Spread {
     squares: [f32; 6],
 }
 
-impl Spread {
+impl Moments {
     pub fn about(from: [f32; 3]) -> Self {
         Self { from, count: 0.0, sum: [0.0; 3], squares: [0.0; 6] }
     }
@@ -95,13 +95,13 @@ fn orthonormal([a, b]: [[f32; 3]; 2]) -> [[f32; 3]; 3] {
 }
 
 /// Extent of points along three axes, four points at a time.
-pub(super) struct Reach {
+pub(super) struct AxisExtents {
     axes: [Lanes3; 3],
     low: Lanes3,
     high: Lanes3,
 }
 
-impl Reach {
+impl AxisExtents {
     #[inline(always)]
     pub fn new(axes: &[[f32; 3]; 3]) -> Self {
         Self {

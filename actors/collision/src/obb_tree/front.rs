@@ -44,7 +44,7 @@ pub struct FrontCost {
 
 /// State of the two surfaces at the last query.
 #[derive(Clone, Debug)]
-struct Last {
+struct LastQuery {
     trees: [Known; 2],
     motions: [f64; 2],
     refits: [u64; 2],
@@ -54,7 +54,7 @@ struct Last {
 
 /// Two leaves whose triangles may touch, and the travelled distance at which each pair expires \[m\].
 #[derive(Clone, Debug)]
-struct Near {
+struct LeafPair {
     nodes: [u32; 2],
     due: [[f64; WIDTH]; WIDTH],
 }
@@ -62,12 +62,12 @@ struct Near {
 /// The front of two surfaces, kept between queries.
 #[derive(Clone, Debug, Default)]
 pub struct TreeFront {
-    last: Option<Last>,
+    last: Option<LastQuery>,
     /// Separated pairs, and the travelled distance at which each expires \[m\].
     apart: Vec<[u32; 2]>,
     due: Vec<f64>,
     /// Leaves that may touch.
-    near: Vec<Near>,
+    near: Vec<LeafPair>,
     pending: Vec<[u32; 2]>,
     pairs: Vec<TouchingPair>,
     /// Largest possible approach of the two surfaces since the front began \[m\].
@@ -123,7 +123,7 @@ impl TreeFront {
                 self.pairs.extend_from_slice(self.anew.all_contacts(a, b, b_in_a));
             } else {
                 self.advance(&relation, moved);
-                self.last = Some(Last {
+                self.last = Some(LastQuery {
                     trees: [Known::of(&a.identity), Known::of(&b.identity)],
                     motions: [a.motion, b.motion],
                     refits: [a.refits, b.refits],
@@ -236,7 +236,7 @@ impl TreeFront {
                     (Side::B, node, gaps, b.scale)
                 }
                 None => {
-                    self.near.push(Near::new(relation, pair, self.travelled));
+                    self.near.push(LeafPair::new(relation, pair, self.travelled));
                     continue;
                 }
             };
@@ -268,7 +268,7 @@ impl TreeFront {
     }
 }
 
-impl Near {
+impl LeafPair {
     /// Two leaves with all pairs of triangles untested.
     fn new(relation: &Relation<'_>, nodes: [u32; 2], travelled: f64) -> Self {
         let (a, b) = (relation.a, relation.b);

@@ -10,7 +10,7 @@ pub(super) struct Leaf {
 }
 
 /// Four triangles with their plane normals, for comparisons.
-pub(super) struct Faced {
+pub(super) struct LeafWithNormals {
     corners: [Lanes3; 3],
     normal: Lanes3,
     /// Smallest and largest height of the corners along the normal, which differ for thin triangles because their
@@ -79,11 +79,17 @@ impl Leaf {
     }
 
     #[inline(always)]
-    pub fn faced(&self, slack: f32) -> Faced {
+    pub fn faced(&self, slack: f32) -> LeafWithNormals {
         let [a, b, c] = self.corners;
         let normal = cross(minus(b, a), minus(c, a));
         let (low, high) = reach(normal, &self.corners);
-        Faced { corners: self.corners, normal, low, high, noise: magnitude(normal) * Lanes::all(slack) }
+        LeafWithNormals {
+            corners: self.corners,
+            normal,
+            low,
+            high,
+            noise: magnitude(normal) * Lanes::all(slack),
+        }
     }
 }
 
@@ -101,7 +107,7 @@ fn reach(direction: Lanes3, corners: &[Lanes3; 3]) -> (Lanes, Lanes) {
     (a.min(b).min(c), a.max(b).max(c))
 }
 
-impl Faced {
+impl LeafWithNormals {
     /// Gap along the normal of one triangle, and along those of the four; negative where there is none.
     #[inline(always)]
     fn gaps(&self, corners: &[Lanes3; 3], normal: Lanes3) -> [Lanes; 2] {
@@ -124,7 +130,7 @@ impl Faced {
 /// Smallest square used as a divisor: smaller ones define no direction.
 const TINY: f32 = 1e-30;
 
-impl Faced {
+impl LeafWithNormals {
     /// Lower bounds of the squared distance of a triangle from each of the four.
     ///
     /// Along any direction, the gap between the extents of two triangles is at most their distance; along the direction

@@ -26,7 +26,7 @@ use nalgebra::Point3;
 use crate::generation::Identity;
 use crate::primitive::Triangle;
 use crate::{Surface, SurfaceError, check_finite};
-use fit::Reach;
+use fit::AxisExtents;
 use lanes::{each, three};
 use leaf::Leaf;
 use obb::{Obb, ObbQuad};
@@ -191,7 +191,7 @@ impl ObbTree {
             };
             *leaf = Leaf::of([triangle(0), triangle(1), triangle(2), triangle(3)]);
             let axes = self.boxes[inner + index].axes;
-            let mut reach = Reach::new(&axes);
+            let mut reach = AxisExtents::new(&axes);
             reach.add(&leaf.corners);
             self.boxes[inner + index] = reach.into_box(&axes);
         }
@@ -209,7 +209,7 @@ impl ObbTree {
     fn fitted(&self, index: usize) -> Obb {
         let node = &self.nodes[index];
         let axes = self.boxes[index].axes;
-        let mut reach = Reach::new(&axes);
+        let mut reach = AxisExtents::new(&axes);
         if node.height <= FITTED_LEVELS {
             for leaf in &self.leaves[node.leaves[0] as usize..node.leaves[1] as usize] {
                 reach.add(&leaf.corners);

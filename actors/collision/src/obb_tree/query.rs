@@ -181,7 +181,7 @@ impl TreeQuery {
             let point = nalgebra::center(&from, &to);
             return Some(Proximity { triangles, points_in_a: [point; 2], distance: 0.0 });
         }
-        let mut best = Best::new(&relation, limit);
+        let mut best = NearestPair::new(&relation, limit);
         if let Some([place_a, place_b]) = places(&relation, last) {
             best.offer(&relation, place_a, place_b);
         }
@@ -302,7 +302,7 @@ pub(super) fn touching_leaves(
 }
 
 /// The nearest pair so far.
-struct Best {
+struct NearestPair {
     found: Option<Proximity>,
     /// Upper limit of the squared distance \[m²\].
     square: f64,
@@ -310,7 +310,7 @@ struct Best {
     limits: [f32; 2],
 }
 
-impl Best {
+impl NearestPair {
     fn new(relation: &Relation<'_>, limit: f64) -> Self {
         let mut best = Self { found: None, square: 0.0, limits: [0.0; 2] };
         best.set(relation, limit * limit);

@@ -14,7 +14,7 @@ const ASIDE: f64 = 1e-9;
 const OFFSETS: [[f64; 3]; 4] = [[0.0; 3], [0.31, 0.57, -0.76], [-0.83, 0.11, 0.54], [0.19, -0.92, 0.34]];
 
 /// Intersection of a ray with one triangle.
-enum Meeting {
+enum RayCrossing {
     Missed,
     /// At this distance from the centre, going out of the surface (1) or into it (-1).
     Met(f64, i32),
@@ -53,37 +53,37 @@ impl SphericalHash {
                 return;
             }
             match meeting(&direction, &triangles[triangle as usize].map(|corner| corner - table.centre)) {
-                Meeting::Met(at, sign) if at > radius => {
+                RayCrossing::Met(at, sign) if at > radius => {
                     winding += sign;
                     within = within.min(at - radius);
                 }
-                Meeting::Met(..) | Meeting::Missed => {}
-                Meeting::Uncertain => is_certain = false,
+                RayCrossing::Met(..) | RayCrossing::Missed => {}
+                RayCrossing::Uncertain => is_certain = false,
             }
         });
         is_certain.then_some((winding, within))
     }
 }
 
-fn meeting(direction: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Meeting {
+fn meeting(direction: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> RayCrossing {
     let products = [a.cross(b), b.cross(c), c.cross(a)];
     let signs = products.map(|product| direction.dot(&product));
     let certain = UNCERTAIN * a.norm_squared().max(b.norm_squared()).max(c.norm_squared());
     if signs.iter().any(|sign| *sign > certain) && signs.iter().any(|sign| *sign < -certain) {
-        return Meeting::Missed;
+        return RayCrossing::Missed;
     }
     let normal = products[0] + products[1] + products[2];
     // A triangle without area encloses nothing.
     if normal == Vector3::zeros() {
-        return Meeting::Missed;
+        return RayCrossing::Missed;
     }
     let ahead = signs[0] + signs[1] + signs[2];
     let at = normal.dot(a) / ahead;
     if signs.iter().any(|sign| sign.abs() <= certain) {
         // On the line of an edge, but behind the centre: no outward ray hits it.
-        return if at < 0.0 && ahead.abs() > certain { Meeting::Missed } else { Meeting::Uncertain };
+        return if at < 0.0 && ahead.abs() > certain { RayCrossing::Missed } else { RayCrossing::Uncertain };
     }
-    if at > 0.0 { Meeting::Met(at, if ahead > 0.0 { 1 } else { -1 }) } else { Meeting::Missed }
+    if at > 0.0 { RayCrossing::Met(at, if ahead > 0.0 { 1 } else { -1 }) } else { RayCrossing::Missed }
 }
 
 /// The solid angle under which a triangle is seen, positive from inside \[sr\].

@@ -84,7 +84,7 @@ pub struct SphericalHash {
     bounds: Bounds,
     /// 1 for triangles counter-clockwise seen from outside, -1 for an inverted surface.
     orientation: f64,
-    seen: Seen,
+    seen: VisitedTriangles,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -98,12 +98,12 @@ impl Default for Bounds {
 
 /// Triangles visited by one query.
 #[derive(Clone, Debug, Default)]
-struct Seen {
+struct VisitedTriangles {
     stamps: Vec<u32>,
     stamp: u32,
 }
 
-impl Seen {
+impl VisitedTriangles {
     fn resize(&mut self, count: usize) {
         self.stamps.clear();
         self.stamps.resize(count, 0);

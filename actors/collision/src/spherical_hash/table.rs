@@ -16,30 +16,30 @@ const ROUNDING: f64 = 1e-12;
 
 /// Cells of one face of the cube of directions, first and last: along its two axes, and outwards.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Range {
+struct CellRange {
     face: usize,
     spans: [[usize; 2]; 3],
 }
 
-impl Range {
+impl CellRange {
     fn count(&self) -> usize {
         self.spans.iter().map(|[from, to]| to + 1 - from).product()
     }
 }
 
 /// Up to one range for each face of the cube.
-struct Ranges {
-    ranges: [Range; 6],
+struct CellRanges {
+    ranges: [CellRange; 6],
     count: usize,
 }
 
-impl Ranges {
-    fn each(&self) -> &[Range] {
+impl CellRanges {
+    fn each(&self) -> &[CellRange] {
         &self.ranges[..self.count]
     }
 
     fn cells(&self) -> usize {
-        self.each().iter().map(Range::count).sum()
+        self.each().iter().map(CellRange::count).sum()
     }
 }
 
@@ -55,7 +55,7 @@ pub(super) struct Table {
     starts: Vec<u32>,
     members: Vec<u32>,
     large: Vec<u32>,
-    ranges: Vec<(Range, u32)>,
+    ranges: Vec<(CellRange, u32)>,
     radii: Vec<[f64; 2]>,
 }
 
@@ -129,11 +129,11 @@ impl Table {
     }
 
     /// The cells that a box at these distances from the centre may overlap.
-    fn ranges_of(&self, of: &Box3, [near, far]: [f64; 2]) -> Ranges {
+    fn ranges_of(&self, of: &Box3, [near, far]: [f64; 2]) -> CellRanges {
         let (min, max) = (of.min - self.centre, of.max - self.centre);
         let rounding = ROUNDING * (1.0 + far);
         let shells = [self.shell(near - rounding), self.shell(far + rounding)];
-        let mut found = Ranges { ranges: [Range { face: 0, spans: [[0; 2]; 3] }; 6], count: 0 };
+        let mut found = CellRanges { ranges: [CellRange { face: 0, spans: [[0; 2]; 3] }; 6], count: 0 };
         for face in 0..6 {
             let (axis, outwards) = (face / 2, face % 2 == 0);
             let [low, high] = if outwards { [min[axis], max[axis]] } else { [-max[axis], -min[axis]] };
@@ -142,7 +142,7 @@ impl Table {
             }
             let span = |axis: usize| span(min[axis], max[axis], low, high, self.side);
             if let (Some(first), Some(second)) = (span((axis + 1) % 3), span((axis + 2) % 3)) {
-                found.ranges[found.count] = Range { face, spans: [first, second, shells] };
+                found.ranges[found.count] = CellRange { face, spans: [first, second, shells] };
                 found.count += 1;
             }
         }
@@ -187,7 +187,7 @@ impl Table {
         let span = |axis: usize| span(direction[axis], direction[axis], length, length, self.side);
         if let (Some(first), Some(second)) = (span((axis + 1) % 3), span((axis + 2) % 3)) {
             let face = 2 * axis + usize::from(!outwards);
-            let range = Range { face, spans: [first, second, [self.shell(radius), self.shells - 1]] };
+            let range = CellRange { face, spans: [first, second, [self.shell(radius), self.shells - 1]] };
             each_cell(&range, self.side, self.shells, |cell| {
                 let members = self.starts[cell] as usize..self.starts[cell + 1] as usize;
                 self.members[members].iter().copied().for_each(&mut found);
@@ -226,7 +226,7 @@ fn span(from: f64, to: f64, low: f64, high: f64, side: usize) -> Option<[usize; 
     Some([cell(first - 2.0 * ROUNDING), cell(last + 2.0 * ROUNDING)])
 }
 
-fn each_cell(range: &Range, side: usize, shells: usize, mut visit: impl FnMut(usize)) {
+fn each_cell(range: &CellRange, side: usize, shells: usize, mut visit: impl FnMut(usize)) {
     let [first, second, outwards] = range.spans;
     for v in second[0]..=second[1] {
         for u in first[0]..=first[1] {

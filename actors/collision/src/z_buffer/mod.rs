@@ -24,7 +24,7 @@ use thiserror::Error;
 
 use crate::surface::Surface;
 use columns::Columns;
-use raster::{Place, View, middle_depth};
+use raster::{ImagePoint, View, middle_depth};
 pub use shaft::{ShaftError, ShaftSweep};
 
 /// Why an image is invalid.
@@ -178,7 +178,7 @@ impl ZBuffer {
     }
 
     /// Draws all points within `radius` \[m\] of the hull of four image points between two depths.
-    fn draw_slice(&mut self, corners: &[Place; 4], [near, far]: [f64; 2], radius: f64) {
+    fn draw_slice(&mut self, corners: &[ImagePoint; 4], [near, far]: [f64; 2], radius: f64) {
         let Self { view, columns, .. } = self;
         // No point of a pixel is nearer than its centre by more than half of its diagonal.
         let diagonal = std::f64::consts::FRAC_1_SQRT_2 * (1.0 + 1e-9);
@@ -222,7 +222,7 @@ impl ZBuffer {
         }
     }
 
-    fn hit(&self, triangle: u32, places: &[Place; 3]) -> Option<VolumeHit> {
+    fn hit(&self, triangle: u32, places: &[ImagePoint; 3]) -> Option<VolumeHit> {
         let mut found: Option<VolumeHit> = None;
         let mut longest = f64::NEG_INFINITY;
         let is_filled = |pixel: usize| !self.columns.layers(pixel).is_empty();
@@ -269,7 +269,7 @@ const EDGES: [[usize; 2]; 6] = [[0, 1], [1, 2], [2, 3], [3, 0], [0, 2], [1, 3]];
 
 /// Range on one image axis of the part of the hull of four points between two bounds on the other axis (of all of it
 /// for infinite bounds).
-fn range_between(corners: &[Place; 4], axis: usize, [low, high]: [f64; 2]) -> Option<[f64; 2]> {
+fn range_between(corners: &[ImagePoint; 4], axis: usize, [low, high]: [f64; 2]) -> Option<[f64; 2]> {
     let other = 1 - axis;
     let mut range: Option<[f64; 2]> = None;
     for [from, to] in EDGES.map(|edge| edge.map(|corner| corners[corner])) {
@@ -293,8 +293,8 @@ fn range_between(corners: &[Place; 4], axis: usize, [low, high]: [f64; 2]) -> Op
 }
 
 /// Distance of an image point from the hull of four points, in pixels; 0 inside.
-fn distance_to_hull(corners: &[Place; 4], middle: [f64; 2]) -> f64 {
-    let from = |corner: &Place| [corner[0] - middle[0], corner[1] - middle[1]];
+fn distance_to_hull(corners: &[ImagePoint; 4], middle: [f64; 2]) -> f64 {
+    let from = |corner: &ImagePoint| [corner[0] - middle[0], corner[1] - middle[1]];
     let [a, b, c, d] = corners.each_ref().map(from);
     let cross = |p: [f64; 2], q: [f64; 2]| p[0] * q[1] - p[1] * q[0];
     let within = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {

@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use crate::primitive::Triangle;
 
 /// A point in the image: across and down in pixels, and the depth \[m\].
-pub(super) type Place = [f64; 3];
+pub(super) type ImagePoint = [f64; 3];
 
 /// Relative widening of a pixel, so that rounding leaves no gap between pixels.
 const SEAM: f64 = 1e-9;
@@ -63,18 +63,18 @@ impl View {
         Some(Self { origin: Point3::from(corner), axes, pixel, size: sides(pixel).map(|side| side as usize) })
     }
 
-    pub fn place(&self, point: &Point3<f64>) -> Place {
+    pub fn place(&self, point: &Point3<f64>) -> ImagePoint {
         let from = point - self.origin;
         let [across, down, away] = self.axes;
         [from.dot(&across) / self.pixel, from.dot(&down) / self.pixel, from.dot(&away)]
     }
 
-    pub fn point(&self, place: &Place) -> Point3<f64> {
+    pub fn point(&self, place: &ImagePoint) -> Point3<f64> {
         let [across, down, away] = self.axes;
         self.origin + across * (place[0] * self.pixel) + down * (place[1] * self.pixel) + away * place[2]
     }
 
-    pub fn places(&self, triangle: &Triangle) -> [Place; 3] {
+    pub fn places(&self, triangle: &Triangle) -> [ImagePoint; 3] {
         triangle.each_ref().map(|corner| self.place(corner))
     }
 
@@ -90,7 +90,7 @@ impl View {
     /// Visits each wanted pixel that a triangle overlaps, with the part inside it.
     pub fn each_pixel(
         &self,
-        triangle: &[Place; 3],
+        triangle: &[ImagePoint; 3],
         is_wanted: impl Fn(usize) -> bool,
         mut visit: impl FnMut(usize, &Polygon),
     ) {
@@ -119,18 +119,18 @@ impl View {
 /// A convex polygon: a triangle clipped by six planes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Polygon {
-    corners: [Place; 9],
+    corners: [ImagePoint; 9],
     count: usize,
 }
 
 impl Polygon {
-    fn new(triangle: &[Place; 3]) -> Self {
+    fn new(triangle: &[ImagePoint; 3]) -> Self {
         let mut corners = [[0.0; 3]; 9];
         corners[..3].copy_from_slice(triangle);
         Self { corners, count: 3 }
     }
 
-    fn corners(&self) -> &[Place] {
+    fn corners(&self) -> &[ImagePoint] {
         &self.corners[..self.count]
     }
 
@@ -151,7 +151,7 @@ impl Polygon {
 
     fn cut(&self, axis: usize, bound: f64, sign: f64) -> Self {
         let mut kept = Self { corners: self.corners, count: 0 };
-        let inside = |corner: &Place| (corner[axis] - bound) * sign >= 0.0;
+        let inside = |corner: &ImagePoint| (corner[axis] - bound) * sign >= 0.0;
         if self.corners().iter().all(inside) {
             return *self;
         }
@@ -159,7 +159,7 @@ impl Polygon {
         for corner in self.corners() {
             if inside(corner) != inside(&previous) {
                 let share = (bound - previous[axis]) / (corner[axis] - previous[axis]);
-                let mut place: Place =
+                let mut place: ImagePoint =
                     std::array::from_fn(|i| previous[i] + (corner[i] - previous[i]) * share);
                 place[axis] = bound;
                 kept.push(place);
@@ -172,7 +172,7 @@ impl Polygon {
         kept
     }
 
-    fn push(&mut self, place: Place) {
+    fn push(&mut self, place: ImagePoint) {
         // Each plane adds at most one corner; for nearly flat polygons rounding must not add more than fit.
         if self.count < self.corners.len() {
             self.corners[self.count] = place;
@@ -181,7 +181,7 @@ impl Polygon {
     }
 
     /// The mean of its corners, which is inside it.
-    pub fn middle(&self) -> Option<Place> {
+    pub fn middle(&self) -> Option<ImagePoint> {
         let mean =
             |axis: usize| self.corners().iter().map(|corner| corner[axis]).sum::<f64>() / self.count as f64;
         (self.count > 0).then(|| std::array::from_fn(mean))
@@ -191,13 +191,13 @@ impl Polygon {
 /// Whether the centre of a pixel is covered by a triangle, at which depth, and whether the triangle faces the eye (1)
 /// or not (-1). Of the triangles around an edge or a vertex exactly one counts for each sheet (fill rule): the centre
 /// counts as shifted a little to the right, and less downwards.
-pub(super) fn middle_depth(triangle: &[Place; 3], middle: [f64; 2]) -> Option<(f64, i32)> {
+pub(super) fn middle_depth(triangle: &[ImagePoint; 3], middle: [f64; 2]) -> Option<(f64, i32)> {
     let [a, b, c] = triangle;
     let sides = [left_of(a, b, middle), left_of(b, c, middle), left_of(c, a, middle)];
     if sides[0] != sides[1] || sides[1] != sides[2] {
         return None;
     }
-    let area = |p: &Place, q: &Place| {
+    let area = |p: &ImagePoint, q: &ImagePoint| {
         (p[0] - middle[0]) * (q[1] - middle[1]) - (p[1] - middle[1]) * (q[0] - middle[0])
     };
     let weights = [area(b, c), area(c, a), area(a, b)];
@@ -210,7 +210,7 @@ pub(super) fn middle_depth(triangle: &[Place; 3], middle: [f64; 2]) -> Option<(f
 }
 
 /// Whether a point is on the left of the line from `a` to `b`; the negation of the result for `b` to `a`.
-fn left_of(a: &Place, b: &Place, [x, y]: [f64; 2]) -> bool {
+fn left_of(a: &ImagePoint, b: &ImagePoint, [x, y]: [f64; 2]) -> bool {
     let ordered = (a[0], a[1]) <= (b[0], b[1]);
     let (from, to) = if ordered { (a, b) } else { (b, a) };
     let side = (to[0] - from[0]) * (y - from[1]) - (to[1] - from[1]) * (x - from[0]);

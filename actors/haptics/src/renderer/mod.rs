@@ -5,7 +5,7 @@
 //!
 //! | renderer | takes | fit for |
 //! |---|---|---|
-//! | [`Held`] | the last force | physics at the hand's own rate |
+//! | [`ZeroOrderHold`] | the last force | physics at the hand's own rate |
 //! | [`VirtualCoupling`] | the instrument's pose | physics from about 500 Hz |
 //! | [`Proxy`] | planes with compliance, evaluated at the device's present pose | any rate |
 
@@ -15,7 +15,7 @@ mod zero_order_hold;
 
 pub use proxy::{Proxy, ProxyConfig};
 pub use virtual_coupling::{VirtualCoupling, VirtualCouplingConfig};
-pub use zero_order_hold::Held;
+pub use zero_order_hold::ZeroOrderHold;
 
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};
@@ -76,7 +76,7 @@ pub trait ForceRenderer: Send {
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum RendererConfig {
     /// The simulation's last force, held (the paper's method).
-    Held,
+    ZeroOrderHold,
     /// A spring and damper to the simulated instrument.
     VirtualCoupling(VirtualCouplingConfig),
     /// A constraint proxy on the simulation's local contact model.
@@ -93,7 +93,7 @@ impl RendererConfig {
     /// Makes the renderer.
     pub fn build(&self) -> Box<dyn ForceRenderer> {
         match self {
-            Self::Held => Box::new(Held),
+            Self::ZeroOrderHold => Box::new(ZeroOrderHold),
             Self::VirtualCoupling(config) => Box::new(VirtualCoupling::new(*config)),
             Self::Proxy(config) => Box::new(Proxy::new(*config)),
         }

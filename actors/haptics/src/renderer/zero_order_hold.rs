@@ -11,9 +11,9 @@ const FADE_SECS: f64 = 0.25;
 
 /// Renders [`InstrumentForce`](trocar_scene::InstrumentForce) as it stands.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Held;
+pub struct ZeroOrderHold;
 
-impl ForceRenderer for Held {
+impl ForceRenderer for ZeroOrderHold {
     fn render(&mut self, input: &RenderInput<'_>) -> Wrench {
         let Some(held) = input.instrument_force else { return Wrench::ZERO };
         let fresh = freshness(input.now.since(held.at).as_secs_f64(), FADE_SECS);
@@ -39,11 +39,11 @@ mod tests {
             let mut input = input_at(Vector3::zeros());
             input.now = SimTime::from_millis(millis);
             input.instrument_force = Some(&force);
-            Held.render(&input).force.z
+            ZeroOrderHold.render(&input).force.z
         };
         assert_eq!((at(0), at(250)), (1.0, 1.0));
         assert!((at(375) - 0.5).abs() < 1e-12);
         assert_eq!(at(500), 0.0);
-        assert_eq!(Held.render(&input_at(Vector3::zeros())), Wrench::ZERO);
+        assert_eq!(ZeroOrderHold.render(&input_at(Vector3::zeros())), Wrench::ZERO);
     }
 }

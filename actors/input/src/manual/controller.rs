@@ -11,11 +11,11 @@ use trocar_scene::{
 
 use nalgebra::{Isometry3, Vector3};
 
-use super::mapping::{HandLimits, ManualHand, Reach};
+use super::mapping::{HandKinematics, HandLimits, ManualHand};
 
 /// Longest time that a hand catches up after a pause of the controller \[s\].
 const CATCH_UP_MAX_SECS: f64 = 0.1;
-/// Name of the entity that [`sit_down`] creates.
+/// Name of the entity that [`add_person`] creates.
 pub const PERSON: &str = "person";
 
 /// Parameters of a person's hands in a scenario: [`HandLimits`].
@@ -42,7 +42,7 @@ pub struct ManualState {
 ///
 /// # Errors
 /// [`NoHands`] when the scene has no hands.
-pub fn sit_down(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
+pub fn add_person(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
     let side = scene.iter::<Hand>().map(|(_, hand)| hand.side).min().ok_or(NoHands)?;
     if scene.iter::<PersonInput>().next().is_none() {
         let person = out.spawn();
@@ -179,7 +179,7 @@ impl Controller for ManualController {
             let rig = rig_of(scene, entity)?;
             let workspace =
                 scene.get::<DeviceInfo>(entity).map_or_else(Vector3::zeros, |info| info.workspace.into());
-            let reach = Reach { rig: &rig, workspace };
+            let reach = HandKinematics { rig: &rig, workspace };
             if let Some(input) = input {
                 let actual = scene.world_pose(rig.instrument).translation.vector;
                 hand.ask(input.hand(side), view.as_ref(), &actual, &reach, &self.limits);

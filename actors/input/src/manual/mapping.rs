@@ -87,7 +87,7 @@ impl HandLimits {
 
 /// Kinematic limits of a hand by its device.
 #[derive(Clone, Copy, Debug)]
-pub struct Reach<'a> {
+pub struct HandKinematics<'a> {
     /// Device, handle, port, tip.
     pub rig: &'a HandRig,
     /// Full extent of the device's workspace about its origin \[m\]; zero if unknown.
@@ -117,7 +117,7 @@ pub struct ManualHand {
 
 /// Target of a hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HandPlace {
+pub struct HandGoal {
     /// `device_from_handle`.
     pub handle_in_device: Isometry3<f64>,
     /// Opening of the gripper \[rad\].
@@ -146,7 +146,7 @@ impl ManualHand {
         asked: &PersonHand,
         view: Option<&PersonView>,
         actual: &Vector3<f64>,
-        reach: &Reach<'_>,
+        reach: &HandKinematics<'_>,
         limits: &HandLimits,
     ) {
         let moved = Vector3::from(asked.moved) - Vector3::from(self.seen.moved);
@@ -184,11 +184,11 @@ impl ManualHand {
     }
 
     /// The hand's current target.
-    pub fn place(&self, reach: &Reach<'_>) -> HandPlace {
+    pub fn place(&self, reach: &HandKinematics<'_>) -> HandGoal {
         let tip = self.tip_pose(&self.tip_in_world.position, reach.rig);
         let mut handle = reach.rig.handle_in_device(&tip);
         handle.translation.vector = within(&handle.translation.vector, &reach.workspace);
-        HandPlace {
+        HandGoal {
             handle_in_device: handle,
             gripper: self.jaw.position.x.clamp(0.0, reach.rig.jaw_angle_max),
         }
@@ -210,7 +210,7 @@ impl ManualHand {
     }
 
     /// The tip position nearest to `goal` within the device's workspace and the port's insertion limits.
-    fn within_reach(&self, goal: &Vector3<f64>, reach: &Reach<'_>) -> Vector3<f64> {
+    fn within_reach(&self, goal: &Vector3<f64>, reach: &HandKinematics<'_>) -> Vector3<f64> {
         let mut goal = *goal;
         for _ in 0..PASSES {
             let tip = self.tip_pose(&goal, reach.rig);

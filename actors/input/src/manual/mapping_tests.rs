@@ -47,7 +47,7 @@ fn asked(moved: [f64; 3], rolled: f64) -> PersonHand {
 
 /// Sends input and waits until the hand arrives, with a perfectly following tip.
 fn settle(hand: &mut ManualHand, wish: &PersonHand, rig: &HandRig, limits: &HandLimits) {
-    let reach = Reach { rig, workspace: WORKSPACE };
+    let reach = HandKinematics { rig, workspace: WORKSPACE };
     let actual = hand.tip_in_world.position;
     hand.ask(wish, Some(&view()), &actual, &reach, limits);
     for _ in 0..300 {
@@ -76,7 +76,7 @@ fn the_handle_goes_where_the_fulcrum_brings_the_tip_to_its_goal_with_the_roll_as
     let mut hand = at_home(&rig);
     let before = rig.tip_in_world(&Isometry3::identity(), &-Vector3::z());
     settle(&mut hand, &asked([0.06, -0.04, 0.03], 0.8), &rig, &limits);
-    let place = hand.place(&Reach { rig: &rig, workspace: WORKSPACE });
+    let place = hand.place(&HandKinematics { rig: &rig, workspace: WORKSPACE });
     let tip = rig.tip_in_world(&place.handle_in_device, &-Vector3::z());
     assert!((tip.translation.vector - hand.goal_in_world).norm() < 1e-9);
     let (axis_before, axis) = (before.rotation * Vector3::z(), tip.rotation * Vector3::z());
@@ -88,7 +88,7 @@ fn the_handle_goes_where_the_fulcrum_brings_the_tip_to_its_goal_with_the_roll_as
 #[test]
 fn what_is_pressed_against_something_gets_no_farther_and_comes_back_at_once() {
     let (rig, limits) = (rig(), HandLimits::default());
-    let reach = Reach { rig: &rig, workspace: WORKSPACE };
+    let reach = HandKinematics { rig: &rig, workspace: WORKSPACE };
     let mut hand = at_home(&rig);
     let stuck = hand.tip_in_world.position;
     let mut wish = PersonHand::default();
@@ -111,7 +111,7 @@ fn what_is_pressed_against_something_gets_no_farther_and_comes_back_at_once() {
 #[test]
 fn a_hand_that_nobody_asks_keeps_still() {
     let rig = rig();
-    let reach = Reach { rig: &rig, workspace: WORKSPACE };
+    let reach = HandKinematics { rig: &rig, workspace: WORKSPACE };
     let mut hand = at_home(&rig);
     settle(&mut hand, &asked([0.05, 0.0, 0.0], 0.3), &rig, &HandLimits::default());
     let before = hand.place(&reach);
@@ -145,7 +145,7 @@ proptest! {
         wishes in prop::collection::vec((wish(), 1..20u32), 1..15),
     ) {
         let (rig, limits) = (rig(), HandLimits::default());
-        let reach = Reach { rig: &rig, workspace: WORKSPACE };
+        let reach = HandKinematics { rig: &rig, workspace: WORKSPACE };
         let mut hand = at_home(&rig);
         let mut before = hand.tip_in_world.position;
         for (wish, ticks) in wishes {

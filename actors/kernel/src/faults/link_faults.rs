@@ -53,7 +53,7 @@ impl LinkCounts {
 
 /// One active fault of the link.
 #[derive(Clone, Debug)]
-struct Ailment {
+struct ActiveFault {
     index: u32,
     kind: FaultKind,
     span: SimTime,
@@ -62,7 +62,7 @@ struct Ailment {
     random: SplitMix64,
 }
 
-impl Ailment {
+impl ActiveFault {
     fn strikes(&mut self, kind: FaultKind) -> bool {
         self.kind == kind && self.random.unit() < self.probability
     }
@@ -77,7 +77,7 @@ struct Waiting<M> {
 /// The active faults of one link, and its messages in flight.
 #[derive(Debug)]
 pub struct LinkFaults<M> {
-    ailments: Vec<Ailment>,
+    active: Vec<ActiveFault>,
     /// Messages in flight, ordered by due time.
     waiting: VecDeque<Waiting<M>>,
     /// Message held for reordering until the next one passes, at most until its due time.
@@ -87,8 +87,8 @@ pub struct LinkFaults<M> {
 
 impl<M> Default for LinkFaults<M> {
     fn default() -> Self {
-        let (ailments, waiting) = (Vec::new(), VecDeque::new());
-        Self { ailments, waiting, overtaken: None, counts: LinkCounts::default() }
+        let (active, waiting) = (Vec::new(), VecDeque::new());
+        Self { active, waiting, overtaken: None, counts: LinkCounts::default() }
     }
 }
 
@@ -98,9 +98,9 @@ impl<M: Message> LinkFaults<M> {
         if !order.kind.is_of_link() {
             return;
         }
-        self.ailments.retain(|ailment| ailment.index != order.index);
+        self.active.retain(|fault| fault.index != order.index);
         if order.begins {
-            self.ailments.push(Ailment {
+            self.active.push(ActiveFault {
                 index: order.index,
                 kind: order.kind,
                 span: order.span,
@@ -116,7 +116,7 @@ impl<M: Message> LinkFaults<M> {
 
     /// Whether the link has no active fault and no message in flight, so that messages can bypass it.
     pub fn is_idle(&self) -> bool {
-        self.ailments.is_empty() && self.waiting.is_empty() && self.overtaken.is_none()
+        self.active.is_empty() && self.waiting.is_empty() && self.overtaken.is_none()
     }
 
     /// Copy of the link for a branch of a session: the same faults with the same random state, and the messages in
@@ -131,7 +131,7 @@ impl<M: Message> LinkFaults<M> {
         let waiting = self.waiting.iter().filter_map(&mut copied).collect();
         let overtaken = self.overtaken.as_ref().and_then(&mut copied);
         let counts = LinkCounts { lost, ..LinkCounts::default() };
-        Self { ailments: self.ailments.clone(), waiting, overtaken, counts }
+        Self { active: self.active.clone(), waiting, overtaken, counts }
     }
 
     /// Counts of affected messages so far.
@@ -141,8 +141,7 @@ impl<M: Message> LinkFaults<M> {
 
     /// Sends a message at `now`, which must not decrease. [`Self::due`] returns it if it arrives.
     pub fn send(&mut self, now: SimTime, message: M) {
-        if self.ailments.iter().any(|ailment| ailment.kind == FaultKind::Partition)
-            || self.strikes(FaultKind::Drop)
+        if self.active.iter().any(|fault| fault.kind == FaultKind::Partition) || self.strikes(FaultKind::Drop)
         {
             self.counts.lost += 1;
             return;
@@ -201,16 +200,16 @@ impl<M: Message> LinkFaults<M> {
     /// Draws for every fault of this kind, so that one fault does not change another's random stream.
     fn strikes(&mut self, kind: FaultKind) -> bool {
         let mut struck = false;
-        for ailment in &mut self.ailments {
-            struck |= ailment.strikes(kind);
+        for fault in &mut self.active {
+            struck |= fault.strikes(kind);
         }
         struck
     }
 
     fn pass_noise(&mut self, mut message: M) -> Option<M> {
-        for ailment in &mut self.ailments {
-            if ailment.strikes(FaultKind::Corrupt) {
-                let random = &mut ailment.random;
+        for fault in &mut self.active {
+            if fault.strikes(FaultKind::Corrupt) {
+                let random = &mut fault.random;
                 message = message.through(&mut |bytes| {
                     let bits = 8 * bytes.len() as u64;
                     for _ in 0..=random.below(FLIPS_MAX) {
@@ -228,9 +227,9 @@ impl<M: Message> LinkFaults<M> {
     /// Total delay of a message: each delay fault's latency plus uniform jitter.
     fn delay(&mut self) -> SimTime {
         let mut late = SimTime::ZERO;
-        for ailment in self.ailments.iter_mut().filter(|ailment| ailment.kind == FaultKind::Delay) {
-            let spread = ailment.jitter.as_secs_f64() * (2.0 * ailment.random.unit() - 1.0);
-            late += SimTime::from_secs_f64(ailment.span.as_secs_f64() + spread);
+        for fault in self.active.iter_mut().filter(|fault| fault.kind == FaultKind::Delay) {
+            let spread = fault.jitter.as_secs_f64() * (2.0 * fault.random.unit() - 1.0);
+            late += SimTime::from_secs_f64(fault.span.as_secs_f64() + spread);
         }
         late
     }

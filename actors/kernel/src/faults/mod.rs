@@ -3,17 +3,18 @@
 //! The three parts use no threads and no clock. A driver (live or lock-step) asks the [`FaultSchedule`] for due orders,
 //! applies them at the component concerned, and reports what it observes to the [`FaultLog`].
 
+mod batch_in_flight;
 mod builder;
 mod link_faults;
 mod outcome;
-mod parcel;
 mod plan;
+mod plan_file;
 mod schedule;
 
+pub(crate) use batch_in_flight::{BatchInFlight, second_of};
 pub use builder::{FaultAt, secs};
 pub use link_faults::{LINK_WAITING_MAX, LinkCounts, LinkFaults, Message};
 pub use outcome::{FaultLog, FaultRow, Measured};
-pub(crate) use parcel::{Parcel, second_of};
 pub use plan::{During, Expect, FaultPlan, FaultPlanError, FaultSpec};
 pub use schedule::{FaultSchedule, TargetClass, Targets};
 

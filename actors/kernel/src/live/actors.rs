@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use actix::prelude::{Actor, Context, System};
 
 use super::LiveError;
-use super::guest::{Guest, Invitation};
+use super::guest::{Guest, GuestIdentity};
 use super::shared::lock;
 use crate::runtime::{guarded, panics};
 
@@ -30,12 +30,12 @@ const END_MAX: Duration = Duration::from_millis(100);
 /// An actor that takes part in a session. Dropping it ends the actor.
 pub struct HostedActor {
     name: String,
-    seat: Arc<Seat>,
+    state: Arc<HostedState>,
     thread: Option<JoinHandle<()>>,
 }
 
 #[derive(Default)]
-struct Seat {
+struct HostedState {
     stop: AtomicBool,
     alive: AtomicBool,
     restarts: AtomicU32,
@@ -46,23 +46,23 @@ struct Seat {
 impl HostedActor {
     /// Starts a thread on which `build` makes the actor, at the start and after each death.
     pub(super) fn start<A>(
-        invitation: Invitation,
+        identity: GuestIdentity,
         build: impl Fn(Guest) -> A + Send + 'static,
     ) -> Result<Self, LiveError>
     where
         A: Actor<Context = Context<A>>,
     {
         // Declared here, so that an access conflict is returned to the caller.
-        let first = invitation.accept()?;
-        let (name, seat) = (invitation.name.clone(), Arc::new(Seat::default()));
-        let given = seat.clone();
+        let first = identity.accept()?;
+        let (name, state) = (identity.name.clone(), Arc::new(HostedState::default()));
+        let given = state.clone();
         let thread = std::thread::Builder::new().name(format!("actor {name}")).spawn(move || {
-            if let Err(panic) = guarded(|| run(&invitation, first, &build, &given)) {
+            if let Err(panic) = guarded(|| run(&identity, first, &build, &given)) {
                 *lock(&given.given_up) = Some(panic);
             }
             given.alive.store(false, Ordering::Relaxed);
         })?;
-        Ok(Self { name, seat, thread: Some(thread) })
+        Ok(Self { name, state, thread: Some(thread) })
     }
 
     /// Its name among the writers.
@@ -71,21 +71,21 @@ impl HostedActor {
     }
     /// Whether it is alive and takes messages.
     pub fn is_alive(&self) -> bool {
-        self.seat.alive.load(Ordering::Relaxed)
+        self.state.alive.load(Ordering::Relaxed)
     }
     /// Number of restarts.
     pub fn restarts(&self) -> u32 {
-        self.seat.restarts.load(Ordering::Relaxed)
+        self.state.restarts.load(Ordering::Relaxed)
     }
     /// Why it is no longer restarted, if it was given up.
     pub fn given_up(&self) -> Option<String> {
-        lock(&self.seat.given_up).clone()
+        lock(&self.state.given_up).clone()
     }
     /// Asks it to end, without waiting.
     pub fn ask_to_end(&self) {
-        self.seat.stop.store(true, Ordering::Relaxed);
+        self.state.stop.store(true, Ordering::Relaxed);
     }
-    /// Ends it; `false` when it hangs and its thread was abandoned.
+    /// HandleParts it; `false` when it hangs and its thread was abandoned.
     pub fn end(mut self) -> bool {
         self.finish()
     }
@@ -100,7 +100,7 @@ impl HostedActor {
             }
             std::thread::sleep(Duration::from_millis(1));
         }
-        // The cause of its death is recorded on its seat.
+        // The cause of its death is recorded in its state.
         let _ = thread.join();
         true
     }
@@ -113,26 +113,26 @@ impl Drop for HostedActor {
 }
 
 /// Runs one life after the other, until the session ends or the actor fails too often.
-fn run<A>(invitation: &Invitation, first: Guest, build: &dyn Fn(Guest) -> A, seat: &Seat)
+fn run<A>(identity: &GuestIdentity, first: Guest, build: &dyn Fn(Guest) -> A, state: &HostedState)
 where
     A: Actor<Context = Context<A>>,
 {
-    let over = || seat.stop.load(Ordering::Relaxed) || invitation.shared.over.load(Ordering::Relaxed);
+    let over = || state.stop.load(Ordering::Relaxed) || identity.shared.over.load(Ordering::Relaxed);
     System::new().block_on(async {
         let mut guest = Some(first);
         let mut deaths: Vec<Instant> = Vec::with_capacity(RESTARTS_MAX + 1);
         loop {
-            let why = match guest.take().map_or_else(|| invitation.accept(), Ok) {
+            let why = match guest.take().map_or_else(|| identity.accept(), Ok) {
                 Err(error) => error.to_string(),
                 Ok(guest) => match guarded(|| build(guest)) {
                     Err(panic) => panic,
                     Ok(actor) => {
                         let addr = actor.start();
-                        seat.alive.store(true, Ordering::Relaxed);
+                        state.alive.store(true, Ordering::Relaxed);
                         while addr.connected() && !over() {
                             actix_rt::time::sleep(LOOK_EVERY).await;
                         }
-                        seat.alive.store(false, Ordering::Relaxed);
+                        state.alive.store(false, Ordering::Relaxed);
                         panics::take_text().unwrap_or_else(|| "it stopped by itself".to_owned())
                     }
                 },
@@ -140,12 +140,12 @@ where
             if over() {
                 return;
             }
-            tracing::error!("actor '{}': {why}", invitation.name);
+            tracing::error!("actor '{}': {why}", identity.name);
             let now = Instant::now();
             deaths.retain(|died| now.duration_since(*died) < RESTART_WINDOW);
             deaths.push(now);
             if deaths.len() > RESTARTS_MAX {
-                *lock(&seat.given_up) =
+                *lock(&state.given_up) =
                     Some(format!("{} times within {RESTART_WINDOW:?}: {why}", deaths.len()));
                 return;
             }
@@ -153,7 +153,7 @@ where
             while Instant::now() < pause && !over() {
                 actix_rt::time::sleep(LOOK_EVERY).await;
             }
-            seat.restarts.fetch_add(1, Ordering::Relaxed);
+            state.restarts.fetch_add(1, Ordering::Relaxed);
         }
     });
 }

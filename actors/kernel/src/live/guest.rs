@@ -25,7 +25,7 @@ const ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// Identity of a guest, which it keeps through all its lives.
 #[derive(Clone)]
-pub(super) struct Invitation {
+pub(super) struct GuestIdentity {
     pub(super) shared: Arc<Shared>,
     pub(super) name: String,
     pub(super) id: WriterId,
@@ -33,11 +33,11 @@ pub(super) struct Invitation {
     pub(super) capacity: usize,
 }
 
-impl Invitation {
+impl GuestIdentity {
     /// Declares the guest and waits for the Model's answer, at most a second.
     pub(super) fn accept(&self) -> Result<Guest, LiveError> {
         let refused = |reason: String| LiveError::Controller { name: self.name.clone(), reason };
-        let mut answer = self.shared.introduce(&self.name, self.id, &self.access);
+        let mut answer = self.shared.request_declaration(&self.name, self.id, &self.access);
         let until = Instant::now() + ANSWER_MAX;
         loop {
             match answer.try_recv() {
@@ -50,7 +50,7 @@ impl Invitation {
         }
         let status = Arc::<LaneStatus>::default();
         let seen = self.shared.published.load().events().next();
-        Ok(Guest { handle: self.open(&status), status, invitation: self.clone(), seen, batches: 0 })
+        Ok(Guest { handle: self.open(&status), status, identity: self.clone(), seen, batches: 0 })
     }
 
     fn open(&self, status: &Arc<LaneStatus>) -> WriterHandle {
@@ -66,7 +66,7 @@ impl Invitation {
 ///
 /// It stays valid when the Model is replaced: the next Model knows it.
 pub struct Guest {
-    invitation: Invitation,
+    identity: GuestIdentity,
     handle: WriterHandle,
     status: Arc<LaneStatus>,
     /// Number of the first event that it has not seen.
@@ -77,23 +77,23 @@ pub struct Guest {
 impl Guest {
     /// Its name among the writers.
     pub fn name(&self) -> &str {
-        &self.invitation.name
+        &self.identity.name
     }
     /// Its own entity, for its own components.
     pub fn me(&self) -> Entity {
-        Entity::of_writer(self.invitation.shared.station, self.invitation.id.0)
+        Entity::of_writer(self.identity.shared.station, self.identity.id.0)
     }
     /// Time of the session.
     pub fn now(&self) -> SimTime {
-        self.invitation.shared.clock.now()
+        self.identity.shared.clock.now()
     }
     /// Whether the session has ended; later batches do not arrive.
     pub fn has_ended(&self) -> bool {
-        self.invitation.shared.over.load(Ordering::Relaxed)
+        self.identity.shared.over.load(Ordering::Relaxed)
     }
     /// The latest snapshot. Only loads a pointer; holding it keeps its memory alive.
     pub fn snapshot(&self) -> Arc<Snapshot> {
-        self.invitation.shared.published.load_full()
+        self.identity.shared.published.load_full()
     }
     /// Number of batches refused because the ring was full.
     pub fn dropped(&self) -> u64 {
@@ -103,7 +103,7 @@ impl Guest {
     /// Events since the last call (the first time: since it joined), oldest first. The log holds about 4,096 events; a
     /// guest that calls too rarely misses the oldest.
     pub fn events(&mut self) -> Vec<Event> {
-        let scene = self.invitation.shared.published.load();
+        let scene = self.identity.shared.published.load();
         let events = scene.events().since(self.seen).map(|(_, event)| event.clone()).collect();
         self.seen = scene.events().next();
         events
@@ -118,7 +118,7 @@ impl Guest {
         &mut self,
         command: impl FnOnce(&Snapshot, &mut Commands),
     ) -> Result<Submitted, CommandError> {
-        let (scene, now) = (self.invitation.shared.published.load(), self.now());
+        let (scene, now) = (self.identity.shared.published.load(), self.now());
         let out = self.handle.begin(now);
         command(&scene, out);
         if let Some(error) = out.error() {

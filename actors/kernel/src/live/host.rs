@@ -23,7 +23,7 @@ const LATE_MAX: u64 = 8;
 /// Message that begins a life.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Live(pub(super) Arc<Life>);
+pub(super) struct BeginLife(pub(super) Arc<Life>);
 
 /// The actor.
 pub(super) struct HostActor {
@@ -41,9 +41,9 @@ impl Actor for HostActor {
     type Context = Context<Self>;
 }
 
-impl Handler<Live> for HostActor {
+impl Handler<BeginLife> for HostActor {
     type Result = ();
-    fn handle(&mut self, Live(life): Live, _: &mut Self::Context) {
+    fn handle(&mut self, BeginLife(life): BeginLife, _: &mut Self::Context) {
         let (shared, writer) = (self.shared.clone(), self.writer.clone());
         actix_rt::spawn(async move {
             let cause = live(&shared, &writer, &life).await;
@@ -52,8 +52,8 @@ impl Handler<Live> for HostActor {
                 shared.report(Event::ZombieEnded);
                 Arbiter::current().stop();
             } else {
-                writer.seat.stats.leave_thread();
-                shared.died(&writer.seat, &life, cause);
+                writer.state.stats.leave_thread();
+                shared.died(&writer.state, &life, cause);
             }
         });
     }
@@ -63,7 +63,7 @@ impl Handler<Live> for HostActor {
 async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
     let tid = sched::current_tid();
     life.tid.store(tid, Ordering::Relaxed);
-    writer.seat.stats.enter_thread(tid);
+    writer.state.stats.enter_thread(tid);
     let controller = match build(shared, writer, life) {
         Ok(controller) => controller,
         Err(cause) => return cause,
@@ -80,29 +80,29 @@ async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
         Ok(ticker) => ticker,
         Err(error) => return drop_after(controller, Cause::Error(format!("timer: {error}"))),
     };
-    let mut body = Body {
+    let mut hosted = HostedController {
         handle: shared.open(writer, life),
         shared,
         writer,
         life,
         controller,
         jobs: Jobs::default(),
-        runner: JobRunner::new(&writer.seat.name),
+        runner: JobRunner::new(&writer.state.name),
         resumed: false,
         late_ticks: 0,
         window: 0,
     };
     life.running.store(true, Ordering::Release);
-    shared.report(Event::Started { child: writer.seat.child, incarnation: life.incarnation });
-    let cause = body.run(ticker).await;
-    drop_after(body.controller, cause)
+    shared.report(Event::Started { child: writer.state.child, incarnation: life.incarnation });
+    let cause = hosted.run(ticker).await;
+    drop_after(hosted.controller, cause)
 }
 
 /// The first tick of a session is the next one of the schedule; a later life continues where the last one stopped.
 fn schedule(shared: &Shared, writer: &Writer, life: &Life) -> Schedule {
     let (phase, period) = (writer.spec.phase, writer.spec.period());
     let now = shared.clock.now();
-    let next = if life.incarnation > 1 && writer.seat.stats.ticks() > 0 {
+    let next = if life.incarnation > 1 && writer.state.stats.ticks() > 0 {
         writer.next_tick.load(Ordering::Relaxed)
     } else if now <= phase {
         0
@@ -120,7 +120,7 @@ fn build(shared: &Shared, writer: &Writer, life: &Life) -> Result<Box<dyn Contro
     let context = BuildContext {
         scene: &scene,
         time: shared.clock.now(),
-        name: &writer.seat.name,
+        name: &writer.state.name,
         me: writer.allocator.me(),
         epoch: life.incarnation,
         seed: shared.seed,
@@ -148,7 +148,7 @@ pub(super) fn stall(shared: &Shared, span: SimTime) {
     }
 }
 
-struct Body<'a> {
+struct HostedController<'a> {
     shared: &'a Shared,
     writer: &'a Writer,
     life: &'a Life,
@@ -161,7 +161,7 @@ struct Body<'a> {
     window: u32,
 }
 
-impl Body<'_> {
+impl HostedController<'_> {
     async fn run(&mut self, mut ticker: Ticker) -> Cause {
         let mut budget = Budget::new(self.writer.spec.period(), ticker::LEAD);
         ticker.set_spinning(budget.may_spin());
@@ -189,13 +189,13 @@ impl Body<'_> {
                 }
                 Err(error) => return Cause::Error(format!("timer: {error}")),
             };
-            let stats = &self.writer.seat.stats;
+            let stats = &self.writer.state.stats;
             if due.missed > 0 {
                 stats.missed(due.missed);
             }
             let begun = self.shared.clock.now();
             self.life.bump(begun);
-            let held = self.writer.seat.seam.is_held();
+            let held = self.writer.state.fault_hooks.is_held();
             let outcome = if held {
                 Ok(())
             } else {
@@ -222,7 +222,7 @@ impl Body<'_> {
             self.judge_lateness(due.missed + u64::from(lateness.0 >= self.writer.spec.period().0));
             if !self.resumed {
                 self.resumed = true;
-                let (child, incarnation) = (self.writer.seat.child, self.life.incarnation);
+                let (child, incarnation) = (self.writer.state.child, self.life.incarnation);
                 self.shared.report(Event::Resumed { child, incarnation });
             }
             match budget.observe(step) {
@@ -258,15 +258,15 @@ impl Body<'_> {
 
     /// One step, from the snapshot to the ring. After warm-up it allocates nothing of its own.
     fn step(&mut self, due: Due) -> Result<(), Cause> {
-        let seam = &self.writer.seat.seam;
-        if seam.take_kill() {
+        let fault_hooks = &self.writer.state.fault_hooks;
+        if fault_hooks.take_kill() {
             panic!("fault injected: kill");
         }
-        if let Some(span) = seam.take_stall() {
+        if let Some(span) = fault_hooks.take_stall() {
             stall(self.shared, span);
-            seam.end_stall();
+            fault_hooks.end_stall();
         }
-        if let Some(span) = seam.slow() {
+        if let Some(span) = fault_hooks.slow() {
             std::thread::sleep(span.to_duration());
         }
         self.runner.deliver(&self.jobs).map_err(Cause::Panic)?;
@@ -283,13 +283,13 @@ impl Body<'_> {
         };
         let out = self.handle.begin(due.at);
         tick_controller(&mut *self.controller, &tick, &scene, out)?;
-        self.writer.seat.stats.found(out.listed());
-        if seam.nan() {
+        self.writer.state.stats.found(out.listed());
+        if fault_hooks.nan() {
             out.event("fault_nan", me, None, f64::NAN);
         }
         self.writer.events_seen.store(scene.events().next(), Ordering::Relaxed);
         if self.handle.submit(due.number, due.at, scene.revision()) == Submitted::Dropped {
-            self.writer.seat.stats.dropped();
+            self.writer.state.stats.dropped();
         }
         self.runner.collect(&self.jobs).map_err(|error| Cause::Error(format!("jobs: {error}")))
     }

@@ -37,9 +37,9 @@ use crate::state_hash::StateHash;
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
 };
-use guest::Invitation;
-use shared::{Life, OperatorSeat, Report, Seam, Seat, Shared, Writer, lock};
-use supervise::{Board, SupervisorThread};
+use guest::GuestIdentity;
+use shared::{ChildState, FaultHooks, Life, OperatorState, Report, Shared, Writer, lock};
+use supervise::{StatusBoard, SupervisorThread};
 
 pub use actors::HostedActor;
 pub use guest::Guest;
@@ -85,7 +85,7 @@ pub enum LiveError {
 /// A running session. Dropping it stops it.
 pub struct LiveSession {
     shared: Arc<Shared>,
-    board: Arc<Board>,
+    board: Arc<StatusBoard>,
     tree: Arc<GroupSpec>,
     zero_forces: Vec<crate::spec::ZeroForces>,
     /// Indices in the order of the session, which differs from the order of ids.
@@ -172,11 +172,11 @@ impl LiveSession {
         )?;
         let order = order
             .iter()
-            .filter_map(|name| shared.writers.iter().position(|writer| writer.seat.name == *name))
+            .filter_map(|name| shared.writers.iter().position(|writer| writer.state.name == *name))
             .collect();
         let system = start_system()?;
         let log = start_log()?;
-        let board = Arc::new(Board::default());
+        let board = Arc::new(StatusBoard::default());
         let crew = SupervisorThread {
             shared: shared.clone(),
             board: board.clone(),
@@ -231,7 +231,7 @@ impl LiveSession {
         writers
             .filter_map(|writer| {
                 let access = lock(&writer.declared).clone()?;
-                Some((writer.seat.name.clone(), writer.spec.rate_hz, access))
+                Some((writer.state.name.clone(), writer.spec.rate_hz, access))
             })
             .collect()
     }
@@ -278,8 +278,8 @@ impl LiveSession {
     }
     /// Pauses or resumes a controller; `false` when there is none of that name.
     pub fn hold(&self, name: &str, held: bool) -> bool {
-        let seat = self.shared.writers.iter().map(|writer| &writer.seat).find(|seat| seat.name == name);
-        seat.is_some_and(|seat| self.shared.reports.try_send(Report::Hold(seat.child, held)).is_ok())
+        let state = self.shared.writers.iter().map(|writer| &writer.state).find(|state| state.name == name);
+        state.is_some_and(|state| self.shared.reports.try_send(Report::Hold(state.child, held)).is_ok())
     }
     /// Whether the session has ended.
     pub fn has_ended(&self) -> bool {
@@ -314,7 +314,7 @@ impl LiveSession {
         access: &Access,
         capacity: usize,
     ) -> Result<Guest, LiveError> {
-        self.invitation(name, id, access, capacity).accept()
+        self.identity(name, id, access, capacity).accept()
     }
 
     /// Adds a plain actix actor, on its own thread and actix system. `build` makes it from its guest handle, at the
@@ -332,12 +332,12 @@ impl LiveSession {
     where
         A: Actor<Context = Context<A>>,
     {
-        HostedActor::start(self.invitation(name, id, access, ACTOR_CAPACITY), build)
+        HostedActor::start(self.identity(name, id, access, ACTOR_CAPACITY), build)
     }
 
-    fn invitation(&self, name: &str, id: WriterId, access: &Access, capacity: usize) -> Invitation {
+    fn identity(&self, name: &str, id: WriterId, access: &Access, capacity: usize) -> GuestIdentity {
         let (shared, name, access) = (self.shared.clone(), name.to_owned(), access.clone());
-        Invitation { shared, name, id, access, capacity }
+        GuestIdentity { shared, name, id, access, capacity }
     }
 
     /// A handle that may write any row of the running session, from any thread: for a researcher's program, a tuning
@@ -349,7 +349,7 @@ impl LiveSession {
         Operator::new(self.shared.clone())
     }
 
-    /// Ends the session within two seconds, even if threads hang: first forces to zero, then controllers, Model,
+    /// HandleParts the session within two seconds, even if threads hang: first forces to zero, then controllers, Model,
     /// recording. `code` is the exit code unless the supervisor has given up before.
     pub fn stop(mut self, code: i32) -> SessionOutcome {
         self.end(code);
@@ -395,7 +395,7 @@ impl LiveSession {
         }
         self.stopped = true;
         // Time limits apply to the end as well.
-        self.shared.clock.go_on();
+        self.shared.clock.resume();
         let asked = self.shared.reports.try_send(Report::Event(Event::ShutdownRequested { code })).is_ok();
         let ended = if asked { self.wait(STOP_MAX) } else { self.has_ended() };
         if !ended {
@@ -446,13 +446,13 @@ fn share(
     tree: &Supervisor,
     reports: SyncSender<Report>,
 ) -> Result<Arc<Shared>, LiveError> {
-    let seat = |name: &str, child: &ChildSpec| -> Result<Seat, LiveError> {
+    let state_of_child = |name: &str, child: &ChildSpec| -> Result<ChildState, LiveError> {
         let id: ChildId = tree.find(name).ok_or_else(|| LiveError::Controller {
             name: name.to_owned(),
             reason: "does not stand in the supervisor tree".to_owned(),
         })?;
         let spec = tree.spec(id).unwrap_or(child);
-        Ok(Seat {
+        Ok(ChildState {
             child: id,
             name: name.to_owned(),
             class: spec.class,
@@ -460,17 +460,17 @@ fn share(
             ticks: spec.rate_hz > 0.0,
             life: ArcSwap::from(Life::new(0)),
             stats: TickStats::new(name, spec.rate_hz),
-            seam: Seam::default(),
+            fault_hooks: FaultHooks::default(),
         })
     };
     let model = ChildSpec::new(MODEL, crate::supervision::RuntimeClass::Model, 0.0);
-    let model = seat(MODEL, &model)?;
+    let model = state_of_child(MODEL, &model)?;
     let mut writers = Vec::with_capacity(controllers.len());
     for spec in controllers {
         let allocator = EntityAllocator::new(station, spec.writer);
         allocator.skip_to(scene.view().first_free(station, spec.writer));
         writers.push(Arc::new(Writer {
-            seat: seat(&spec.name, &spec.child)?,
+            state: state_of_child(&spec.name, &spec.child)?,
             id: WriterId(spec.writer),
             allocator,
             lane: Arc::<LaneStatus>::default(),
@@ -508,7 +508,7 @@ fn share(
         published_hash: Mutex::new(None),
         final_hash: Mutex::new(None),
         batches: AtomicU64::new(0),
-        operator: OperatorSeat::new(operator),
+        operator: OperatorState::new(operator),
         over: AtomicBool::new(false),
         resting: AtomicBool::new(false),
     }))

@@ -11,7 +11,7 @@ use tokio::sync::Notify;
 use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
-use super::shared::{Declare, Life, Shared, Visitor, lock};
+use super::shared::{DeclareWriter, GuestDeclaration, Life, Shared, lock};
 use crate::commit::CommitBuffer;
 use crate::handle::Receipt;
 use crate::intake::{Arrival, LaneIndex, Lanes};
@@ -28,23 +28,23 @@ const HASH_TRIES: u32 = 200;
 const HASH_PAUSE: Duration = Duration::from_micros(100);
 
 /// The doorbell rang.
-pub(super) struct Rung;
+pub(super) struct DoorbellRang;
 
 /// The doorbell as a stream; polling it allocates nothing.
-struct Bell {
+struct DoorbellStream {
     notify: Arc<Notify>,
     waiting: Pin<Box<OwnedNotified>>,
 }
 
-impl Stream for Bell {
-    type Item = Rung;
-    fn poll_next(mut self: Pin<&mut Self>, cx: &mut TaskContext<'_>) -> Poll<Option<Rung>> {
+impl Stream for DoorbellStream {
+    type Item = DoorbellRang;
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut TaskContext<'_>) -> Poll<Option<DoorbellRang>> {
         match self.waiting.as_mut().poll(cx) {
             Poll::Pending => Poll::Pending,
             Poll::Ready(()) => {
                 let next = self.notify.clone().notified_owned();
                 self.waiting.set(next);
-                Poll::Ready(Some(Rung))
+                Poll::Ready(Some(DoorbellRang))
             }
         }
     }
@@ -53,9 +53,9 @@ impl Stream for Bell {
 /// Message that begins a life.
 #[derive(Message)]
 #[rtype(result = "()")]
-pub(super) struct Live(pub(super) Arc<Life>);
+pub(super) struct BeginLife(pub(super) Arc<Life>);
 
-struct Desk {
+struct RunningModel {
     core: ModelCore,
     lanes: Lanes,
     retired: Retired<Snapshot>,
@@ -68,7 +68,7 @@ pub(super) struct ModelActor {
     shared: Arc<Shared>,
     life: Option<Arc<Life>>,
     /// Survives panics: the core rolls back to the last published state.
-    desk: Option<Desk>,
+    running: Option<RunningModel>,
     /// The core of a new Model, built before its thread.
     first: Option<ModelCore>,
     /// Writer, lane and tick of the batch being applied.
@@ -79,23 +79,23 @@ pub(super) struct ModelActor {
 impl ModelActor {
     /// Takes the core over; `None` builds one from the last published snapshot.
     pub(super) fn new(shared: Arc<Shared>, first: Option<ModelCore>) -> Self {
-        Self { shared, life: None, desk: None, first, culprit: None, resumed: false }
+        Self { shared, life: None, running: None, first, culprit: None, resumed: false }
     }
 
     fn begin(&mut self, life: &Life) -> Result<(), String> {
         let tid = sched::current_tid();
         life.tid.store(tid, Ordering::Relaxed);
         self.shared.model.stats.enter_thread(tid);
-        if let Some(desk) = &mut self.desk {
+        if let Some(running) = &mut self.running {
             let culprit = self.culprit.take();
-            let fell_back = desk.core.recover(culprit.map(|(id, ..)| id));
+            let fell_back = running.core.recover(culprit.map(|(id, ..)| id));
             if let Some((_, lane, tick)) = culprit {
-                desk.lanes.answer(lane, Receipt { tick, outcome: None });
+                running.lanes.answer(lane, Receipt { tick, outcome: None });
             }
             if let Some(index) = culprit.and_then(|(id, ..)| self.shared.writer_index(id)) {
                 // The batch that caused the panic is not retried.
                 let writer = &self.shared.writers[index];
-                writer.seat.stats.rejected();
+                writer.state.stats.rejected();
                 writer.taken.store(0, Ordering::Relaxed);
             }
             if fell_back {
@@ -115,19 +115,19 @@ impl ModelActor {
                 self.rebuild()?
             }
         };
-        let mut desk = loop {
+        let mut running = loop {
             // Replaces the snapshot published by an abandoned Model, so that it can publish nothing more.
             let snapshot = core.publish();
             let before = self.shared.published.compare_and_swap(&from, snapshot.clone());
             if Arc::ptr_eq(&before, &from) {
-                break Desk { core, lanes, retired, spare: CommitBuffer::new(), last: snapshot };
+                break RunningModel { core, lanes, retired, spare: CommitBuffer::new(), last: snapshot };
             }
             // The predecessor published once more while we read its previous state.
             (core, from) = self.rebuild()?;
         };
-        desk.core.keep_commits(self.shared.has_sink);
-        desk.retired.retire(from);
-        self.desk = Some(desk);
+        running.core.keep_commits(self.shared.has_sink);
+        running.retired.retire(from);
+        self.running = Some(running);
         Ok(())
     }
 
@@ -142,10 +142,10 @@ impl ModelActor {
         }
         for writer in &self.shared.writers {
             if let Some(access) = &*lock(&writer.declared) {
-                core.declare(&writer.seat.name, writer.id, access).map_err(|error| error.to_string())?;
+                core.declare(&writer.state.name, writer.id, access).map_err(|error| error.to_string())?;
             }
         }
-        for Visitor { name, id, access } in &*lock(&self.shared.guests) {
+        for GuestDeclaration { name, id, access } in &*lock(&self.shared.guests) {
             core.declare(name, *id, access).map_err(|error| error.to_string())?;
         }
         self.shared.fences_waiting.raise();
@@ -168,76 +168,76 @@ impl ModelActor {
 
     /// One pass: applies all waiting batches and publishes as the publication rule says.
     fn pass(&mut self, life: &Life) {
-        let Some(desk) = &mut self.desk else { return };
+        let Some(running) = &mut self.running else { return };
         let shared = &*self.shared;
-        if shared.model.seam.take_kill() {
+        if shared.model.fault_hooks.take_kill() {
             panic!("fault injected: kill");
         }
-        if let Some(span) = shared.model.seam.take_stall() {
+        if let Some(span) = shared.model.fault_hooks.take_stall() {
             super::host::stall(shared, span);
             if life.is_abandoned() {
                 return;
             }
-            shared.model.seam.end_stall();
+            shared.model.fault_hooks.end_stall();
         }
         let mut now = shared.clock.now();
         if shared.declares_waiting.take() {
             // A new life with another declaration must not keep its predecessor's contributions.
-            desk.raise_fences(shared, now);
-            desk.hear_declarations(shared);
+            running.raise_fences(shared, now);
+            running.apply_declarations(shared);
             // A writer new to this Model may have been fenced before.
             shared.fences_waiting.raise();
         }
-        desk.lanes.begin_pass();
+        running.lanes.begin_pass();
         if shared.fences_waiting.take() {
-            desk.raise_fences(shared, now);
+            running.raise_fences(shared, now);
         }
-        while let Some(Arrival { lane, sealed_at, mut batch }) = desk.lanes.pop(now) {
+        while let Some(Arrival { lane, sealed_at, mut batch }) = running.lanes.pop(now) {
             let id = batch.provenance.writer;
             let tick = batch.provenance.tick;
             self.culprit = Some((id, lane, tick));
             let writer = shared.writer_index(id).map(|index| &shared.writers[index]);
             if let Some(writer) = writer {
                 writer.taken.store(1, Ordering::Relaxed);
-                writer.seat.stats.waited(now.since(sealed_at));
+                writer.state.stats.waited(now.since(sealed_at));
             }
             // A fence raised since the pass began must also stop this batch.
             if writer.is_some_and(|w| w.epoch.load(Ordering::Acquire) > batch.provenance.epoch) {
-                desk.raise_fences(shared, now);
+                running.raise_fences(shared, now);
             }
-            let outcome = desk.core.apply(&mut batch, now);
+            let outcome = running.core.apply(&mut batch, now);
             // Guests have no row in the report, and an abandoned Model no longer counts.
-            if let Some(writer) = writer.filter(|_| desk.lanes.is_current()) {
+            if let Some(writer) = writer.filter(|_| running.lanes.is_current()) {
                 match &outcome {
                     Outcome::Applied { .. } => {
                         writer.applied.fetch_add(1, Ordering::Relaxed);
                         writer.unpublished.fetch_add(1, Ordering::Relaxed);
                     }
-                    Outcome::Rejected(_) => writer.seat.stats.rejected(),
-                    Outcome::Conflict(_) => writer.seat.stats.conflict(),
+                    Outcome::Rejected(_) => writer.state.stats.rejected(),
+                    Outcome::Conflict(_) => writer.state.stats.conflict(),
                 }
                 writer.taken.store(0, Ordering::Relaxed);
             }
             // A writer may read the scene as soon as it has its receipt, so the receipt must follow the publication.
-            if desk.lanes.wants_receipt(lane) && desk.publish(shared) {
-                desk.lanes.answer(lane, Receipt { tick, outcome: Some(outcome) });
+            if running.lanes.wants_receipt(lane) && running.publish(shared) {
+                running.lanes.answer(lane, Receipt { tick, outcome: Some(outcome) });
             }
             shared.batches.fetch_add(1, Ordering::Relaxed);
-            desk.lanes.give_back(lane, batch);
+            running.lanes.give_back(lane, batch);
             now = shared.clock.now();
             life.bump(now);
             life.bump(now);
-            if desk.core.is_publish_due(now, false) {
-                desk.publish(shared);
+            if running.core.is_publish_due(now, false) {
+                running.publish(shared);
             }
         }
         self.culprit = None;
-        if desk.core.is_publish_due(now, true) {
-            desk.publish(shared);
+        if running.core.is_publish_due(now, true) {
+            running.publish(shared);
         }
     }
 
-    fn rung(&mut self, ctx: &mut Context<Self>) {
+    fn doorbell_rang(&mut self, ctx: &mut Context<Self>) {
         let Some(life) = self.life.clone() else { return };
         let begun = self.shared.clock.now();
         life.bump(begun);
@@ -262,8 +262,8 @@ impl ModelActor {
                     self.shared.report(Event::Resumed { child, incarnation });
                 }
                 if life.stop.load(Ordering::Relaxed) {
-                    if let Some(desk) = &self.desk {
-                        *lock(&self.shared.final_hash) = Some(desk.core.hash());
+                    if let Some(running) = &self.running {
+                        *lock(&self.shared.final_hash) = Some(running.core.hash());
                     }
                     self.shared.model.stats.leave_thread();
                     self.shared.died(&self.shared.model, &life, Cause::Stop);
@@ -280,16 +280,16 @@ impl ModelActor {
     }
 }
 
-impl Desk {
-    fn hear_declarations(&mut self, shared: &Shared) {
+impl RunningModel {
+    fn apply_declarations(&mut self, shared: &Shared) {
         for declare in std::mem::take(&mut *lock(&shared.declares)) {
             let answer = self.core.declare(&declare.name, declare.id, &declare.access);
             if answer.is_ok() {
                 match shared.writer_index(declare.id) {
                     Some(index) => *lock(&shared.writers[index].declared) = Some(declare.access),
                     None => {
-                        let Declare { name, id, access, .. } = &declare;
-                        let guest = Visitor { name: name.clone(), id: *id, access: access.clone() };
+                        let DeclareWriter { name, id, access, .. } = &declare;
+                        let guest = GuestDeclaration { name: name.clone(), id: *id, access: access.clone() };
                         let mut guests = lock(&shared.guests);
                         guests.retain(|known| known.id != guest.id);
                         guests.push(guest);
@@ -339,21 +339,21 @@ impl Actor for ModelActor {
     fn started(&mut self, ctx: &mut Self::Context) {
         let notify = self.shared.bell.clone();
         let waiting = Box::pin(notify.clone().notified_owned());
-        ctx.add_stream(Bell { notify, waiting });
+        ctx.add_stream(DoorbellStream { notify, waiting });
     }
 }
 
-impl StreamHandler<Rung> for ModelActor {
-    fn handle(&mut self, _: Rung, ctx: &mut Self::Context) {
-        self.rung(ctx);
+impl StreamHandler<DoorbellRang> for ModelActor {
+    fn handle(&mut self, _: DoorbellRang, ctx: &mut Self::Context) {
+        self.doorbell_rang(ctx);
     }
 }
 
-impl Handler<Live> for ModelActor {
+impl Handler<BeginLife> for ModelActor {
     type Result = ();
-    fn handle(&mut self, Live(life): Live, ctx: &mut Self::Context) {
-        let seat = &self.shared.model;
-        let (child, incarnation) = (seat.child, life.incarnation);
+    fn handle(&mut self, BeginLife(life): BeginLife, ctx: &mut Self::Context) {
+        let state = &self.shared.model;
+        let (child, incarnation) = (state.child, life.incarnation);
         let begun = guarded(|| self.begin(&life)).unwrap_or_else(Err);
         let shared = self.shared.clone();
         match begun {
@@ -364,7 +364,7 @@ impl Handler<Live> for ModelActor {
                 life.running.store(true, Ordering::Release);
                 shared.report(Event::Started { child, incarnation });
                 // Batches that arrived while no Model was listening.
-                self.rung(ctx);
+                self.doorbell_rang(ctx);
             }
         }
     }

@@ -24,14 +24,14 @@ impl LiveSession {
             self.shared
                 .writers
                 .iter()
-                .map(|writer| writer.seat.life.load())
+                .map(|writer| writer.state.life.load())
                 .any(|life| life.running.load(Ordering::Acquire) && !life.at_rest.load(Ordering::Acquire))
         };
         while works() && Instant::now() < until {
             std::thread::sleep(LOOK);
         }
         quiet();
-        self.shared.clock.stop();
+        self.shared.clock.pause();
         true
     }
 
@@ -40,7 +40,7 @@ impl LiveSession {
         if !self.is_paused() {
             return false;
         }
-        self.shared.clock.go_on();
+        self.shared.clock.resume();
         self.shared.resting.store(false, Ordering::Release);
         true
     }

@@ -22,7 +22,7 @@ use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 #[derive(Default)]
 pub(crate) struct Life {
     pub(crate) incarnation: u32,
-    pub(crate) heart: Heartbeat,
+    pub(crate) heartbeat: Heartbeat,
     /// Thread id; 0 before it runs.
     pub(crate) tid: AtomicU32,
     /// Construction is done: the watchdog may check it.
@@ -51,12 +51,12 @@ impl Life {
     }
     /// Records that a step begins or ends.
     pub(crate) fn bump(&self, now: SimTime) {
-        self.heart.bump(now.0);
+        self.heartbeat.bump(now.0);
     }
 }
 
 /// State of a child that persists across its lives.
-pub(crate) struct Seat {
+pub(crate) struct ChildState {
     pub(crate) child: ChildId,
     pub(crate) name: String,
     pub(crate) class: RuntimeClass,
@@ -66,10 +66,10 @@ pub(crate) struct Seat {
     pub(crate) ticks: bool,
     pub(crate) life: ArcSwap<Life>,
     pub(crate) stats: TickStats,
-    pub(crate) seam: Seam,
+    pub(crate) fault_hooks: FaultHooks,
 }
 
-impl Seat {
+impl ChildState {
     /// Heartbeat limit of a life, depending on whether its first step is done.
     pub(crate) fn limit(&self, settled: bool) -> SimTime {
         self.limits[usize::from(settled)]
@@ -78,7 +78,7 @@ impl Seat {
 
 /// Injection point of faults: flags that the host checks, so that controllers need no annotations.
 #[derive(Default)]
-pub(crate) struct Seam {
+pub(crate) struct FaultHooks {
     kill: AtomicBool,
     stall: AtomicU64,
     slow: AtomicU64,
@@ -87,7 +87,7 @@ pub(crate) struct Seam {
     stall_ended: AtomicBool,
 }
 
-impl Seam {
+impl FaultHooks {
     pub(crate) fn apply(&self, order: &FaultOrder) {
         match order.kind {
             FaultKind::Kill => self.kill.store(order.begins, Ordering::Relaxed),
@@ -132,7 +132,7 @@ impl Seam {
 
 /// A controller's writer state, shared with the Model.
 pub(crate) struct Writer {
-    pub(crate) seat: Seat,
+    pub(crate) state: ChildState,
     pub(crate) spec: ControllerSpec,
     pub(crate) id: WriterId,
     pub(crate) allocator: EntityAllocator,
@@ -155,14 +155,14 @@ pub(crate) struct Writer {
 impl Writer {
     /// Its row of the report.
     pub(crate) fn report(&self, elapsed: SimTime) -> ControllerReport {
-        self.seat.stats.set_account(Account {
+        self.state.stats.set_account(Account {
             sent: self.lane.sent(),
             applied: self.applied.load(Ordering::Relaxed),
             lost: self.lane.lost(),
             delayed: self.lane.delayed(),
             duplicated: self.lane.duplicated(),
         });
-        self.seat.stats.report(elapsed)
+        self.state.stats.report(elapsed)
     }
     /// Counts batches as lost that the Model took and did not publish before it failed.
     pub(crate) fn lose_unpublished(&self) {
@@ -174,14 +174,14 @@ impl Writer {
 
 /// A declared guest, recorded for a Model that takes over from an unreachable one.
 #[derive(Clone)]
-pub(crate) struct Visitor {
+pub(crate) struct GuestDeclaration {
     pub(crate) name: String,
     pub(crate) id: WriterId,
     pub(crate) access: Access,
 }
 
 /// State shared by all handles of the operator.
-pub(crate) struct OperatorSeat {
+pub(crate) struct OperatorState {
     pub(crate) allocator: EntityAllocator,
     /// Number of its next batch.
     pub(crate) tick: AtomicU64,
@@ -189,14 +189,14 @@ pub(crate) struct OperatorSeat {
     pub(crate) handles: AtomicU32,
 }
 
-impl OperatorSeat {
+impl OperatorState {
     pub(crate) fn new(allocator: EntityAllocator) -> Self {
         Self { allocator, tick: AtomicU64::new(0), handles: AtomicU32::new(0) }
     }
 }
 
 /// Message that declares a writer to the Model.
-pub(crate) struct Declare {
+pub(crate) struct DeclareWriter {
     pub(crate) name: String,
     pub(crate) id: WriterId,
     pub(crate) access: Access,
@@ -222,12 +222,12 @@ pub(crate) struct Shared {
     pub(crate) published: Arc<ArcSwap<Snapshot>>,
     pub(crate) intake: Arc<Intake>,
     pub(crate) bell: Arc<tokio::sync::Notify>,
-    pub(crate) model: Seat,
+    pub(crate) model: ChildState,
     /// Ordered by writer id.
     pub(crate) writers: Vec<Arc<Writer>>,
     pub(crate) reports: SyncSender<Report>,
-    pub(crate) declares: Mutex<Vec<Declare>>,
-    pub(crate) guests: Mutex<Vec<Visitor>>,
+    pub(crate) declares: Mutex<Vec<DeclareWriter>>,
+    pub(crate) guests: Mutex<Vec<GuestDeclaration>>,
     pub(crate) declares_waiting: Signal,
     /// A fence was raised that the Model has not handled yet.
     pub(crate) fences_waiting: Signal,
@@ -238,7 +238,7 @@ pub(crate) struct Shared {
     /// Final state hash, set when the Model ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,
-    pub(crate) operator: OperatorSeat,
+    pub(crate) operator: OperatorState,
     /// The session has ended: injected stalls return.
     pub(crate) over: AtomicBool,
     /// The session is paused: no controller ticks.
@@ -251,21 +251,21 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Shared {
-    pub(crate) fn seat(&self, child: ChildId) -> Option<&Seat> {
+    pub(crate) fn state_of(&self, child: ChildId) -> Option<&ChildState> {
         if child == self.model.child {
             return Some(&self.model);
         }
-        self.writers.iter().map(|writer| &writer.seat).find(|seat| seat.child == child)
+        self.writers.iter().map(|writer| &writer.state).find(|state| state.child == child)
     }
     pub(crate) fn writer_of(&self, child: ChildId) -> Option<&Arc<Writer>> {
-        self.writers.iter().find(|writer| writer.seat.child == child)
+        self.writers.iter().find(|writer| writer.state.child == child)
     }
     pub(crate) fn writer_index(&self, id: WriterId) -> Option<usize> {
         self.writers.binary_search_by_key(&id, |writer| writer.id).ok()
     }
-    /// All seats: the Model's, then the writers'.
-    pub(crate) fn seats(&self) -> impl Iterator<Item = &Seat> {
-        std::iter::once(&self.model).chain(self.writers.iter().map(|writer| &writer.seat))
+    /// All states: the Model's, then the writers'.
+    pub(crate) fn child_states(&self) -> impl Iterator<Item = &ChildState> {
+        std::iter::once(&self.model).chain(self.writers.iter().map(|writer| &writer.state))
     }
 
     /// Makes the devices and the Model refuse output of `child` below `epoch`. Devices first, because users hold them.
@@ -285,8 +285,8 @@ impl Shared {
     pub(crate) fn report(&self, event: Event) {
         let _ = self.reports.send(Report::Event(event));
     }
-    pub(crate) fn died(&self, seat: &Seat, life: &Life, cause: Cause) {
-        self.report(Event::Died { child: seat.child, incarnation: life.incarnation, cause });
+    pub(crate) fn died(&self, state: &ChildState, life: &Life, cause: Cause) {
+        self.report(Event::Died { child: state.child, incarnation: life.incarnation, cause });
     }
 
     /// Counts all batches still waiting as lost, because the session is over.
@@ -312,14 +312,14 @@ impl Shared {
     }
 
     /// Declares a writer to the Model; the answer arrives when the Model accepts it.
-    pub(crate) fn introduce(
+    pub(crate) fn request_declaration(
         &self,
         name: &str,
         id: WriterId,
         access: &Access,
     ) -> oneshot::Receiver<Result<(), String>> {
         let (reply, answer) = oneshot::channel();
-        lock(&self.declares).push(Declare { name: name.to_owned(), id, access: access.clone(), reply });
+        lock(&self.declares).push(DeclareWriter { name: name.to_owned(), id, access: access.clone(), reply });
         self.declares_waiting.raise();
         self.bell.notify_one();
         answer
@@ -330,7 +330,7 @@ impl Shared {
         if lock(&writer.declared).as_ref() == Some(access) {
             return Ok(());
         }
-        let answer = self.introduce(&writer.seat.name, writer.id, access);
+        let answer = self.request_declaration(&writer.state.name, writer.id, access);
         let limit = writer.spec.child.start_limit.to_duration();
         match tokio::time::timeout(limit, answer).await {
             Ok(Ok(answer)) => answer,

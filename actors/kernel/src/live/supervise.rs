@@ -52,7 +52,7 @@ pub(super) struct Ended {
 
 /// The status, with a notification of its end.
 #[derive(Default)]
-pub(super) struct Board {
+pub(super) struct StatusBoard {
     pub(super) status: Mutex<Status>,
     pub(super) changed: Condvar,
 }
@@ -71,7 +71,7 @@ struct Counters {
 
 pub(super) struct SupervisorThread {
     pub(super) shared: Arc<Shared>,
-    pub(super) board: Arc<Board>,
+    pub(super) board: Arc<StatusBoard>,
     pub(super) tree: Tree,
     pub(super) inbox: Receiver<Report>,
     pub(super) log: SyncSender<String>,
@@ -85,14 +85,14 @@ pub(super) struct SupervisorThread {
     pub(super) system: System,
 }
 
-enum Addressee {
+enum ChildActor {
     Model(Addr<ModelActor>),
     Host(Addr<HostActor>),
 }
 
 /// Further state of the supervisor thread.
 struct Run {
-    addresses: BTreeMap<ChildId, Addressee>,
+    addresses: BTreeMap<ChildId, ChildActor>,
     next_check: SimTime,
     begun: BTreeMap<String, Counters>,
     incidents_told: usize,
@@ -114,21 +114,21 @@ impl SupervisorThread {
             recording_complete: None,
         };
         self.note_permission(permission);
-        self.tell(Event::Tick, &mut run);
+        self.dispatch(Event::Tick, &mut run);
         while self.tree.exit_code().is_none() {
             let now = self.shared.clock.now();
-            let pause = self.next_look(now, &run).since(now).max(SimTime::from_micros(50));
+            let pause = self.next_wake(now, &run).since(now).max(SimTime::from_micros(50));
             match self.inbox.recv_timeout(Duration::from_nanos(pause.0)) {
-                Ok(report) => self.hear(report, &mut run),
-                Err(RecvTimeoutError::Timeout) => self.tell(Event::Tick, &mut run),
+                Ok(report) => self.handle_report(report, &mut run),
+                Err(RecvTimeoutError::Timeout) => self.dispatch(Event::Tick, &mut run),
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            self.look_around(&mut run);
+            self.run_due_work(&mut run);
         }
         self.end(&run);
     }
 
-    fn next_look(&self, now: SimTime, run: &Run) -> SimTime {
+    fn next_wake(&self, now: SimTime, run: &Run) -> SimTime {
         let mut at = now + PAUSE_MAX;
         let checks = self.stop_when.as_ref().map(|_| run.next_check);
         let looking =
@@ -140,15 +140,15 @@ impl SupervisorThread {
         at
     }
 
-    fn hear(&mut self, report: Report, run: &mut Run) {
+    fn handle_report(&mut self, report: Report, run: &mut Run) {
         match report {
-            Report::Event(event) => self.tell(event, run),
+            Report::Event(event) => self.dispatch(event, run),
             Report::Inject(order) => self.inject(&order),
             Report::Hold(child, held) => {
-                if let Some(seat) = self.shared.seat(child) {
-                    seat.seam.set_held(held);
+                if let Some(state) = self.shared.state_of(child) {
+                    state.fault_hooks.set_held(held);
                 }
-                self.tell(Event::Held { child, held }, run);
+                self.dispatch(Event::Held { child, held }, run);
             }
             Report::Permission(permission) => self.note_permission(permission),
         }
@@ -162,7 +162,7 @@ impl SupervisorThread {
     }
 
     /// Feeds an event to the tree and executes its actions.
-    fn tell(&mut self, event: Event, run: &mut Run) {
+    fn dispatch(&mut self, event: Event, run: &mut Run) {
         let now = self.shared.clock.now();
         self.note_for_faults(&event, now);
         let mut actions = Vec::new();
@@ -170,14 +170,14 @@ impl SupervisorThread {
         for action in actions {
             self.act(action, run);
         }
-        self.show(run);
+        self.update_status(run);
     }
 
     fn note_for_faults(&mut self, event: &Event, now: SimTime) {
         if !self.faults.is_open() {
             return;
         }
-        let name = |child: &ChildId| self.shared.seat(*child).map(|seat| seat.name.clone());
+        let name = |child: &ChildId| self.shared.state_of(*child).map(|state| state.name.clone());
         match event {
             Event::Died { child, cause, .. } if cause.is_abnormal() => {
                 if let Some(name) = name(child) {
@@ -208,8 +208,8 @@ impl SupervisorThread {
             Action::Fence { child, epoch } => self.shared.fence(child, epoch),
             Action::Start { child, incarnation, fresh } => self.start(child, incarnation, fresh, run),
             Action::Stop { child } => {
-                if let Some(seat) = self.shared.seat(child) {
-                    seat.life.load().stop.store(true, Ordering::Relaxed);
+                if let Some(state) = self.shared.state_of(child) {
+                    state.life.load().stop.store(true, Ordering::Relaxed);
                     if child == self.shared.model.child {
                         self.shared.bell.notify_one();
                     }
@@ -217,15 +217,15 @@ impl SupervisorThread {
             }
             Action::Abandon { child, incarnation } => {
                 run.addresses.remove(&child);
-                if let Some(seat) = self.shared.seat(child) {
-                    let life = seat.life.load();
+                if let Some(state) = self.shared.state_of(child) {
+                    let life = state.life.load();
                     if life.incarnation == incarnation {
                         life.abandoned.store(true, Ordering::Release);
                         let tid = life.tid.load(Ordering::Relaxed);
                         if tid != 0
                             && let Err(error) = sched::demote(tid)
                         {
-                            self.print(format!("{}: its thread could not be demoted: {error}", seat.name));
+                            self.print(format!("{}: its thread could not be demoted: {error}", state.name));
                         }
                     }
                 }
@@ -244,34 +244,34 @@ impl SupervisorThread {
 
     fn start(&mut self, child: ChildId, incarnation: u32, fresh: bool, run: &mut Run) {
         let shared = self.shared.clone();
-        let Some(seat) = shared.seat(child) else { return };
+        let Some(state) = shared.state_of(child) else { return };
         let life = Life::new(incarnation);
-        seat.life.store(life.clone());
+        state.life.store(life.clone());
         if incarnation > 1 {
-            seat.stats.restarted();
+            state.stats.restarted();
         }
         let fresh = fresh || !run.addresses.contains_key(&child);
-        let failed = if fresh { self.arbiter(child, run).err() } else { None };
+        let failed = if fresh { self.start_actor_thread(child, run).err() } else { None };
         let failed = failed.or_else(|| {
             let sent = match run.addresses.get(&child) {
-                Some(Addressee::Model(to)) => to.try_send(model::Live(life.clone())).is_ok(),
-                Some(Addressee::Host(to)) => to.try_send(host::Live(life.clone())).is_ok(),
+                Some(ChildActor::Model(to)) => to.try_send(model::BeginLife(life.clone())).is_ok(),
+                Some(ChildActor::Host(to)) => to.try_send(host::BeginLife(life.clone())).is_ok(),
                 None => false,
             };
             (!sent).then(|| "its actor does not take the order to start".to_owned())
         });
         if let Some(error) = failed {
             run.addresses.remove(&child);
-            self.shared.died(seat, &life, Cause::Error(error));
+            self.shared.died(state, &life, Cause::Error(error));
         }
     }
 
     /// Starts a thread, a runtime and an actor for `child`.
-    fn arbiter(&mut self, child: ChildId, run: &mut Run) -> Result<(), String> {
+    fn start_actor_thread(&mut self, child: ChildId, run: &mut Run) -> Result<(), String> {
         let shared = self.shared.clone();
-        let Some(seat) = shared.seat(child) else { return Ok(()) };
-        let (name, class, reports) = (seat.name.clone(), seat.class, shared.reports.clone());
-        let arbiter = Arbiter::try_with_tokio_rt(move || {
+        let Some(state) = shared.state_of(child) else { return Ok(()) };
+        let (name, class, reports) = (state.name.clone(), state.class, shared.reports.clone());
+        let start_actor_thread = Arbiter::try_with_tokio_rt(move || {
             sched::name_current(&name);
             let _ = reports.try_send(Report::Permission(sched::promote_current(class)));
             tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build()
@@ -280,20 +280,20 @@ impl SupervisorThread {
         let address = if child == shared.model.child {
             let (shared, core) = (shared.clone(), self.core.take());
             let make = move |_: &mut Context<ModelActor>| ModelActor::new(shared, core);
-            Addressee::Model(ModelActor::start_in_arbiter(&arbiter.handle(), make))
+            ChildActor::Model(ModelActor::start_in_arbiter(&start_actor_thread.handle(), make))
         } else {
             let Some(writer) = shared.writer_of(child).cloned() else { return Ok(()) };
             let shared = shared.clone();
             let make = move |_: &mut Context<HostActor>| HostActor::new(shared, writer);
-            Addressee::Host(HostActor::start_in_arbiter(&arbiter.handle(), make))
+            ChildActor::Host(HostActor::start_in_arbiter(&start_actor_thread.handle(), make))
         };
-        // Dropping the arbiter detaches its thread, because a hanging thread must never be joined.
+        // Dropping the start_actor_thread detaches its thread, because a hanging thread must never be joined.
         run.addresses.insert(child, address);
         Ok(())
     }
 
     /// Handles everything that is due by time rather than by report.
-    fn look_around(&mut self, run: &mut Run) {
+    fn run_due_work(&mut self, run: &mut Run) {
         let now = self.shared.clock.now();
         while let Some(order) = self.schedule.due(now, &self.shared.published.load()) {
             if order.begins {
@@ -311,7 +311,7 @@ impl SupervisorThread {
         }
         let open = self.faults.is_open();
         if open || run.faults_shown_open {
-            self.look_at_faults(run, now);
+            self.check_faults(run, now);
             // One more poll after the last fault ends, to record its end.
             run.faults_shown_open = open;
             lock(&self.board.status).faults = self.faults.rows().to_vec();
@@ -327,17 +327,17 @@ impl SupervisorThread {
         if shut {
             self.until = None;
             self.stop_when = None;
-            self.tell(Event::ShutdownRequested { code: 0 }, run);
+            self.dispatch(Event::ShutdownRequested { code: 0 }, run);
         }
     }
 
     fn inject(&self, order: &FaultOrder) {
         if order.target == MODEL {
-            self.shared.model.seam.apply(order);
+            self.shared.model.fault_hooks.apply(order);
             // An idle Model would not notice the change otherwise.
             self.shared.bell.notify_one();
-        } else if let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == order.target) {
-            writer.seat.seam.apply(order);
+        } else if let Some(writer) = self.shared.writers.iter().find(|w| w.state.name == order.target) {
+            writer.state.fault_hooks.apply(order);
             if order.kind == FaultKind::QueueFull {
                 writer.lane.set_queue_full(order.begins);
             }
@@ -356,14 +356,14 @@ impl SupervisorThread {
         if target == MODEL {
             return Counters { good: self.shared.batches.load(Ordering::Relaxed), ..Counters::default() };
         }
-        let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == target) else {
+        let Some(writer) = self.shared.writers.iter().find(|w| w.state.name == target) else {
             return Counters::default();
         };
         count(writer)
     }
 
     /// Handles non-fatal faults: detected by lost or late batches, resumed when batches are applied again.
-    fn look_at_faults(&mut self, run: &mut Run, now: SimTime) {
+    fn check_faults(&mut self, run: &mut Run, now: SimTime) {
         let open: Vec<(String, bool)> = self
             .faults
             .rows()
@@ -373,7 +373,7 @@ impl SupervisorThread {
             .collect();
         for (target, healed) in open {
             if target == MODEL {
-                if self.shared.model.seam.take_stall_ended() {
+                if self.shared.model.fault_hooks.take_stall_ended() {
                     self.faults.stall_ended(MODEL, now);
                 }
                 let then = run.begun.get(MODEL).copied().unwrap_or_default();
@@ -382,7 +382,7 @@ impl SupervisorThread {
                 }
                 continue;
             }
-            let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == target).cloned() else {
+            let Some(writer) = self.shared.writers.iter().find(|w| w.state.name == target).cloned() else {
                 continue;
             };
             let (then, is) = (run.begun.get(&target).copied().unwrap_or_default(), count(&writer));
@@ -393,7 +393,7 @@ impl SupervisorThread {
             {
                 self.faults.detected(&target, now);
             }
-            if writer.seat.seam.take_stall_ended() {
+            if writer.state.fault_hooks.take_stall_ended() {
                 self.faults.stall_ended(&target, now);
             }
             if healed && is.good > then.good {
@@ -425,18 +425,18 @@ impl SupervisorThread {
     }
 
     /// Publishes the tree's state.
-    fn show(&mut self, run: &mut Run) {
+    fn update_status(&mut self, run: &mut Run) {
         let incidents = self.tree.incidents();
         for incident in &incidents[run.incidents_told.min(incidents.len())..] {
             self.print(format!("{}: {}", incident.child, describe(&incident.cause)));
         }
         run.incidents_told = incidents.len();
         let mut status = lock(&self.board.status);
-        for seat in self.shared.seats() {
-            if let Some(health) = self.tree.health(seat.child)
-                && status.health.get(&seat.name) != Some(&health)
+        for state in self.shared.child_states() {
+            if let Some(health) = self.tree.health(state.child)
+                && status.health.get(&state.name) != Some(&health)
             {
-                status.health.insert(seat.name.clone(), health);
+                status.health.insert(state.name.clone(), health);
             }
         }
         status.zombies = self.tree.zombies();
@@ -474,7 +474,7 @@ impl SupervisorThread {
 }
 
 fn count(writer: &Writer) -> Counters {
-    let row = &writer.seat.stats;
+    let row = &writer.state.stats;
     let silent = lock(&writer.declared).as_ref().is_some_and(|access| *access == Access::new());
     let applied = writer.applied.load(Ordering::Relaxed);
     Counters {

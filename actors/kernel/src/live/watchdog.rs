@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use trocar_scene::SimTime;
 
-use super::shared::{Life, Report, Seat, Shared};
+use super::shared::{ChildState, Life, Report, Shared};
 use crate::runtime::sched;
 use crate::supervision::{Event, RuntimeClass};
 
@@ -45,10 +45,11 @@ pub(super) fn start(shared: Arc<Shared>) -> std::io::Result<()> {
 
 fn watch(shared: &Shared) {
     let _ = shared.reports.try_send(Report::Permission(sched::promote_current(RuntimeClass::Watchdog)));
-    let shortest = shared.seats().map(|seat| seat.limit(true)).min().unwrap_or(PAUSE_MAX);
+    let shortest = shared.child_states().map(|state| state.limit(true)).min().unwrap_or(PAUSE_MAX);
     let pause = SimTime(shortest.0 / 8).clamp(PAUSE_MIN, PAUSE_MAX);
     let now = shared.clock.now();
-    let mut watches: Vec<Watch> = shared.seats().map(|seat| Watch::new(seat.life.load_full(), now)).collect();
+    let mut watches: Vec<Watch> =
+        shared.child_states().map(|state| Watch::new(state.life.load_full(), now)).collect();
     let mut last = now;
     let mut next = now + pause;
     while !shared.over.load(Ordering::Relaxed) {
@@ -62,12 +63,12 @@ fn watch(shared: &Shared) {
         let blind = now.since(last).0 > 4 * pause.0;
         last = now;
         next = now + pause;
-        for (seat, watch) in shared.seats().zip(&mut watches) {
-            if !Arc::ptr_eq(&watch.life, &seat.life.load()) {
-                *watch = Watch::new(seat.life.load_full(), now);
+        for (state, watch) in shared.child_states().zip(&mut watches) {
+            if !Arc::ptr_eq(&watch.life, &state.life.load()) {
+                *watch = Watch::new(state.life.load_full(), now);
             }
-            look(shared, seat, watch, now, blind);
-            let limit = watch.since + limit_of(seat, watch);
+            look(shared, state, watch, now, blind);
+            let limit = watch.since + limit_of(state, watch);
             if !watch.told && limit > now {
                 next = next.min(limit);
             }
@@ -75,22 +76,22 @@ fn watch(shared: &Shared) {
     }
 }
 
-fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bool) {
+fn look(shared: &Shared, state: &ChildState, watch: &mut Watch, now: SimTime, blind: bool) {
     let at_rest = watch.life.at_rest.load(Ordering::Acquire);
-    if !watch.life.running.load(Ordering::Acquire) || at_rest || seat.seam.is_held() {
+    if !watch.life.running.load(Ordering::Acquire) || at_rest || state.fault_hooks.is_held() {
         watch.since = now;
         return;
     }
     // Read before the beat: if the first step ends in between, its beat is seen as well.
-    let limit = limit_of(seat, watch);
-    let (beat, beat_at) = watch.life.heart.look();
+    let limit = limit_of(state, watch);
+    let (beat, beat_at) = watch.life.heartbeat.look();
     let late = watch.life.late.load(Ordering::Relaxed);
     if late != watch.late {
         watch.late = late;
-        let _ = shared.reports.try_send(Report::Event(Event::Late { child: seat.child, late }));
+        let _ = shared.reports.try_send(Report::Event(Event::Late { child: state.child, late }));
     }
     // A message-driven child may be idle for any time.
-    let resting = !seat.ticks && beat.is_multiple_of(2);
+    let resting = !state.ticks && beat.is_multiple_of(2);
     if beat != watch.beat || resting || blind {
         watch.beat = beat;
         watch.since = if resting || blind { now } else { SimTime(beat_at).min(now) };
@@ -101,12 +102,12 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         return;
     }
     watch.told = true;
-    shared.fence(seat.child, watch.life.incarnation + 1);
-    shared.report(Event::Stalled { child: seat.child, incarnation: watch.life.incarnation });
+    shared.fence(state.child, watch.life.incarnation + 1);
+    shared.report(Event::Stalled { child: state.child, incarnation: watch.life.incarnation });
 }
 
-fn limit_of(seat: &Seat, watch: &Watch) -> SimTime {
-    seat.limit(watch.life.settled.load(Ordering::Acquire))
+fn limit_of(state: &ChildState, watch: &Watch) -> SimTime {
+    state.limit(watch.life.settled.load(Ordering::Acquire))
 }
 
 fn cpu_of(life: &Life) -> SimTime {

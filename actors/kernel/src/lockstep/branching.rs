@@ -13,13 +13,13 @@ use trocar_scene::{Batch, Commands, ComponentError, EntityAllocator, Revision, S
 
 use super::session::LockstepSession;
 use super::slot::{ActiveFaults, Slot};
-use crate::faults::{FaultLog, FaultSchedule, LinkFaults, Parcel, second_of};
+use crate::faults::{BatchInFlight, FaultLog, FaultSchedule, LinkFaults, second_of};
 use crate::model_core::{ModelCore, Transfers};
 use crate::operator::OPERATOR;
 use crate::spec::{Peer, SessionSpec};
 use crate::state_hash::{Chain, StateHash};
 
-use super::operating::OperatorDesk;
+use super::operating::OperatorWriter;
 use super::session::SessionError;
 
 /// Number of issued snapshots that a session remembers.
@@ -38,7 +38,7 @@ pub enum BranchError {
 
 /// An issued snapshot: its time and state hash.
 #[derive(Clone, Copy)]
-pub(super) struct Given {
+pub(super) struct IssuedSnapshot {
     revision: Revision,
     at: SimTime,
     head: StateHash,
@@ -52,9 +52,9 @@ pub struct Moment {
     transfers: Arc<Transfers>,
     slots: Vec<SlotMoment>,
     operator: (EntityAllocator, u64),
-    given: Vec<Given>,
+    given: Vec<IssuedSnapshot>,
     /// Only for the current state.
-    present: Option<Present>,
+    present: Option<PresentState>,
 }
 
 struct SlotMoment {
@@ -62,9 +62,9 @@ struct SlotMoment {
     /// Its event cursor; for a past moment it follows from the time of its last tick.
     cursor: Option<u64>,
     allocator: EntityAllocator,
-    ailments: ActiveFaults,
+    active_faults: ActiveFaults,
     /// Batches in flight to the Model, or waiting for one that is down.
-    link: LinkFaults<Parcel>,
+    link: LinkFaults<BatchInFlight>,
     queue: VecDeque<Box<Batch>>,
 }
 
@@ -79,7 +79,7 @@ fn for_a_branch(batch: &Batch, epoch: u32, empty: impl FnOnce() -> Commands) -> 
     Some(second)
 }
 
-struct Present {
+struct PresentState {
     until: SimTime,
     next_publish: SimTime,
     next_stop_check: SimTime,
@@ -116,8 +116,10 @@ impl LockstepSession {
             SlotMoment {
                 name: slot.spec.name.clone(),
                 cursor: Some(slot.cursor),
-                ailments: slot.ailments,
-                link: slot.link.fork(|parcel| Some(Parcel { batch: second(&parcel.batch)?, ..*parcel })),
+                active_faults: slot.active_faults,
+                link: slot.link.fork(|batch_in_flight| {
+                    Some(BatchInFlight { batch: second(&batch_in_flight.batch)?, ..*batch_in_flight })
+                }),
                 queue: slot.queue.iter().filter_map(|batch| second(batch)).collect(),
                 allocator,
             }
@@ -130,7 +132,7 @@ impl LockstepSession {
             slots: self.slots.iter().map(slot).collect(),
             operator: (self.operator.allocator.fork(), self.operator.tick),
             given: self.given.iter().copied().collect(),
-            present: Some(Present {
+            present: Some(PresentState {
                 until: self.until,
                 next_publish: self.next_publish,
                 next_stop_check: self.next_stop_check,
@@ -174,7 +176,7 @@ impl LockstepSession {
             name: slot.spec.name.clone(),
             cursor: None,
             allocator: allocator(slot.writer.0),
-            ailments: ActiveFaults::default(),
+            active_faults: ActiveFaults::default(),
             link: LinkFaults::default(),
             queue: VecDeque::new(),
         };
@@ -223,7 +225,7 @@ impl LockstepSession {
             };
             slot.cursor = known.cursor.unwrap_or_else(heard);
             slot.allocator = known.allocator.fork();
-            slot.ailments = known.ailments;
+            slot.active_faults = known.active_faults;
             slot.link = std::mem::take(&mut known.link);
             slot.queue = std::mem::take(&mut known.queue);
             self.queued |= !slot.queue.is_empty();
@@ -232,7 +234,7 @@ impl LockstepSession {
             let period = slot.peer.period_ns();
             slot.next = SimTime(at.0.div_ceil(period) * period);
         }
-        self.operator = OperatorDesk::new(operator.0, operator.1);
+        self.operator = OperatorWriter::new(operator.0, operator.1);
         self.given = given.into();
         match present {
             Some(present) => {
@@ -255,7 +257,8 @@ impl LockstepSession {
 
     /// Remembers the issued snapshot.
     pub(super) fn remember(&mut self) {
-        let given = Given { revision: self.core.view().revision(), at: self.now, head: self.core.hash() };
+        let given =
+            IssuedSnapshot { revision: self.core.view().revision(), at: self.now, head: self.core.hash() };
         if self.given.back().is_some_and(|last| (last.revision, last.at) == (given.revision, given.at)) {
             return;
         }

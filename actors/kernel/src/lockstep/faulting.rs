@@ -6,13 +6,13 @@ use trocar_scene::{Batch, SimTime};
 
 use super::session::LockstepSession;
 use super::slot::NEVER;
-use crate::faults::{FaultLog, Parcel, TargetClass, Targets};
+use crate::faults::{BatchInFlight, FaultLog, TargetClass, Targets};
 use crate::spec::{FaultKind, FaultOrder, MODEL};
 use crate::supervision::Event;
 
 /// A Model that hangs in a step.
 #[derive(Clone, Copy)]
-pub(super) struct Hang {
+pub(super) struct ModelHang {
     until: SimTime,
     /// Time at which the watchdog abandons it.
     given_up_at: SimTime,
@@ -55,17 +55,17 @@ impl LockstepSession {
                 // Refused when the plan was read.
                 _ => {}
             }
-            self.harm_model();
+            self.inject_model_fault();
             return;
         }
         if let Some(index) = self.slots.iter().position(|slot| slot.spec.name == order.target) {
-            let ailments = &mut self.slots[index].ailments;
+            let active_faults = &mut self.slots[index].active_faults;
             match order.kind {
-                FaultKind::Kill => ailments.kill = order.begins,
-                FaultKind::Stall => ailments.stall = order.span,
-                FaultKind::Slow => ailments.slow = if order.begins { order.span } else { SimTime::ZERO },
-                FaultKind::QueueFull => ailments.queue_full = order.begins,
-                FaultKind::Nan => ailments.nan = order.begins,
+                FaultKind::Kill => active_faults.kill = order.begins,
+                FaultKind::Stall => active_faults.stall = order.span,
+                FaultKind::Slow => active_faults.slow = if order.begins { order.span } else { SimTime::ZERO },
+                FaultKind::QueueFull => active_faults.queue_full = order.begins,
+                FaultKind::Nan => active_faults.nan = order.begins,
                 kind if kind.is_of_link() => {
                     self.slots[index].link.apply(order);
                     self.deliver(index);
@@ -82,7 +82,7 @@ impl LockstepSession {
     }
 
     /// Applies the ordered fault to the Model, as soon as a Model is running.
-    pub(super) fn harm_model(&mut self) {
+    pub(super) fn inject_model_fault(&mut self) {
         if !self.model_up {
             return;
         }
@@ -92,18 +92,18 @@ impl LockstepSession {
             let until = self.now + std::mem::take(&mut self.model_stall);
             let limit = self.supervisor.spec(self.model).map_or(NEVER, |spec| spec.heartbeat_limit);
             self.model_up = false;
-            self.model_hangs = Some(Hang { until, given_up_at: self.now + limit });
+            self.model_hangs = Some(ModelHang { until, given_up_at: self.now + limit });
         }
     }
 
     /// Resumes or abandons a hanging Model, and ends abandoned ones.
-    pub(super) fn look_at_model(&mut self) {
+    pub(super) fn check_model(&mut self) {
         let before = self.model_zombies.len();
         self.model_zombies.retain(|until| *until > self.now);
         for _ in self.model_zombies.len()..before {
             self.tell(Event::ZombieEnded);
         }
-        if let Some(Hang { until, given_up_at }) = self.model_hangs {
+        if let Some(ModelHang { until, given_up_at }) = self.model_hangs {
             if until <= self.now {
                 self.model_hangs = None;
                 self.model_up = true;
@@ -118,10 +118,10 @@ impl LockstepSession {
                 self.tell(Event::Stalled { child, incarnation });
             }
         }
-        self.harm_model();
+        self.inject_model_fault();
     }
 
-    /// Time at which [`Self::look_at_model`] is next needed.
+    /// Time at which [`Self::check_model`] is next needed.
     pub(super) fn model_wakes_at(&self) -> SimTime {
         let harmed = self.model_up && (self.model_kill || self.model_stall > SimTime::ZERO);
         let at = if harmed { self.now } else { NEVER };
@@ -138,7 +138,7 @@ impl LockstepSession {
             return;
         }
         let before = slot.link.counts().sum();
-        slot.link.send(self.now, Parcel { sealed_at: self.now, batch });
+        slot.link.send(self.now, BatchInFlight { sealed_at: self.now, batch });
         if slot.link.counts().sum() > before && self.fault_log.is_open() {
             self.fault_log.detected(&slot.spec.name, self.now);
         }
@@ -148,8 +148,8 @@ impl LockstepSession {
 
     /// Delivers the batches that have arrived over the link of slot `index`.
     pub(super) fn deliver(&mut self, index: usize) {
-        while let Some(parcel) = self.slots[index].link.due(self.now) {
-            self.arrive(index, parcel.batch);
+        while let Some(batch_in_flight) = self.slots[index].link.due(self.now) {
+            self.arrive(index, batch_in_flight.batch);
         }
     }
 
@@ -163,7 +163,7 @@ impl LockstepSession {
     }
 
     /// Polls the state of the fault sinks.
-    pub(super) fn look_at_sinks(&mut self) {
+    pub(super) fn check_sinks(&mut self) {
         for (name, sink) in &self.fault_sinks {
             if let Some(sound) = sink.is_sound() {
                 self.fault_log.looked_at(name, sound, self.now);
@@ -176,11 +176,11 @@ impl LockstepSession {
         if !self.fault_log.is_open() {
             return;
         }
-        let ailments = self.slots[index].ailments;
+        let active_faults = self.slots[index].active_faults;
         let ails = match kind {
-            FaultKind::Slow => ailments.slow > SimTime::ZERO,
-            FaultKind::QueueFull => ailments.queue_full,
-            FaultKind::Nan => ailments.nan,
+            FaultKind::Slow => active_faults.slow > SimTime::ZERO,
+            FaultKind::QueueFull => active_faults.queue_full,
+            FaultKind::Nan => active_faults.nan,
             _ => false,
         };
         if ails {

@@ -9,14 +9,14 @@ use super::slot::blank;
 use crate::operator::{OPERATOR, OPERATOR_EPOCH, OperatorError, answer};
 
 /// The operator's writer state.
-pub(super) struct OperatorDesk {
+pub(super) struct OperatorWriter {
     pub(super) allocator: EntityAllocator,
     /// Number of its next batch.
     pub(super) tick: u64,
     spare: Option<Box<Batch>>,
 }
 
-impl OperatorDesk {
+impl OperatorWriter {
     pub(super) fn new(allocator: EntityAllocator, tick: u64) -> Self {
         Self { allocator, tick, spare: None }
     }

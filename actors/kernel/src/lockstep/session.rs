@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 use trocar_scene::{Batch, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
-use super::branching::{Given, Moment};
-use super::faulting::Hang;
-use super::operating::OperatorDesk;
+use super::branching::{IssuedSnapshot, Moment};
+use super::faulting::ModelHang;
+use super::operating::OperatorWriter;
 use super::slot::{NEVER, Slot, Ticked, Zombie};
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultLog, FaultPlanError, FaultSchedule};
@@ -74,7 +74,7 @@ pub struct LockstepSession {
     pub(super) seed: u64,
     pub(super) core: ModelCore,
     pub(super) slots: Vec<Slot>,
-    pub(super) operator: OperatorDesk,
+    pub(super) operator: OperatorWriter,
     pub(super) peers: Vec<PeerSlot>,
     pub(super) supervisor: Supervisor,
     pub(super) model: ChildId,
@@ -84,7 +84,7 @@ pub struct LockstepSession {
     pub(super) model_kill: bool,
     pub(super) model_stall: SimTime,
     /// The hang of the Model, if it hangs.
-    pub(super) model_hangs: Option<Hang>,
+    pub(super) model_hangs: Option<ModelHang>,
     /// Times at which abandoned Models end.
     pub(super) model_zombies: Vec<SimTime>,
     /// Whether a batch may be waiting for the Model.
@@ -102,7 +102,7 @@ pub struct LockstepSession {
     /// Whether the first lives of a resumed session are being built.
     pub(super) resuming: bool,
     /// The latest issued snapshots, oldest first.
-    pub(super) given: VecDeque<Given>,
+    pub(super) given: VecDeque<IssuedSnapshot>,
     pub(super) exit: Option<i32>,
     actions: Vec<Action>,
     commit_sink: Option<Box<dyn CommitSink>>,
@@ -160,7 +160,7 @@ impl LockstepSession {
             seed: spec.seed,
             core,
             slots,
-            operator: OperatorDesk::new(operator, 0),
+            operator: OperatorWriter::new(operator, 0),
             peers,
             supervisor,
             model,
@@ -259,7 +259,7 @@ impl LockstepSession {
         &self.supervisor
     }
 
-    /// Ends the session: forces to zero, controllers down, recording closed.
+    /// HandleParts the session: forces to zero, controllers down, recording closed.
     pub fn finish(mut self) -> SessionOutcome {
         if self.exit.is_none() {
             self.tell(Event::ShutdownRequested { code: 0 });
@@ -337,7 +337,7 @@ impl LockstepSession {
         if self.deadline <= at {
             self.tell(Event::Tick);
         }
-        self.look_at_model();
+        self.check_model();
         if self.queued && self.model_up {
             self.drain_queues();
         }
@@ -361,7 +361,7 @@ impl LockstepSession {
             self.publish();
         }
         if self.fault_log.is_open() {
-            self.look_at_sinks();
+            self.check_sinks();
         }
         if let Some(stop) = &self.stop_when
             && at >= self.next_stop_check
@@ -428,7 +428,7 @@ impl LockstepSession {
             Ticked::Busy => {}
             Ticked::Died(cause) => self.died(index, cause),
             Ticked::Idle => {
-                if self.slots[index].ailments.queue_full {
+                if self.slots[index].active_faults.queue_full {
                     self.notice(index, FaultKind::QueueFull);
                 } else {
                     self.did_good_work(index);

@@ -10,7 +10,7 @@ use trocar_scene::{
     Provenance, Registry, Revision, SimTime, Snapshot, Tick, WriterId,
 };
 
-use crate::faults::{LinkCounts, LinkFaults, Parcel};
+use crate::faults::{BatchInFlight, LinkCounts, LinkFaults};
 use crate::runtime::panics::guarded;
 use crate::runtime::{Account, ControllerReport, TickStats};
 use crate::spec::ControllerSpec;
@@ -127,10 +127,10 @@ pub(super) struct Slot {
     /// It was asked to end, and ends after its step.
     pub(super) stopping: bool,
     pub(super) resumed: bool,
-    pub(super) ailments: ActiveFaults,
+    pub(super) active_faults: ActiveFaults,
     pub(super) late: bool,
     /// The link to the Model.
-    pub(super) link: LinkFaults<Parcel>,
+    pub(super) link: LinkFaults<BatchInFlight>,
     flow: TokenBucket,
     pub(super) sent: u64,
     pub(super) applied: u64,
@@ -173,7 +173,7 @@ impl Slot {
             queue: VecDeque::new(),
             stopping: false,
             resumed: false,
-            ailments: ActiveFaults::default(),
+            active_faults: ActiveFaults::default(),
             late: false,
             link: LinkFaults::default(),
             flow: TokenBucket::new(spec.flow),
@@ -213,7 +213,7 @@ impl Slot {
         self.is_alive() && self.pending.is_none() && !self.stopping
     }
 
-    /// Ends this life. A panic in the controller's destructor is contained.
+    /// HandleParts this life. A panic in the controller's destructor is contained.
     pub(super) fn end(&mut self) {
         let controller = self.controller.take();
         let _ = guarded(move || drop(controller));
@@ -293,10 +293,10 @@ impl Slot {
         if !self.is_alive() {
             return Ticked::Idle;
         }
-        if std::mem::take(&mut self.ailments.kill) {
+        if std::mem::take(&mut self.active_faults.kill) {
             return Ticked::Died(Cause::Panic("killed by a fault".into()));
         }
-        let extra = self.ailments.slow + std::mem::take(&mut self.ailments.stall);
+        let extra = self.active_faults.slow + std::mem::take(&mut self.active_faults.stall);
         if extra > SimTime::ZERO {
             self.pending = Some(Pending { at: now + extra, number, due: now });
             let limit = self.spec.child.silence_limit(self.resumed);
@@ -357,14 +357,14 @@ impl Slot {
 
     /// Passes a step's batch through the controller's handle.
     fn hand_over(&mut self, mut batch: Box<Batch>, now: SimTime) -> Ticked {
-        if self.ailments.nan {
+        if self.active_faults.nan {
             batch.commands.event("fault.nan", self.me, None, f64::NAN);
         }
         if batch.commands.is_empty() {
             self.give_back(batch);
             return Ticked::Idle;
         }
-        if self.ailments.queue_full || !self.flow.admit(count(&batch.commands), now) {
+        if self.active_faults.queue_full || !self.flow.admit(count(&batch.commands), now) {
             self.stats.dropped();
             self.give_back(batch);
             return Ticked::Idle;

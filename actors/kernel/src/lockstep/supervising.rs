@@ -164,7 +164,7 @@ impl LockstepSession {
         }
     }
 
-    /// Ends zombies whose step returns: their batches are refused.
+    /// HandleParts zombies whose step returns: their batches are refused.
     pub(super) fn zombies_finish(&mut self) {
         while let Some(at) = self.zombies.iter().position(|zombie| zombie.pending.at <= self.now) {
             let zombie = self.zombies.remove(at);
@@ -243,8 +243,8 @@ impl LockstepSession {
             self.tell(Event::Resumed { child, incarnation });
         }
         if self.fault_log.is_open() {
-            let ailments = self.slots[index].ailments;
-            if !ailments.nan && !ailments.queue_full && ailments.slow == SimTime::ZERO {
+            let active_faults = self.slots[index].active_faults;
+            if !active_faults.nan && !active_faults.queue_full && active_faults.slow == SimTime::ZERO {
                 self.fault_log.resumed(&self.slots[index].spec.name, self.now);
             }
             self.fault_log.resumed(crate::spec::MODEL, self.now);

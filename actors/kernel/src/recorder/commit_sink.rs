@@ -7,7 +7,7 @@ use std::time::Duration;
 use rtrb::{Consumer, Producer, PushError};
 use trocar_scene::Snapshot;
 
-use super::handover::{Handover, Lost, Publication};
+use super::handover::{Handover, LostPublication, Publication};
 use crate::commit::CommitBuffer;
 use crate::runtime::guarded;
 use crate::spec::CommitSink;
@@ -17,26 +17,26 @@ use crate::state_hash::StateHash;
 const QUEUE_FULL: &str = "the recorder's queue was full";
 
 /// The Model's end of the queue. A full queue causes a gap, which is declared when there is room again.
-pub(super) struct Tap {
+pub(super) struct RecorderSink {
     queue: Producer<Publication>,
     emptied: Consumer<CommitBuffer>,
-    desk: Arc<Handover>,
+    handover: Arc<Handover>,
     hash: StateHash,
-    lost: Option<Lost>,
+    lost: Option<LostPublication>,
 }
 
-impl Tap {
+impl RecorderSink {
     pub(super) fn new(
         queue: Producer<Publication>,
         emptied: Consumer<CommitBuffer>,
-        desk: Arc<Handover>,
+        handover: Arc<Handover>,
         hash: StateHash,
     ) -> Self {
-        Self { queue, emptied, desk, hash, lost: None }
+        Self { queue, emptied, handover, hash, lost: None }
     }
 }
 
-impl CommitSink for Tap {
+impl CommitSink for RecorderSink {
     fn committed(&mut self, snapshot: &Arc<Snapshot>, commits: CommitBuffer) -> CommitBuffer {
         if let Some(last) = commits.last_hash() {
             self.hash = last;
@@ -56,7 +56,7 @@ impl CommitSink for Tap {
                 self.emptied.pop().unwrap_or_default()
             }
             Err(PushError::Full(Publication { snapshot, mut commits, hash, .. })) => {
-                self.lost = Some(Lost { reason: QUEUE_FULL, snapshot, hash });
+                self.lost = Some(LostPublication { reason: QUEUE_FULL, snapshot, hash });
                 commits.clear();
                 commits
             }
@@ -64,11 +64,11 @@ impl CommitSink for Tap {
     }
 
     fn close(&mut self, limit: Duration) -> bool {
-        let (desk, lost) = (self.desk.clone(), self.lost.take());
+        let (handover, lost) = (self.handover.clone(), self.lost.take());
         let (done, answer) = sync_channel(1);
         // On its own thread, so that a hanging disk cannot delay the end of the session.
         let closing = std::thread::Builder::new().name("trocar-closing".into()).spawn(move || {
-            let complete = guarded(|| desk.close(lost, limit)).unwrap_or(false);
+            let complete = guarded(|| handover.close(lost, limit)).unwrap_or(false);
             let _ = done.try_send(complete);
         });
         closing.is_ok() && answer.recv_timeout(limit).unwrap_or(false)

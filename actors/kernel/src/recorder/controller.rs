@@ -6,10 +6,10 @@ use std::sync::Arc;
 use rtrb::RingBuffer;
 use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snapshot, Tick};
 
-use super::commit_sink::Tap;
+use super::commit_sink::RecorderSink;
 use super::gate::Gate;
 use super::handover::Handover;
-use super::journal::{Journal, Pen};
+use super::journal::{Journal, LifeBuffers};
 use super::options::{RecorderError, RecorderOptions, RecordingHead};
 use super::write_buffer::WriteBuffer;
 use crate::spec::{ControllerSpec, RECORDER, SessionSpec};
@@ -33,8 +33,8 @@ const FIRST_EPOCH: u32 = 0;
 /// readable. After a crash of the recorder alone, its next life continues the same file without a gap, unless the queue
 /// overflows meanwhile.
 pub struct Recorder {
-    tap: Tap,
-    desk: Arc<Handover>,
+    sink: RecorderSink,
+    handover: Arc<Handover>,
 }
 
 impl Recorder {
@@ -48,68 +48,72 @@ impl Recorder {
         scene: &Snapshot,
         options: RecorderOptions,
     ) -> Result<Self, RecorderError> {
-        let spool = WriteBuffer::create(path)
+        let write_buffer = WriteBuffer::create(path)
             .map_err(|source| RecorderError::Create { file: path.to_owned(), source })?;
-        Self::begin(spool, head, scene, options)
+        Self::begin(write_buffer, head, scene, options)
             .map_err(|message| RecorderError::Head { file: path.to_owned(), message })
     }
 
     pub(super) fn begin(
-        spool: WriteBuffer,
+        write_buffer: WriteBuffer,
         head: &RecordingHead,
         scene: &Snapshot,
         options: RecorderOptions,
     ) -> Result<Self, String> {
         let hash = Chain::begin(scene).map_err(|error| error.to_string())?.head();
         let gate = Gate::new();
-        let journal = Journal::begin(spool, head, scene, hash, options, gate.pass(FIRST_EPOCH))?;
+        let journal = Journal::begin(write_buffer, head, scene, hash, options, gate.permit(FIRST_EPOCH))?;
         let (queue, published) = RingBuffer::new(options.queue_max.max(1));
         let (give_back, emptied) = RingBuffer::new(BUFFERS);
-        let desk = Arc::new(Handover::new(gate, journal, published, give_back));
-        Ok(Self { tap: Tap::new(queue, emptied, desk.clone(), hash), desk })
+        let handover = Arc::new(Handover::new(gate, journal, published, give_back));
+        Ok(Self { sink: RecorderSink::new(queue, emptied, handover.clone(), hash), handover })
     }
 
     /// Installs it into a session: takes the Model's commits, and adds the controller [`RECORDER`], which is supervised
     /// like any other, as well as the fault target of that name.
     pub fn install(self, session: &mut SessionSpec) {
-        let desk = self.desk.clone();
+        let handover = self.handover.clone();
         let mut spec =
             ControllerSpec::new(RECORDER, WRITER, RuntimeClass::Recorder, RATE_HZ, move |context| {
-                desk.take_over(context.epoch)?;
-                let life = Life { desk: desk.clone(), epoch: context.epoch, pen: Pen::default() };
+                handover.take_over(context.epoch)?;
+                let life = RecorderController {
+                    handover: handover.clone(),
+                    epoch: context.epoch,
+                    buffers: LifeBuffers::default(),
+                };
                 Ok(Box::new(life) as Box<dyn Controller>)
             });
         spec.child = spec.child.with_heartbeat_limit(HEARTBEAT_LIMIT);
-        spec.fences.push(self.desk.clone());
+        spec.fences.push(self.handover.clone());
         // The recorder sends no batches.
         spec.ring_capacity = 1;
         if let Some(tree) = &mut session.tree {
             tree.children.push(Node::Child(spec.child.clone()));
         }
         session.controllers.push(spec);
-        session.fault_sinks.push((RECORDER.to_owned(), self.desk));
-        session.commit_sink = Some(Box::new(self.tap));
+        session.fault_sinks.push((RECORDER.to_owned(), self.handover));
+        session.commit_sink = Some(Box::new(self.sink));
     }
 
     /// The Model's end alone, for tests that drive it by hand.
     #[cfg(test)]
-    pub(super) fn into_tap(self) -> Tap {
-        self.tap
+    pub(super) fn into_sink(self) -> RecorderSink {
+        self.sink
     }
 }
 
 /// One life of the recorder.
-struct Life {
-    desk: Arc<Handover>,
+struct RecorderController {
+    handover: Arc<Handover>,
     epoch: u32,
-    pen: Pen,
+    buffers: LifeBuffers,
 }
 
-impl Controller for Life {
+impl Controller for RecorderController {
     fn access(&self) -> Access {
         Access::new()
     }
     fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
-        self.desk.work(self.epoch, tick.time, &mut self.pen)
+        self.handover.work(self.epoch, tick.time, &mut self.buffers)
     }
 }

@@ -19,7 +19,7 @@ pub(super) struct Gate {
 
 /// The right of one life of the recorder to write; it ends when the fence is raised.
 #[derive(Clone, Copy)]
-pub(super) struct Pass<'a> {
+pub(super) struct WritePermit<'a> {
     gate: &'a Gate,
     epoch: u32,
 }
@@ -36,8 +36,8 @@ impl Gate {
     pub(super) fn raise(&self, epoch: u32) {
         self.fence.fetch_max(epoch, Ordering::AcqRel);
     }
-    pub(super) fn pass(&self, epoch: u32) -> Pass<'_> {
-        Pass { gate: self, epoch }
+    pub(super) fn permit(&self, epoch: u32) -> WritePermit<'_> {
+        WritePermit { gate: self, epoch }
     }
     pub(super) fn set_disk_full(&self, full: bool) {
         self.full.store(full, Ordering::Relaxed);
@@ -54,7 +54,7 @@ impl Gate {
     }
 }
 
-impl Pass<'_> {
+impl WritePermit<'_> {
     pub(super) fn is_valid(self) -> bool {
         self.epoch >= self.gate.fence.load(Ordering::Acquire)
     }

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use rtrb::{Consumer, Producer};
 use trocar_scene::{ControllerError, SimTime, Snapshot};
 
-use super::gate::{Gate, Pass};
-use super::journal::{Journal, Pen};
+use super::gate::{Gate, WritePermit};
+use super::journal::{Journal, LifeBuffers};
 use crate::commit::CommitBuffer;
 use crate::spec::{FaultKind, FaultOrder, FaultSink, Fence};
 use crate::state_hash::StateHash;
@@ -29,13 +29,13 @@ pub(super) struct Publication {
 }
 
 /// The last publication, when it did not reach the queue, with the reason.
-pub(super) struct Lost {
+pub(super) struct LostPublication {
     pub(super) reason: &'static str,
     pub(super) snapshot: Arc<Snapshot>,
     pub(super) hash: StateHash,
 }
 
-struct Papers {
+struct HandoverState {
     queue: Consumer<Publication>,
     /// Return queue for emptied buffers.
     emptied: Producer<CommitBuffer>,
@@ -48,7 +48,7 @@ struct Papers {
 /// See the module.
 pub(super) struct Handover {
     gate: Gate,
-    papers: Mutex<Papers>,
+    state: Mutex<HandoverState>,
 }
 
 impl Handover {
@@ -58,16 +58,16 @@ impl Handover {
         queue: Consumer<Publication>,
         emptied: Producer<CommitBuffer>,
     ) -> Self {
-        let papers = Papers { queue, emptied, journal: Some(journal), last: None };
-        Self { gate, papers: Mutex::new(papers) }
+        let state = HandoverState { queue, emptied, journal: Some(journal), last: None };
+        Self { gate, state: Mutex::new(state) }
     }
 
-    /// Locks the papers without waiting. A panic leaves them in a state that [`Journal::resume`] accepts.
-    fn papers(&self) -> Option<MutexGuard<'_, Papers>> {
-        match self.papers.try_lock() {
-            Ok(papers) => Some(papers),
+    /// Locks the state without waiting. A panic leaves a journal that [`Journal::resume`] accepts.
+    fn state(&self) -> Option<MutexGuard<'_, HandoverState>> {
+        match self.state.try_lock() {
+            Ok(state) => Some(state),
             Err(TryLockError::Poisoned(poisoned)) => {
-                self.papers.clear_poison();
+                self.state.clear_poison();
                 Some(PoisonError::into_inner(poisoned))
             }
             Err(TryLockError::WouldBlock) => None,
@@ -80,11 +80,11 @@ impl Handover {
     /// When an earlier life hangs in a write to the disk, or the file cannot be truncated to its known state.
     pub(super) fn take_over(&self, epoch: u32) -> Result<(), ControllerError> {
         self.gate.raise(epoch);
-        let Some(mut papers) = self.papers() else {
+        let Some(mut state) = self.state() else {
             let reason = "an earlier life of the recorder still waits for the disk to take a write";
             return Err(ControllerError::Device(reason.to_owned()));
         };
-        match papers.journal.as_mut().map(Journal::resume) {
+        match state.journal.as_mut().map(Journal::resume) {
             Some(Ok(())) => Ok(()),
             Some(Err(error)) => Err(ControllerError::Device(format!("the recording: {error}"))),
             None => Err(ControllerError::Failed("the recording is closed".to_owned())),
@@ -95,19 +95,24 @@ impl Handover {
     ///
     /// # Errors
     /// When that life was fenced.
-    pub(super) fn work(&self, epoch: u32, now: SimTime, pen: &mut Pen) -> Result<(), ControllerError> {
-        let pass = self.gate.pass(epoch);
-        if !pass.is_valid() {
+    pub(super) fn work(
+        &self,
+        epoch: u32,
+        now: SimTime,
+        buffers: &mut LifeBuffers,
+    ) -> Result<(), ControllerError> {
+        let permit = self.gate.permit(epoch);
+        if !permit.is_valid() {
             return Err(ControllerError::Failed("this life of the recorder was fenced".to_owned()));
         }
         // A fenced life still holds the lock and is about to release it: the queue can wait for the next tick.
-        let Some(mut papers) = self.papers() else { return Ok(()) };
-        if let Some(journal) = &mut papers.journal {
-            journal.resumed_at(now, pass);
+        let Some(mut state) = self.state() else { return Ok(()) };
+        if let Some(journal) = &mut state.journal {
+            journal.resumed_at(now, permit);
         }
-        papers.take_publications(pen, pass);
-        if let Some(journal) = &mut papers.journal {
-            journal.passed(now, pass);
+        state.take_publications(buffers, permit);
+        if let Some(journal) = &mut state.journal {
+            journal.passed(now, permit);
             self.gate.set_sound(journal.is_sound());
         }
         Ok(())
@@ -115,39 +120,39 @@ impl Handover {
 
     /// Records the queued publications and closes the file; nothing is written after that. Gives up after `limit` if a
     /// life still holds the lock. `true` when the recording is complete.
-    pub(super) fn close(&self, lost: Option<Lost>, limit: Duration) -> bool {
+    pub(super) fn close(&self, lost: Option<LostPublication>, limit: Duration) -> bool {
         self.gate.raise(LAST_EPOCH);
-        let pass = self.gate.pass(LAST_EPOCH);
+        let permit = self.gate.permit(LAST_EPOCH);
         let begun = Instant::now();
-        let mut papers = loop {
-            match self.papers() {
-                Some(papers) => break papers,
+        let mut state = loop {
+            match self.state() {
+                Some(state) => break state,
                 None if begun.elapsed() < limit => std::thread::sleep(CLOSING_PAUSE),
                 None => return false,
             }
         };
-        let resumed = papers.journal.as_mut().is_some_and(|journal| journal.resume().is_ok());
+        let resumed = state.journal.as_mut().is_some_and(|journal| journal.resume().is_ok());
         if !resumed {
             return false;
         }
-        papers.take_publications(&mut Pen::default(), pass);
-        let Some(mut journal) = papers.journal.take() else { return false };
-        journal.wait(SimTime::from(limit), pass);
-        let mut last = papers.last.take();
-        if let Some(Lost { reason, snapshot, hash }) = lost {
+        state.take_publications(&mut LifeBuffers::default(), permit);
+        let Some(mut journal) = state.journal.take() else { return false };
+        journal.wait(SimTime::from(limit), permit);
+        let mut last = state.last.take();
+        if let Some(LostPublication { reason, snapshot, hash }) = lost {
             journal.begin_gap(reason.to_owned());
             last = Some((snapshot, hash));
         }
-        journal.close(last.as_ref().map(|(snapshot, hash)| (&**snapshot, *hash)), pass)
+        journal.close(last.as_ref().map(|(snapshot, hash)| (&**snapshot, *hash)), permit)
     }
 }
 
-impl Papers {
+impl HandoverState {
     /// Takes the publications queued now; later ones wait for the next call.
-    fn take_publications(&mut self, pen: &mut Pen, pass: Pass<'_>) {
+    fn take_publications(&mut self, buffers: &mut LifeBuffers, permit: WritePermit<'_>) {
         let Some(journal) = &mut self.journal else { return };
         for _ in 0..self.queue.slots() {
-            if !pass.is_valid() {
+            if !permit.is_valid() {
                 return;
             }
             let Ok(Publication { snapshot, mut commits, hash, lost }) = self.queue.pop() else { return };
@@ -155,7 +160,7 @@ impl Papers {
                 journal.begin_gap(reason.to_owned());
             }
             let (scene, _) = self.last.insert((snapshot, hash));
-            journal.committed(pen, scene, &commits, hash, pass);
+            journal.committed(buffers, scene, &commits, hash, permit);
             commits.clear();
             // The return queue is full when fewer buffers are in use than before.
             let _ = self.emptied.push(commits);

@@ -1,9 +1,9 @@
 //! Journal of a recording: the plain data that survives a restart of the recorder and from which its next life
 //! continues.
 //!
-//! Messages wait in an open chunk, closed chunks wait in the spool, and written chunks are only counted. A life that
-//! dies between two publications therefore loses nothing; one that dies during a publication loses that publication,
-//! which becomes a declared gap.
+//! Messages wait in an open chunk, closed chunks wait in the write buffer, and written chunks are only counted. A life
+//! that dies between two publications therefore loses nothing; one that dies during a publication loses that
+//! publication, which becomes a declared gap.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -16,7 +16,7 @@ use super::format::{
     COMMITS, COMPONENT, EVENTS, GAPS, Gap, KEYFRAMES, META, META_DEVICES, META_END, PROFILE, SCENARIO,
     SCHEMA, TF, encode_group, encode_keyframe_header,
 };
-use super::gate::Pass;
+use super::gate::WritePermit;
 use super::json_channels::{self, EVENT_SCHEMA, Frames, TF_SCHEMA};
 use super::mcap_records::{Channel, Schema};
 use super::options::{RecorderOptions, RecordingHead};
@@ -39,7 +39,7 @@ mod channel {
 
 /// State of one life: buffers and cached names. The next life does not reuse them.
 #[derive(Default)]
-pub(super) struct Pen {
+pub(super) struct LifeBuffers {
     scratch: Vec<u8>,
     frames: Frames,
 }
@@ -48,7 +48,7 @@ pub(super) struct Pen {
 pub(super) struct Journal {
     container: Container,
     chunk: OpenChunk,
-    spool: WriteBuffer,
+    write_buffer: WriteBuffer,
     /// Scratch buffer in which a chunk is assembled.
     sealed: Vec<u8>,
     sequence: u32,
@@ -73,12 +73,12 @@ pub(super) struct Journal {
 impl Journal {
     /// Writes the header and the first keyframe.
     pub(super) fn begin(
-        spool: WriteBuffer,
+        write_buffer: WriteBuffer,
         head: &RecordingHead,
         scene: &Snapshot,
         hash: StateHash,
         options: RecorderOptions,
-        pass: Pass<'_>,
+        permit: WritePermit<'_>,
     ) -> Result<Self, String> {
         let (mut chunk, mut bytes) = (OpenChunk::default(), Vec::new());
         let library = concat!("trocar ", env!("CARGO_PKG_VERSION"));
@@ -88,7 +88,7 @@ impl Journal {
         let mut journal = Self {
             container,
             chunk,
-            spool,
+            write_buffer,
             sealed: Vec::new(),
             sequence: 0,
             options,
@@ -105,10 +105,10 @@ impl Journal {
             complete: true,
             taking: None,
         };
-        journal.spool.append(&bytes);
-        journal.keyframe(&mut Pen::default(), scene, hash).map_err(|error| error.to_string())?;
-        journal.flush(pass);
-        journal.spool.refusal.take().map_or(Ok(journal), |error| Err(error.to_string()))
+        journal.write_buffer.append(&bytes);
+        journal.keyframe(&mut LifeBuffers::default(), scene, hash).map_err(|error| error.to_string())?;
+        journal.flush(permit);
+        journal.write_buffer.refusal.take().map_or(Ok(journal), |error| Err(error.to_string()))
     }
 
     /// Takes over from a failed life, at whatever point it failed.
@@ -120,30 +120,30 @@ impl Journal {
             self.chunk.roll_back(mark);
             self.begin_gap(TORN.to_owned());
         }
-        self.spool.resume()
+        self.write_buffer.resume()
     }
 
     /// Records one publication; one that cannot be recorded becomes part of a gap.
     pub(super) fn committed(
         &mut self,
-        pen: &mut Pen,
+        buffers: &mut LifeBuffers,
         snapshot: &Snapshot,
         commits: &CommitBuffer,
         hash: StateHash,
-        pass: Pass<'_>,
+        permit: WritePermit<'_>,
     ) {
         self.time = self.time.max(snapshot.time());
-        if self.gap.is_none() && self.spool.backlog() > self.options.backlog_max {
-            let reason = self.spool.refusal.as_ref().map(ToString::to_string);
+        if self.gap.is_none() && self.write_buffer.backlog() > self.options.backlog_max {
+            let reason = self.write_buffer.refusal.as_ref().map(ToString::to_string);
             self.begin_gap(reason.unwrap_or_else(|| "the disk is too slow".to_owned()));
         }
         if self.gap.is_some() {
-            self.spool.drain(pass);
-            if self.spool.backlog() <= self.options.backlog_max / 2 {
-                self.end_gap(pen, snapshot, hash);
+            self.write_buffer.drain(permit);
+            if self.write_buffer.backlog() <= self.options.backlog_max / 2 {
+                self.end_gap(buffers, snapshot, hash);
             }
         } else if !commits.is_empty() {
-            self.take(snapshot, hash, |journal| journal.write_commits(pen, snapshot, commits, hash));
+            self.take(snapshot, hash, |journal| journal.write_commits(buffers, snapshot, commits, hash));
         }
         if self.chunk.len() >= CHUNK_BYTES {
             self.seal();
@@ -175,16 +175,16 @@ impl Journal {
 
     fn write_commits(
         &mut self,
-        pen: &mut Pen,
+        buffers: &mut LifeBuffers,
         snapshot: &Snapshot,
         commits: &CommitBuffer,
         hash: StateHash,
     ) -> Result<(), ComponentError> {
-        pen.scratch.clear();
-        encode_group(commits, hash, &mut pen.scratch);
-        self.message(channel::COMMITS, &pen.scratch);
-        self.side_channels(pen, snapshot);
-        if self.time >= self.next_keyframe { self.keyframe(pen, snapshot, hash) } else { Ok(()) }
+        buffers.scratch.clear();
+        encode_group(commits, hash, &mut buffers.scratch);
+        self.message(channel::COMMITS, &buffers.scratch);
+        self.side_channels(buffers, snapshot);
+        if self.time >= self.next_keyframe { self.keyframe(buffers, snapshot, hash) } else { Ok(()) }
     }
 
     /// Begins a gap, in which commits are missing until [`Self::end_gap`].
@@ -193,28 +193,33 @@ impl Journal {
         self.gap.get_or_insert(reason);
     }
 
-    fn end_gap(&mut self, pen: &mut Pen, snapshot: &Snapshot, hash: StateHash) {
+    fn end_gap(&mut self, buffers: &mut LifeBuffers, snapshot: &Snapshot, hash: StateHash) {
         let Some(reason) = self.gap.take() else { return };
         let gap = Gap { after: self.revision, until: snapshot.revision(), time: self.time, reason };
         self.take(snapshot, hash, |journal| {
             journal.message(channel::GAPS, &serde_json::to_vec(&gap).unwrap_or_default());
             journal.event_cursor = snapshot.events().next();
-            journal.keyframe(pen, snapshot, hash)
+            journal.keyframe(buffers, snapshot, hash)
         });
     }
 
-    fn keyframe(&mut self, pen: &mut Pen, scene: &Snapshot, hash: StateHash) -> Result<(), ComponentError> {
-        pen.scratch.clear();
-        encode_keyframe_header(hash, &mut pen.scratch);
-        scene.encode(&mut pen.scratch)?;
-        self.message(channel::KEYFRAMES, &pen.scratch);
+    fn keyframe(
+        &mut self,
+        buffers: &mut LifeBuffers,
+        scene: &Snapshot,
+        hash: StateHash,
+    ) -> Result<(), ComponentError> {
+        buffers.scratch.clear();
+        encode_keyframe_header(hash, &mut buffers.scratch);
+        scene.encode(&mut buffers.scratch)?;
+        self.message(channel::KEYFRAMES, &buffers.scratch);
         self.next_keyframe = self.time + self.options.keyframe_period;
         // A viewer that starts here gets all frames.
         self.tf_revision = Revision::ZERO;
         Ok(())
     }
 
-    fn side_channels(&mut self, pen: &mut Pen, scene: &Snapshot) {
+    fn side_channels(&mut self, buffers: &mut LifeBuffers, scene: &Snapshot) {
         let events: Vec<Value> = scene
             .events()
             .since(self.event_cursor)
@@ -228,7 +233,7 @@ impl Journal {
             // Counted from the due time, so that irregular publications do not lower the rate.
             let next = self.next_tf + self.options.tf_period;
             self.next_tf = if next < self.time { self.time + self.options.tf_period } else { next };
-            if let Some(transforms) = pen.frames.transforms(scene, self.tf_revision, self.time) {
+            if let Some(transforms) = buffers.frames.transforms(scene, self.tf_revision, self.time) {
                 self.message(channel::TF, transforms.to_string().as_bytes());
             }
             self.tf_revision = scene.revision();
@@ -241,53 +246,53 @@ impl Journal {
     }
 
     /// Called when a life returns to the journal at `now`: a slow disk has progressed since.
-    pub(super) fn resumed_at(&mut self, now: SimTime, pass: Pass<'_>) {
+    pub(super) fn resumed_at(&mut self, now: SimTime, permit: WritePermit<'_>) {
         let span = now.since(self.seen);
         self.seen = self.seen.max(now);
-        self.wait(span, pass);
+        self.wait(span, permit);
     }
 
     /// Lets a slow disk write for `span`.
-    pub(super) fn wait(&mut self, span: SimTime, pass: Pass<'_>) {
-        self.spool.ration(pass.disk_rate().map(|rate| rate * span.as_secs_f64()));
+    pub(super) fn wait(&mut self, span: SimTime, permit: WritePermit<'_>) {
+        self.write_buffer.ration(permit.disk_rate().map(|rate| rate * span.as_secs_f64()));
     }
 
     /// Advances to `now`: closes the chunk when it is old enough, and writes as much as the disk takes.
-    pub(super) fn passed(&mut self, now: SimTime, pass: Pass<'_>) {
+    pub(super) fn passed(&mut self, now: SimTime, permit: WritePermit<'_>) {
         if now >= self.next_flush {
             let next = self.next_flush + self.options.flush_period;
             self.next_flush = if next <= now { now + self.options.flush_period } else { next };
             self.seal();
         }
-        if self.spool.backlog() > 0 {
-            self.spool.drain(pass);
+        if self.write_buffer.backlog() > 0 {
+            self.write_buffer.drain(permit);
         }
     }
 
-    fn flush(&mut self, pass: Pass<'_>) {
+    fn flush(&mut self, permit: WritePermit<'_>) {
         self.seal();
-        self.spool.drain(pass);
+        self.write_buffer.drain(permit);
     }
 
-    /// Moves the open chunk to the spool.
+    /// Moves the open chunk to the write buffer.
     fn seal(&mut self) {
         self.sealed.clear();
         self.container.seal(&mut self.chunk, &mut self.sealed);
-        self.spool.append(&self.sealed);
+        self.write_buffer.append(&self.sealed);
     }
 
     /// Whether everything due was written.
     pub(super) fn is_sound(&self) -> bool {
-        self.gap.is_none() && self.spool.refusal.is_none()
+        self.gap.is_none() && self.write_buffer.refusal.is_none()
     }
 
     /// Writes the end of the file; `last` is the last publication, for a gap that is still open. `true` when the file
     /// is complete.
-    pub(super) fn close(mut self, last: Option<(&Snapshot, StateHash)>, pass: Pass<'_>) -> bool {
+    pub(super) fn close(mut self, last: Option<(&Snapshot, StateHash)>, permit: WritePermit<'_>) -> bool {
         if self.gap.is_some()
             && let Some((snapshot, hash)) = last
         {
-            self.committed(&mut Pen::default(), snapshot, &CommitBuffer::new(), hash, pass);
+            self.committed(&mut LifeBuffers::default(), snapshot, &CommitBuffer::new(), hash, permit);
         }
         let complete = self.complete && self.gap.is_none();
         let end = BTreeMap::from([
@@ -300,8 +305,8 @@ impl Journal {
         self.sealed.clear();
         self.container.metadata(META_END, &end, &mut self.sealed);
         self.container.finish(&mut self.sealed);
-        self.spool.append(&self.sealed);
-        self.spool.drain(pass) && self.spool.sync().is_ok() && complete
+        self.write_buffer.append(&self.sealed);
+        self.write_buffer.drain(permit) && self.write_buffer.sync().is_ok() && complete
     }
 }
 

@@ -1,12 +1,13 @@
 //! The recorder: writes the commit log as an MCAP file; also reads and replays recordings.
 //!
 //! ```text
-//! Model ─▶ tap ═ queue ═▶ desk { journal: open chunk ─▶ spool } ─▶ disk
+//! Model ─▶ sink ═ queue ═▶ handover { journal: open chunk ─▶ write buffer } ─▶ disk
 //!                          ▲ one life of the recorder after the other
 //! ```
 //! The recorder is a supervised controller. Data that must survive its restarts is kept in the handover as plain data.
 
 mod bytes;
+mod chunk_items;
 mod commit_sink;
 mod container;
 mod controller;
@@ -25,8 +26,9 @@ mod supervised_tests;
 pub(crate) mod tests;
 mod write_buffer;
 
+pub use chunk_items::{Item, Keyframe};
 pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};
 pub use options::{RecorderError, RecorderOptions, RecordingHead};
-pub use reader::{Item, Keyframe, Recording, RecordingEnd, RecordingError, RecordingMetadata};
+pub use reader::{Recording, RecordingEnd, RecordingError, RecordingMetadata};
 pub use replay::Replay;

@@ -6,8 +6,9 @@ use std::sync::Arc;
 
 use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
+use super::chunk_items::{Item, Keyframe};
 use super::format::{Gap, Group};
-use super::reader::{Item, Keyframe, Recording, RecordingError};
+use super::reader::{Recording, RecordingError};
 use crate::model_core::ModelCore;
 use crate::state_hash::StateHash;
 

@@ -248,8 +248,8 @@ impl Disk for Moody {
 fn moody(file: &Path, mut spec: SessionSpec) -> (SessionSpec, Arc<AtomicU8>) {
     let mood = Arc::new(AtomicU8::new(WELL));
     let disk = Moody { file: File::create(file).expect("writable"), mood: mood.clone() };
-    let spool = WriteBuffer::new(Box::new(disk));
-    let recorder = Recorder::begin(spool, &head(), spec.scene.view(), RecorderOptions::default());
+    let write_buffer = WriteBuffer::new(Box::new(disk));
+    let recorder = Recorder::begin(write_buffer, &head(), spec.scene.view(), RecorderOptions::default());
     recorder.expect("begins").install(&mut spec);
     (spec, mood)
 }

@@ -226,7 +226,7 @@ fn a_flood_never_keeps_the_model_waiting_and_is_a_declared_gap() {
     core.declare("mover", trocar_scene::WriterId(1), &Mover.access()).expect("fits");
     let options = RecorderOptions { queue_max: 4, ..RecorderOptions::default() };
     // The recorder is never ticked, as if it were stalled.
-    let mut tap = Recorder::create(&file, &head(), core.view(), options).expect("begins").into_tap();
+    let mut sink = Recorder::create(&file, &head(), core.view(), options).expect("begins").into_sink();
     let mut buffer = CommitBuffer::new();
     let mut longest = Duration::ZERO;
     for tick in 0..5_000u64 {
@@ -245,12 +245,12 @@ fn a_flood_never_keeps_the_model_waiting_and_is_a_declared_gap() {
         let snapshot = core.publish();
         let commits = core.swap_commits(buffer);
         let begun = Instant::now();
-        buffer = tap.committed(&snapshot, commits);
+        buffer = sink.committed(&snapshot, commits);
         longest = longest.max(begun.elapsed());
         assert!(buffer.is_empty());
     }
     assert!(longest < Duration::from_millis(200), "waited {longest:?}");
-    assert!(!tap.close(Duration::from_secs(10)), "something is missing");
+    assert!(!sink.close(Duration::from_secs(10)), "something is missing");
     let recording = Recording::open(&file).expect("opens");
     assert!(recording.truncation().is_none() && !recording.is_complete());
     let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");

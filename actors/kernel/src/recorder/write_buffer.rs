@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
 
-use super::gate::Pass;
+use super::gate::WritePermit;
 
 /// Where a recording goes.
 pub(super) trait Disk: Send {
@@ -74,14 +74,14 @@ impl WriteBuffer {
         self.ration = bytes.map(|bytes| bytes + self.ration.map_or(0.0, f64::fract));
     }
 
-    /// Writes as much as the disk takes; `true` when nothing is left. Stops when the pass is fenced.
-    pub(super) fn drain(&mut self, pass: Pass<'_>) -> bool {
+    /// Writes as much as the disk takes; `true` when nothing is left. Stops when the permit has ended.
+    pub(super) fn drain(&mut self, permit: WritePermit<'_>) -> bool {
         self.refusal = None;
         while self.done < self.waiting.len() {
-            if !pass.is_valid() {
+            if !permit.is_valid() {
                 return false;
             }
-            let written = if pass.is_disk_full() {
+            let written = if permit.is_disk_full() {
                 Err(io::Error::new(io::ErrorKind::StorageFull, "no space left on device (injected fault)"))
             } else if self.ration.is_some_and(|bytes| bytes < 1.0) {
                 Err(io::Error::new(io::ErrorKind::WouldBlock, "the disk is too slow (injected fault)"))

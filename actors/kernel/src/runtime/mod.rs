@@ -15,7 +15,7 @@ pub use contribution_stats::Hits;
 pub use histogram::{AtomicHistogram, Bars, Quantiles};
 pub use jobs::JobRunner;
 pub use panics::guarded;
-pub use pausable_clock::Standstill;
+pub use pausable_clock::PausableClock;
 pub use sched::Permission;
 pub use stats::{Account, ControllerReport, TickStats};
 pub use ticker::{Clock, Due, Schedule, Ticker};

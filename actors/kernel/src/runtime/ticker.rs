@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use trocar_scene::SimTime;
 
-use super::pausable_clock::Standstill;
+use super::pausable_clock::PausableClock;
 
 /// How early the timer is armed: the rest is spent spinning.
 pub const LEAD: SimTime = SimTime::from_micros(30);
@@ -20,7 +20,7 @@ const YIELD_EVERY: u32 = 16;
 #[derive(Clone, Debug)]
 pub struct Clock {
     start: Instant,
-    still: Arc<Standstill>,
+    pausable: Arc<PausableClock>,
 }
 
 impl Clock {
@@ -30,23 +30,23 @@ impl Clock {
     }
     /// Clock of a session that started at `start`; several clocks can share that origin.
     pub fn since(start: Instant) -> Self {
-        Self::standing(start, Arc::default())
+        Self::pausable(start, Arc::default())
     }
-    /// The same, paused and resumed through `still`.
-    pub fn standing(start: Instant, still: Arc<Standstill>) -> Self {
-        Self { start, still }
+    /// The same, paused and resumed through `pausable`.
+    pub fn pausable(start: Instant, pausable: Arc<PausableClock>) -> Self {
+        Self { start, pausable }
     }
     /// Session time, without the paused spans.
     pub fn now(&self) -> SimTime {
-        self.still.at(self.elapsed())
+        self.pausable.at(self.elapsed())
     }
     /// Pauses the clock, for all readers.
-    pub fn stop(&self) {
-        self.still.stop(self.elapsed());
+    pub fn pause(&self) {
+        self.pausable.pause(self.elapsed());
     }
     /// Resumes the clock at the time where it was paused.
-    pub fn go_on(&self) {
-        self.still.go_on(self.elapsed());
+    pub fn resume(&self) {
+        self.pausable.resume(self.elapsed());
     }
     fn elapsed(&self) -> SimTime {
         SimTime(self.start.elapsed().as_nanos() as u64)

@@ -42,7 +42,7 @@ pub struct PictureArgs {
     pub size: (u32, u32),
     /// One eye, how two of them share the picture, or four views
     #[arg(long, default_value = "one")]
-    pub eyes: Eyes,
+    pub eyes: StereoLayout,
     /// What is shown over the scene, separated by commas; `field=NAME` picks one of several fields
     #[arg(long, value_name = "WHAT", value_delimiter = ',', value_parser = Show)]
     pub show: Vec<String>,
@@ -54,12 +54,12 @@ pub struct PictureArgs {
     pub convergence: f64,
     /// How much care goes into a picture [default: fine; in a window, what the machine can draw]
     #[arg(long = "quality")]
-    pub care: Option<Care>,
+    pub care: Option<PictureQuality>,
 }
 
 /// One eye, two of them in one picture, or four views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Eyes {
+pub enum StereoLayout {
     /// One.
     One,
     /// Left and right beside each other.
@@ -76,7 +76,7 @@ pub enum Eyes {
 
 /// How much care goes into a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Care {
+pub enum PictureQuality {
     /// Base colours and one highlight: fast without a graphics card.
     Plain,
     /// Maps, wet highlights, shadows.
@@ -85,7 +85,7 @@ pub enum Care {
     Fine,
 }
 
-impl Care {
+impl PictureQuality {
     /// The viewer's quality of that name.
     pub fn quality(self) -> Quality {
         match self {

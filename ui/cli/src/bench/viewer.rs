@@ -12,7 +12,7 @@ use trocar::run::{self, RunOptions};
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::bench::median_and_spread;
 use trocar_scene::SimTime;
-use trocar_viewer::bench::{Studio, Upload, in_turns};
+use trocar_viewer::bench::{BenchRenderer, Upload, in_turns};
 use trocar_viewer::layout::Stereo;
 use trocar_viewer::{Layout, Quality, priority};
 
@@ -48,21 +48,21 @@ fn cpu_secs() -> f64 {
 
 /// Frames in each quality beside the bare loop, and two eyes beside one.
 pub fn frames() -> Result<Vec<BenchResult>, Failure> {
-    let studio = RefCell::new(Studio::new(TRIANGLES, SIZE).map_err(Failure::internal)?);
+    let bench_renderer = RefCell::new(BenchRenderer::new(TRIANGLES, SIZE).map_err(Failure::internal)?);
     let stereo = Layout::SideBySide(Stereo::default());
-    let frame = |layout: &Layout, quality| studio.borrow_mut().frame(layout, quality);
+    let frame = |layout: &Layout, quality| bench_renderer.borrow_mut().frame(layout, quality);
     let times = in_turns(
         BLOCKS,
         FRAMES,
         &mut [
-            &mut || studio.borrow_mut().bare_frame(),
+            &mut || bench_renderer.borrow_mut().bare_frame(),
             &mut || frame(&Layout::Mono, Quality::PLAIN),
             &mut || frame(&Layout::Mono, Quality::FULL),
             &mut || frame(&stereo, Quality::FULL),
             &mut || frame(&Layout::Mono, Quality::FINE),
         ],
     );
-    studio.borrow().gpu().check().map_err(Failure::internal)?;
+    bench_renderer.borrow().gpu().check().map_err(Failure::internal)?;
     let ms =
         |index: usize| median_and_spread(&times[index].iter().map(|secs| secs * 1e3).collect::<Vec<_>>());
     let beside = |name: &str, index: usize, floor: usize, bar: Option<f64>| {
@@ -78,8 +78,8 @@ pub fn frames() -> Result<Vec<BenchResult>, Failure> {
 
 /// Upload of a mesh with every vertex moved: from the snapshot to the device.
 pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
-    let studio = Studio::new(1_000, [64, 64]).map_err(Failure::internal)?;
-    let mut upload = Upload::new(studio.gpu(), SHEET_SIDE);
+    let bench_renderer = BenchRenderer::new(1_000, [64, 64]).map_err(Failure::internal)?;
+    let mut upload = Upload::new(bench_renderer.gpu(), SHEET_SIDE);
     let mut blocks = Vec::with_capacity(BLOCKS);
     for block in 0..=BLOCKS {
         let (mut cpu, mut bytes) = (0.0, 0);
@@ -96,7 +96,7 @@ pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
             blocks.push(cpu / UPLOADS as f64 * 1e3);
         }
     }
-    studio.gpu().check().map_err(Failure::internal)?;
+    bench_renderer.gpu().check().map_err(Failure::internal)?;
     let figure = median_and_spread(&blocks);
     Ok(vec![BenchResult::on_value(
         "viewer_deforming_mesh_cpu",
@@ -109,8 +109,8 @@ pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
 
 /// Cost of a viewer while nothing changes: it checks 60 times a second, and draws nothing.
 pub fn idle() -> Result<Vec<BenchResult>, Failure> {
-    let mut studio = Studio::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
-    studio.look(Quality::FULL);
+    let mut bench_renderer = BenchRenderer::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
+    bench_renderer.look(Quality::FULL);
     let share = |look: &mut dyn FnMut()| {
         let (before, begun) = (cpu_secs(), Instant::now());
         while begun.elapsed() < IDLE {
@@ -122,7 +122,7 @@ pub fn idle() -> Result<Vec<BenchResult>, Failure> {
     let (mut ours, mut floor, mut drawn) = (Vec::new(), Vec::new(), 0);
     for _ in 0..IDLE_BLOCKS {
         floor.push(share(&mut || ()));
-        ours.push(share(&mut || drawn += u32::from(studio.look(Quality::FULL))));
+        ours.push(share(&mut || drawn += u32::from(bench_renderer.look(Quality::FULL))));
     }
     if drawn > 0 {
         return Err(Failure::internal(format!("{drawn} frames were drawn of a scene that does not change")));
@@ -135,20 +135,20 @@ pub fn idle() -> Result<Vec<BenchResult>, Failure> {
 }
 
 /// On-time share of the worse of the two hands; with a viewer, also the frames per second that it drew.
-fn hands(app: &App, studio: Option<&mut Studio>) -> Result<(f64, f64), Failure> {
+fn hands(app: &App, bench_renderer: Option<&mut BenchRenderer>) -> Result<(f64, f64), Failure> {
     let scenario = app.scenario(SCENARIO)?;
     let mut session = run::start(app, &scenario, &RunOptions::default())?;
     let reader = session.reader();
     let (stop, mut frames) = (AtomicBool::new(false), 0_u32);
     let begun = Instant::now();
     thread::scope(|scope| {
-        let viewer = studio.zip(reader).map(|(studio, reader)| {
+        let viewer = bench_renderer.zip(reader).map(|(bench_renderer, reader)| {
             let stop = &stop;
             scope.spawn(move || {
                 priority::step_back();
                 let mut frames = 0;
                 while !stop.load(Ordering::Relaxed) {
-                    studio.watch(&reader.scene(), Quality::FULL);
+                    bench_renderer.watch(&reader.scene(), Quality::FULL);
                     frames += 1;
                 }
                 frames
@@ -171,11 +171,11 @@ fn hands(app: &App, studio: Option<&mut Studio>) -> Result<(f64, f64), Failure> 
 /// Two hands at 1 kHz while a rasteriser draws continuously, compared with the same without it.
 pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
     let app = App::new();
-    let mut studio = Studio::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
+    let mut bench_renderer = BenchRenderer::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
     let (mut alone, mut watched, mut rates) = (Vec::new(), Vec::new(), Vec::new());
     for block in 0..=LIVE_BLOCKS {
         let floor = hands(&app, None)?.0;
-        let (on_time, rate) = hands(&app, Some(&mut studio))?;
+        let (on_time, rate) = hands(&app, Some(&mut bench_renderer))?;
         // Pipelines are compiled in the first block.
         if block > 0 {
             alone.push(floor);
@@ -183,7 +183,7 @@ pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
             rates.push(rate);
         }
     }
-    studio.gpu().check().map_err(Failure::internal)?;
+    bench_renderer.gpu().check().map_err(Failure::internal)?;
     let (floor, figure) = (median_and_spread(&alone).0, median_and_spread(&watched));
     let mut row = BenchResult::on_value(
         "viewer_hands_on_time_while_drawing",
@@ -206,8 +206,8 @@ pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
 
 /// Figures of the graphics card, or that there is none.
 pub fn card() -> Result<Vec<BenchResult>, Failure> {
-    let mut studio = Studio::new(GPU_TRIANGLES, GPU_SIZE).map_err(Failure::internal)?;
-    if studio.gpu().is_software() {
+    let mut bench_renderer = BenchRenderer::new(GPU_TRIANGLES, GPU_SIZE).map_err(Failure::internal)?;
+    if bench_renderer.gpu().is_software() {
         let none = |name: &str, better| BenchResult::on_value(name, "no GPU here", (0.0, 0.0), None, better);
         return Ok(vec![
             none("viewer_gpu_frame_rate", Better::Higher),
@@ -220,20 +220,20 @@ pub fn card() -> Result<Vec<BenchResult>, Failure> {
         let mut submitted = Vec::with_capacity(GPU_FRAMES);
         for frame in 0..GPU_FRAMES {
             let frame_begun = Instant::now();
-            studio.submit(&Layout::Mono, Quality::FULL);
+            bench_renderer.submit(&Layout::Mono, Quality::FULL);
             submitted.push(frame_begun.elapsed().as_secs_f64() * 1e3);
             // As with a window: a few frames are in flight, not all of them.
             if frame % 3 == 2 {
-                studio.finish();
+                bench_renderer.finish();
             }
         }
-        studio.finish();
+        bench_renderer.finish();
         if block > 0 {
             rates.push(GPU_FRAMES as f64 / begun.elapsed().as_secs_f64());
             latencies.push(median_and_spread(&submitted).0);
         }
     }
-    studio.gpu().check().map_err(Failure::internal)?;
+    bench_renderer.gpu().check().map_err(Failure::internal)?;
     Ok(vec![
         BenchResult::on_value(
             "viewer_gpu_frame_rate",

@@ -16,7 +16,7 @@ use trocar_scene::SimTime;
 use super::Plan;
 use super::live::{TIMES, WARM, watched};
 use super::lockstep::{self, RUN_SECS, STALL, options, run, run_with, struck};
-use super::zombie::{GENTLE, Habit, Haunter, Haunting, VICTIM, WRITES, possessed};
+use super::zombie::{GENTLE, VICTIM, WRITES, ZombieBehaviour, ZombiePeer, ZombieState, app_with_zombie};
 use crate::failure::Failure;
 
 /// Longest age of the last fresh command until its force is zero \[ms\].
@@ -50,8 +50,8 @@ pub fn lockstep(plan: &mut Plan<'_>) {
     });
     plan.row("lockstep_zombie_commands_100_n", |name| {
         lockstep::violations(name, |seed, wrong| {
-            let (silent, _) = haunted(seed, false)?;
-            let (loud, written) = haunted(seed, true)?;
+            let (silent, _) = with_zombie(seed, false)?;
+            let (loud, written) = with_zombie(seed, true)?;
             wrong.check(written == WRITES, "it did not command what it should");
             wrong.check(loud.commands_refused >= WRITES, "some commands of a zombie were not refused");
             wrong.check(loud.outcome.hash == silent.outcome.hash, "the session noticed");
@@ -71,15 +71,15 @@ fn held(drivers: &[DriverStatistics], releases: u64) -> f64 {
 }
 
 /// The exercise with a left hand whose first controller becomes a zombie, and the number of its commands.
-fn haunted(seed: u64, loud: bool) -> Result<(Finished, u64), Failure> {
-    let haunting = Arc::<Haunting>::default();
-    let (app, scenario) = possessed(Habit::Once, &haunting)?;
+fn with_zombie(seed: u64, loud: bool) -> Result<(Finished, u64), Failure> {
+    let zombie_state = Arc::<ZombieState>::default();
+    let (app, scenario) = app_with_zombie(ZombieBehaviour::Once, &zombie_state)?;
     let plan = FaultPlan::new(seed).between(secs(0.5), secs(1.5)).lasting(secs(STALL)).stall(VICTIM);
     let mut assembly = Assembly::new(&app, &scenario, &options(seed, plan)).map_err(RunError::from)?;
-    assembly.spec.peers.push(Box::new(Haunter::new(&haunting, loud)));
+    assembly.spec.peers.push(Box::new(ZombiePeer::new(&zombie_state, loud)));
     let mut session = Session::lockstep(assembly)?;
     session.run_until(SimTime::from_secs_f64(RUN_SECS));
-    Ok((session.finish(), haunting.written()))
+    Ok((session.finish(), zombie_state.written()))
 }
 
 /// Rows in real time.
@@ -96,11 +96,11 @@ fn zombies() -> Result<Vec<BenchResult>, Failure> {
         let at = WARM + gap * time as f64;
         plan = plan.between(secs(at), secs(at + 0.1)).lasting(secs(0.2)).stall(VICTIM);
     }
-    let haunting = Arc::<Haunting>::default();
-    let (app, scenario) = possessed(Habit::Always, &haunting)?;
+    let zombie_state = Arc::<ZombieState>::default();
+    let (app, scenario) = app_with_zombie(ZombieBehaviour::Always, &zombie_state)?;
     let watched = watched(&app, &scenario, plan, WARM + gap * TIMES as f64 + 1.0)?;
     let drivers = &watched.finished.drivers;
-    let refused = watched.finished.commands_refused as f64 / haunting.written().max(1) as f64;
+    let refused = watched.finished.commands_refused as f64 / zombie_state.written().max(1) as f64;
     // Of two commands within one step the driver sees the later one.
     let mut share = BenchResult::on_value(
         "live_zombie_commands_of_100_n_refused",
@@ -109,7 +109,7 @@ fn zombies() -> Result<Vec<BenchResult>, Failure> {
         Some(0.5),
         Better::Higher,
     );
-    share.holds &= haunting.written() >= WRITES * TIMES as u64 / 2;
+    share.holds &= zombie_state.written() >= WRITES * TIMES as u64 / 2;
     let force = (drivers.first().map_or(f64::NAN, |left| left.force_newtons_max), 0.0);
     let bar = Some(GENTLE + DAMPING_MAX);
     let mut rows = vec![share];

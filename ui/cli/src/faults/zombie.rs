@@ -30,13 +30,13 @@ const PERIOD: SimTime = SimTime::from_millis(1);
 
 /// State of a zombie after its instance was replaced.
 #[derive(Default)]
-pub struct Haunting {
-    /// The old link, handed from the hung step to a [`Haunter`] in virtual time.
+pub struct ZombieState {
+    /// The old link, handed from the hung step to a [`ZombiePeer`] in virtual time.
     link: Mutex<Option<DeviceLink>>,
     written: AtomicU64,
 }
 
-impl Haunting {
+impl ZombieState {
     /// Number of times that 100 N were commanded.
     pub fn written(&self) -> u64 {
         self.written.load(Ordering::Relaxed)
@@ -57,31 +57,38 @@ fn command(epoch: u32, time_ns: u64, force: f64) -> DeviceCommand {
 
 /// Which instances of the controller become zombies, and where they continue.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub enum Habit {
-    /// The first instance only; in virtual time a [`Haunter`] continues with its link.
+pub enum ZombieBehaviour {
+    /// The first instance only; in virtual time a [`ZombiePeer`] continues with its link.
     Once,
     /// Every instance, each on the thread that it hung on.
     Always,
 }
 
 /// The application with such a controller for the left hand, and the exercise that uses it.
-pub fn possessed(habit: Habit, haunting: &Arc<Haunting>) -> Result<(App, Scenario), Failure> {
+pub fn app_with_zombie(
+    behaviour: ZombieBehaviour,
+    zombie_state: &Arc<ZombieState>,
+) -> Result<(App, Scenario), Failure> {
     let haptics = App::new().kind_of("haptics").cloned();
     let haptics = haptics.ok_or_else(|| Failure::internal("there is no kind 'haptics'"))?;
-    let haunting = haunting.clone();
+    let zombie_state = zombie_state.clone();
     let kind = move |context: &KindContext<'_>| {
         let mut blueprint: Blueprint = haptics(context)?;
         let port = context.hands.iter().find(|hand| hand.controller() == context.entry.name);
         if let Some(port) = port.cloned() {
-            let (well, haunting) = (blueprint.factory.clone(), haunting.clone());
+            let (well, zombie_state) = (blueprint.factory.clone(), zombie_state.clone());
             blueprint.factory = Arc::new(move |build| {
-                if habit == Habit::Once && build.epoch > 1 {
+                if behaviour == ZombieBehaviour::Once && build.epoch > 1 {
                     return well(build);
                 }
                 let link = port.slot.take(build.epoch);
                 let link = link.map_err(|error| ControllerError::Device(error.to_string()))?;
-                let zombie =
-                    Zombie { link: Some(link), port: port.clone(), habit, haunting: haunting.clone() };
+                let zombie = Zombie {
+                    link: Some(link),
+                    port: port.clone(),
+                    behaviour,
+                    zombie_state: zombie_state.clone(),
+                };
                 Ok(Box::new(zombie) as Box<dyn Controller>)
             });
         }
@@ -98,8 +105,8 @@ pub fn possessed(habit: Habit, haunting: &Arc<Haunting>) -> Result<(App, Scenari
 struct Zombie {
     link: Option<DeviceLink>,
     port: HandPort,
-    habit: Habit,
-    haunting: Arc<Haunting>,
+    behaviour: ZombieBehaviour,
+    zombie_state: Arc<ZombieState>,
 }
 
 impl Controller for Zombie {
@@ -112,13 +119,13 @@ impl Controller for Zombie {
             link.command(command(link.epoch(), tick.time.as_nanos(), GENTLE));
             return Ok(());
         }
-        match self.habit {
+        match self.behaviour {
             // Virtual time cannot wait.
-            Habit::Once => *self.haunting.link() = self.link.take(),
-            Habit::Always => {
+            ZombieBehaviour::Once => *self.zombie_state.link() = self.link.take(),
+            ZombieBehaviour::Always => {
                 for _ in 0..WRITES {
                     let now_ns = self.port.monitor.sample().published_at_ns;
-                    self.haunting.command(link, now_ns);
+                    self.zombie_state.command(link, now_ns);
                     std::thread::sleep(Duration::from_millis(1));
                 }
             }
@@ -128,19 +135,19 @@ impl Controller for Zombie {
 }
 
 /// The zombie in virtual time.
-pub struct Haunter {
-    haunting: Arc<Haunting>,
+pub struct ZombiePeer {
+    zombie_state: Arc<ZombieState>,
     /// Whether it commands a force; otherwise it wakes up and does nothing.
     loud: bool,
 }
 
-impl Haunter {
-    pub fn new(haunting: &Arc<Haunting>, loud: bool) -> Self {
-        Self { haunting: haunting.clone(), loud }
+impl ZombiePeer {
+    pub fn new(zombie_state: &Arc<ZombieState>, loud: bool) -> Self {
+        Self { zombie_state: zombie_state.clone(), loud }
     }
 }
 
-impl Peer for Haunter {
+impl Peer for ZombiePeer {
     fn name(&self) -> &'static str {
         "haunter"
     }
@@ -148,9 +155,9 @@ impl Peer for Haunter {
         PERIOD.as_nanos()
     }
     fn step(&mut self, now: SimTime) {
-        let mut link = self.haunting.link();
-        if let Some(link) = link.as_mut().filter(|_| self.loud && self.haunting.written() < WRITES) {
-            self.haunting.command(link, now.as_nanos());
+        let mut link = self.zombie_state.link();
+        if let Some(link) = link.as_mut().filter(|_| self.loud && self.zombie_state.written() < WRITES) {
+            self.zombie_state.command(link, now.as_nanos());
         }
     }
 }

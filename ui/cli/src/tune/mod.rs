@@ -1,8 +1,8 @@
 //! `trocar tune`: reads and changes values of a running session from another terminal.
 
-mod desk;
 pub mod protocol;
 mod socket;
+mod tuning_service;
 
 use std::path::{Path, PathBuf};
 
@@ -12,8 +12,8 @@ use trocar::summary::{Exit, SCHEMA};
 use trocar::tuning::{self, BASE, TuneError, Tuner, TuningSets};
 use trocar_scene::scenario::Scenario;
 
-pub use desk::Desk;
 use protocol::{FieldRow, Reply, Request};
+pub use tuning_service::TuningService;
 
 use crate::args::{SessionArgs, TuneArgs, TuneCommand};
 use crate::escape::printable;

@@ -10,15 +10,15 @@ use trocar::session::SceneReader;
 use trocar_kernel::live::Guest;
 use trocar_scene::{Entity, SimTime, Snapshot};
 use trocar_viewer::window::display;
-use trocar_viewer::window::subject::{Ask, Note, Standing, Subject};
+use trocar_viewer::window::subject::{Note, Request, Subject, SubjectState};
 
 /// Most queued requests to the session.
-const ASKS_MAX: usize = 256;
+const REQUESTS_MAX: usize = 256;
 /// Most notes kept for a window that is not open yet.
 const NOTES_MAX: usize = 8;
 
-/// The seat of a person who plays: offered by the session, taken by the event loop.
-pub struct Seat {
+/// Writes the input of a person who plays: offered by the session, taken by the event loop.
+pub struct PlayerGuest {
     /// The guest that writes the input.
     pub guest: Guest,
     /// The entity that takes it.
@@ -27,7 +27,7 @@ pub struct Seat {
 
 /// Whether a session has viewers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Audience {
+pub enum ViewerPresence {
     /// At least one window is open.
     There,
     /// The last window was closed by the user.
@@ -44,15 +44,15 @@ pub struct Shared {
     reader: ArcSwapOption<SceneReader>,
     /// Otherwise: the scene that was shown last.
     shown: ArcSwap<Snapshot>,
-    standing: ArcSwap<Standing>,
-    seat: Mutex<Option<Seat>>,
-    audience: AtomicU8,
+    state: ArcSwap<SubjectState>,
+    player_guest: Mutex<Option<PlayerGuest>>,
+    presence: AtomicU8,
 }
 
 impl Shared {
-    /// Takes the seat of a new session; each seat can be taken once.
-    pub fn take_seat(&self) -> Option<Seat> {
-        self.seat.lock().unwrap_or_else(PoisonError::into_inner).take()
+    /// Takes the player's guest of a new session; each can be taken once.
+    pub fn take_player_guest(&self) -> Option<PlayerGuest> {
+        self.player_guest.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
     /// The latest scene.
@@ -63,66 +63,78 @@ impl Shared {
         }
     }
 
-    /// The audience.
-    pub fn audience(&self) -> Audience {
-        match self.audience.load(Ordering::Acquire) {
-            _ if display::is_gone() => Audience::Cut,
-            0 => Audience::There,
-            1 => Audience::Left,
-            _ => Audience::Cut,
+    /// Whether there are viewers.
+    pub fn presence(&self) -> ViewerPresence {
+        match self.presence.load(Ordering::Acquire) {
+            _ if display::is_gone() => ViewerPresence::Cut,
+            0 => ViewerPresence::There,
+            1 => ViewerPresence::Left,
+            _ => ViewerPresence::Cut,
         }
     }
 
-    /// Sets the audience.
-    pub fn set_audience(&self, audience: Audience) {
-        self.audience.store(audience as u8, Ordering::Release);
+    /// Sets whether there are viewers.
+    pub fn set_presence(&self, presence: ViewerPresence) {
+        self.presence.store(presence as u8, Ordering::Release);
     }
 }
 
 /// The session's end of the link.
-pub struct Link {
+pub struct SessionLink {
     shared: Arc<Shared>,
-    asks: Receiver<Ask>,
-    standing: Standing,
+    requests: Receiver<Request>,
+    state: SubjectState,
     notes: u64,
 }
 
 /// A window's end of the link.
-pub struct Looker {
+pub struct WindowLink {
     shared: Arc<Shared>,
-    asks: SyncSender<Ask>,
+    requests: SyncSender<Request>,
 }
 
 /// Both ends, with the first scene.
-pub fn link(title: String, folder: Option<std::path::PathBuf>, first: Arc<Snapshot>) -> (Link, Looker) {
-    let (sender, asks) = sync_channel(ASKS_MAX);
+pub fn link(
+    title: String,
+    folder: Option<std::path::PathBuf>,
+    first: Arc<Snapshot>,
+) -> (SessionLink, WindowLink) {
+    let (sender, requests) = sync_channel(REQUESTS_MAX);
     let shared = Arc::new(Shared {
         title,
         folder,
         reader: ArcSwapOption::empty(),
         shown: ArcSwap::new(first),
-        standing: ArcSwap::default(),
-        seat: Mutex::default(),
-        audience: AtomicU8::new(Audience::There as u8),
+        state: ArcSwap::default(),
+        player_guest: Mutex::default(),
+        presence: AtomicU8::new(ViewerPresence::There as u8),
     });
-    let looker = Looker { shared: shared.clone(), asks: sender };
-    (Link { shared, asks, standing: Standing { speed: 1.0, ..Standing::default() }, notes: 0 }, looker)
+    let window_link = WindowLink { shared: shared.clone(), requests: sender };
+    (
+        SessionLink {
+            shared,
+            requests,
+            state: SubjectState { speed: 1.0, ..SubjectState::default() },
+            notes: 0,
+        },
+        window_link,
+    )
 }
 
-impl Link {
+impl SessionLink {
     /// The state shared with the windows.
     pub fn shared(&self) -> &Arc<Shared> {
         &self.shared
     }
 
     /// The next request, if there is one.
-    pub fn asked(&self) -> Option<Ask> {
-        self.asks.try_recv().ok()
+    pub fn requested(&self) -> Option<Request> {
+        self.requests.try_recv().ok()
     }
 
     /// The next request, or `None` after that time.
-    pub fn wait(&self, limit: Duration) -> Option<Ask> {
-        self.asks.recv_timeout(limit).ok()
+    pub fn wait(&self, limit: Duration) -> Option<Request> {
+        self.requests.recv_timeout(limit).ok()
     }
 
     /// Sets the reader of the scene.
@@ -135,42 +147,42 @@ impl Link {
         self.shared.shown.store(scene);
     }
 
-    /// Offers a seat to the person who plays.
-    pub fn offer(&self, seat: Seat) {
-        *self.shared.seat.lock().unwrap_or_else(PoisonError::into_inner) = Some(seat);
+    /// Offers a guest to the person who plays.
+    pub fn offer_player_guest(&self, player_guest: PlayerGuest) {
+        *self.shared.player_guest.lock().unwrap_or_else(PoisonError::into_inner) = Some(player_guest);
     }
 
     /// Changes the session's state as the windows show it.
-    pub fn tell(&mut self, change: impl FnOnce(&mut Standing)) {
-        change(&mut self.standing);
-        self.shared.standing.store(Arc::new(self.standing.clone()));
+    pub fn tell(&mut self, change: impl FnOnce(&mut SubjectState)) {
+        change(&mut self.state);
+        self.shared.state.store(Arc::new(self.state.clone()));
     }
 
     /// The session's state as the windows show it.
-    pub fn standing(&self) -> &Standing {
-        &self.standing
+    pub fn state(&self) -> &SubjectState {
+        &self.state
     }
 
     /// Shows a note to people.
     pub fn note(&mut self, text: impl Into<String>, bad: bool) {
         self.notes += 1;
         let note = (self.notes, Note { text: text.into(), bad });
-        self.tell(|standing| {
-            standing.notes.push(note);
-            let surplus = standing.notes.len().saturating_sub(NOTES_MAX);
-            standing.notes.drain(..surplus);
+        self.tell(|state| {
+            state.notes.push(note);
+            let surplus = state.notes.len().saturating_sub(NOTES_MAX);
+            state.notes.drain(..surplus);
         });
     }
 }
 
-impl Looker {
+impl WindowLink {
     /// The state shared with the session.
     pub fn shared(&self) -> &Arc<Shared> {
         &self.shared
     }
 }
 
-impl Subject for Looker {
+impl Subject for WindowLink {
     fn title(&self) -> String {
         self.shared.title.clone()
     }
@@ -187,16 +199,16 @@ impl Subject for Looker {
         self.shared.scene().time()
     }
 
-    fn standing(&mut self) -> Arc<Standing> {
-        self.shared.standing.load_full()
+    fn state(&mut self) -> Arc<SubjectState> {
+        self.shared.state.load_full()
     }
 
-    fn ask(&mut self, ask: Ask) {
+    fn request(&mut self, request: Request) {
         // A full queue means that the session is far behind: the request is dropped.
-        let _ = self.asks.try_send(ask);
+        let _ = self.requests.try_send(request);
     }
 
     fn another(&mut self) -> Result<Box<dyn Subject>, String> {
-        Ok(Box::new(Self { shared: self.shared.clone(), asks: self.asks.clone() }))
+        Ok(Box::new(Self { shared: self.shared.clone(), requests: self.requests.clone() }))
     }
 }

@@ -18,14 +18,14 @@ use trocar::summary::Exit;
 use trocar_kernel::recorder::{Recording, Replay};
 use trocar_scene::Snapshot;
 use trocar_viewer::overlay::Overlays;
-use trocar_viewer::window::{Eyes, Options, Player, Subject, Told, Windows, display};
+use trocar_viewer::window::{LoopMessage, Options, Player, StereoLayout, Subject, Windows, display};
 
-use crate::args::{self, Care, PictureArgs, WindowArgs};
+use crate::args::{self, PictureArgs, PictureQuality, WindowArgs};
 use crate::failure::Failure;
 
-use link::{Audience, Looker, Shared};
+use link::{Shared, ViewerPresence, WindowLink};
 pub use playback::Findings;
-pub use session_host::{Attendant, Next};
+pub use session_host::{Next, SessionHost};
 
 /// Connects to the display; `None` where there is none, or no window is wanted.
 ///
@@ -53,15 +53,17 @@ pub fn with_session(
     windows: Windows,
     pictures: &PictureArgs,
     show: Show,
-    session: impl FnOnce(Attendant) -> Result<Exit, Failure> + Send,
+    session: impl FnOnce(SessionHost) -> Result<Exit, Failure> + Send,
 ) -> Result<Exit, Failure> {
     let plays = show.play.is_some();
-    let (link, looker) = link::link(show.title, show.folder, show.first);
-    let shared = looker.shared().clone();
+    let (link, window_link) = link::link(show.title, show.folder, show.first);
+    let shared = window_link.shared().clone();
     let player =
         show.play.map(|bindings| Box::new(player::Person::new(shared.clone(), bindings)) as Box<dyn Player>);
-    let viewers = Arc::new(faults::Viewers::new(windows.proxy(), windows.soundness()));
-    with(windows, pictures, vec![looker], player, move || session(Attendant::new(link, plays, viewers)))
+    let viewers = Arc::new(faults::Viewers::new(windows.proxy(), windows.health()));
+    with(windows, pictures, vec![window_link], player, move || {
+        session(SessionHost::new(link, plays, viewers))
+    })
 }
 
 /// The content of a window, and its player.
@@ -88,18 +90,18 @@ pub fn with_recordings(
     recordings: &[Recording],
     check: impl FnOnce(&SyncSender<Findings>) -> Result<Exit, Failure> + Send,
 ) -> Result<Exit, Failure> {
-    let (mut links, mut lookers) = (Vec::new(), Vec::new());
+    let (mut links, mut window_links) = (Vec::new(), Vec::new());
     for recording in recordings {
         let first = Replay::new(recording, app.registry()).map_err(Failure::invalid)?.snapshot();
         let title = match recordings.len() {
             1 => recording.metadata().scenario.clone(),
             _ => recording.path().file_stem().unwrap_or_default().to_string_lossy().into_owned(),
         };
-        let (link, looker) = link::link(title, folder.map(Path::to_owned), first);
+        let (link, window_link) = link::link(title, folder.map(Path::to_owned), first);
         links.push(link);
-        lookers.push(looker);
+        window_links.push(window_link);
     }
-    with(windows, pictures, lookers, None, move || {
+    with(windows, pictures, window_links, None, move || {
         std::thread::scope(|scope| {
             let mut players = Vec::new();
             let (found, findings) = sync_channel(1);
@@ -127,13 +129,14 @@ pub fn with_recordings(
 fn with(
     windows: Windows,
     pictures: &PictureArgs,
-    lookers: Vec<Looker>,
+    window_links: Vec<WindowLink>,
     player: Option<Box<dyn Player>>,
     body: impl FnOnce() -> Result<Exit, Failure> + Send,
 ) -> Result<Exit, Failure> {
     let overlays = Overlays::parse(&pictures.show.join(",")).map_err(Failure::usage)?;
-    let shared: Vec<Arc<Shared>> = lookers.iter().map(|looker| looker.shared().clone()).collect();
-    let set_audience = |audience| shared.iter().for_each(|shared| shared.set_audience(audience));
+    let shared: Vec<Arc<Shared>> =
+        window_links.iter().map(|window_link| window_link.shared().clone()).collect();
+    let set_presence = |presence| shared.iter().for_each(|shared| shared.set_presence(presence));
     let proxy = windows.proxy();
     std::thread::scope(|scope| {
         let runner = std::thread::Builder::new().name("session".into()).spawn_scoped(scope, move || {
@@ -143,15 +146,18 @@ fn with(
                 leave(&result);
             }
             // The windows may be closed already.
-            let _ = proxy.send_event(Told::Quit);
+            let _ = proxy.send_event(LoopMessage::Quit);
             result
         });
         let runner = runner.map_err(Failure::internal)?;
         let options = Options {
-            subjects: lookers.into_iter().map(|looker| Box::new(looker) as Box<dyn Subject>).collect(),
+            subjects: window_links
+                .into_iter()
+                .map(|window_link| Box::new(window_link) as Box<dyn Subject>)
+                .collect(),
             hands: player.is_some(),
             player,
-            quality: pictures.care.map(Care::quality),
+            quality: pictures.care.map(PictureQuality::quality),
             eyes: eyes(pictures.eyes),
             stereo: pictures.stereo(),
             overlays,
@@ -159,10 +165,10 @@ fn with(
             size: [1180.0, 760.0],
         };
         match windows.show(options) {
-            Ok(()) => set_audience(Audience::Left),
+            Ok(()) => set_presence(ViewerPresence::Left),
             Err(why) => {
                 tracing::warn!("no pictures any more, the session goes on: {why}");
-                set_audience(Audience::Cut);
+                set_presence(ViewerPresence::Cut);
             }
         }
         runner.join().unwrap_or_else(|_| Err(Failure::internal("the session's own thread panicked")))
@@ -170,14 +176,14 @@ fn with(
 }
 
 /// The stereo layout of a window.
-fn eyes(eyes: args::Eyes) -> Eyes {
+fn eyes(eyes: args::StereoLayout) -> StereoLayout {
     match eyes {
-        args::Eyes::One => Eyes::One,
-        args::Eyes::SideBySide => Eyes::SideBySide,
-        args::Eyes::TopBottom => Eyes::TopBottom,
-        args::Eyes::Rows => Eyes::Rows,
-        args::Eyes::Anaglyph => Eyes::Anaglyph,
-        args::Eyes::Quad => Eyes::Quad,
+        args::StereoLayout::One => StereoLayout::One,
+        args::StereoLayout::SideBySide => StereoLayout::SideBySide,
+        args::StereoLayout::TopBottom => StereoLayout::TopBottom,
+        args::StereoLayout::Rows => StereoLayout::Rows,
+        args::StereoLayout::Anaglyph => StereoLayout::Anaglyph,
+        args::StereoLayout::Quad => StereoLayout::Quad,
     }
 }
 

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use trocar_kernel::recorder::{Recording, RecordingError, Replay};
 use trocar_scene::{Registry, SimTime};
-use trocar_viewer::window::subject::{Abilities, Ask, Course, Mark, Note};
+use trocar_viewer::window::subject::{Abilities, Mark, Note, PlayState, Request};
 
-use super::link::{Audience, Link};
+use super::link::{SessionLink, ViewerPresence};
 
 /// Interval between two displayed scenes.
 const FRAME: Duration = Duration::from_millis(16);
@@ -32,29 +32,29 @@ pub struct Findings {
 /// # Errors
 /// When it cannot be played at all; later errors are shown as notes.
 pub fn play(
-    mut link: Link,
+    mut link: SessionLink,
     recording: &Recording,
     registry: &Arc<Registry>,
     findings: &Receiver<Findings>,
 ) -> Result<(), RecordingError> {
     let mut player = Player::new(recording, registry)?;
     let length = recording.duration();
-    link.tell(|standing| {
-        standing.length = Some(length);
-        standing.abilities =
+    link.tell(|state| {
+        state.length = Some(length);
+        state.abilities =
             Abilities { pause: true, step: true, speed: true, reset: true, seek: true, tune: false };
     });
     link.show(player.replay.snapshot());
     let mut last = Instant::now();
-    while link.shared().audience() == Audience::There {
-        let runs = link.standing().course == Course::Running;
-        let mut asked = link.wait(if runs { FRAME.saturating_sub(last.elapsed()) } else { REST });
-        while let Some(ask) = asked {
-            player.serve(&mut link, ask, length);
-            asked = link.asked();
+    while link.shared().presence() == ViewerPresence::There {
+        let runs = link.state().play_state == PlayState::Running;
+        let mut requested = link.wait(if runs { FRAME.saturating_sub(last.elapsed()) } else { REST });
+        while let Some(request) = requested {
+            player.handle(&mut link, request, length);
+            requested = link.requested();
         }
         if let Ok(found) = findings.try_recv() {
-            link.tell(|standing| standing.marks = found.marks);
+            link.tell(|state| state.marks = found.marks);
             link.note(found.note.text, found.note.bad);
         }
         let passed = last.elapsed();
@@ -63,7 +63,7 @@ pub fn play(
         }
         last = Instant::now();
         let ends =
-            link.standing().course == Course::Running && player.pass(&link, passed.min(5 * REST), length);
+            link.state().play_state == PlayState::Running && player.pass(&link, passed.min(5 * REST), length);
         match player.follow() {
             Ok(changed) => {
                 if changed {
@@ -71,12 +71,12 @@ pub fn play(
                 }
                 // The last scene is shown before the end is announced.
                 if ends {
-                    link.tell(|standing| standing.course = Course::Over);
+                    link.tell(|state| state.play_state = PlayState::Over);
                 }
             }
             Err(error) => {
                 link.note(error.to_string(), true);
-                link.tell(|standing| standing.course = Course::Over);
+                link.tell(|state| state.play_state = PlayState::Over);
                 player.give_up();
             }
         }
@@ -100,43 +100,43 @@ impl<'a> Player<'a> {
         Ok(Self { recording, registry, replay, time, shown: time })
     }
 
-    fn serve(&mut self, link: &mut Link, ask: Ask, length: SimTime) {
-        match ask {
-            Ask::Pause => link.tell(|standing| standing.course = Course::Paused),
-            Ask::Resume => {
-                if link.standing().course == Course::Over {
+    fn handle(&mut self, link: &mut SessionLink, request: Request, length: SimTime) {
+        match request {
+            Request::Pause => link.tell(|state| state.play_state = PlayState::Paused),
+            Request::Resume => {
+                if link.state().play_state == PlayState::Over {
                     self.time = SimTime::ZERO;
                 }
-                link.tell(|standing| standing.course = Course::Running);
+                link.tell(|state| state.play_state = PlayState::Running);
             }
-            Ask::Step { back } => {
+            Request::Step { back } => {
                 self.time = if back { SimTime(self.time.0.saturating_sub(STEP.0)) } else { self.time + STEP };
                 self.time = self.time.min(length);
-                link.tell(|standing| standing.course = Course::Paused);
+                link.tell(|state| state.play_state = PlayState::Paused);
             }
-            Ask::Speed(speed) if (0.01..=100.0).contains(&speed) => {
-                link.tell(|standing| standing.speed = speed);
+            Request::Speed(speed) if (0.01..=100.0).contains(&speed) => {
+                link.tell(|state| state.speed = speed);
             }
-            Ask::Reset => self.time = SimTime::ZERO,
-            Ask::Seek(time) => {
+            Request::Reset => self.time = SimTime::ZERO,
+            Request::Seek(time) => {
                 self.time = time.min(length);
-                if link.standing().course == Course::Over {
-                    link.tell(|standing| standing.course = Course::Paused);
+                if link.state().play_state == PlayState::Over {
+                    link.tell(|state| state.play_state = PlayState::Paused);
                 }
             }
-            Ask::Loop(looped) => link.tell(|standing| standing.looped = looped),
-            Ask::Speed(_) | Ask::Tune(_) => {}
+            Request::Loop(looped) => link.tell(|state| state.looped = looped),
+            Request::Speed(_) | Request::Tune(_) => {}
         }
     }
 
     /// Advances the time; returns whether it reached the end.
-    fn pass(&mut self, link: &Link, passed: Duration, length: SimTime) -> bool {
-        let span = passed.as_secs_f64() * link.standing().speed;
+    fn pass(&mut self, link: &SessionLink, passed: Duration, length: SimTime) -> bool {
+        let span = passed.as_secs_f64() * link.state().speed;
         self.time += SimTime::from_secs_f64(span);
         if self.time < length {
             return false;
         }
-        let again = link.standing().looped && length > SimTime::ZERO;
+        let again = link.state().looped && length > SimTime::ZERO;
         self.time = if again { SimTime::ZERO } else { length };
         !again
     }
@@ -164,7 +164,7 @@ impl<'a> Player<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::link::{Looker, link};
+    use super::super::link::{WindowLink, link};
     use super::*;
     use std::panic::AssertUnwindSafe;
     use std::sync::mpsc::sync_channel;
@@ -173,7 +173,7 @@ mod tests {
     use trocar_viewer::window::Subject;
 
     /// Plays a one-second recording in the background and returns the result of `look`.
-    fn shown<T>(look: impl FnOnce(&mut Looker, &std::sync::mpsc::SyncSender<Findings>) -> T) -> T {
+    fn shown<T>(look: impl FnOnce(&mut WindowLink, &std::sync::mpsc::SyncSender<Findings>) -> T) -> T {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("try.mcap");
         let app = App::new();
@@ -187,15 +187,15 @@ mod tests {
         run(&app, &scenario, &options, &mut |_| {}).expect("it runs");
         let recording = Recording::open(&file).expect("a recording");
         let first = scenario.spawn(app.registry()).expect("a scene").snapshot().into();
-        let (link, mut looker) = link("try".into(), None, first);
+        let (link, mut window_link) = link("try".into(), None, first);
         let (found, findings) = sync_channel(1);
-        let shared = looker.shared().clone();
+        let shared = window_link.shared().clone();
         std::thread::scope(|scope| {
             let (recording, registry) = (&recording, app.registry());
             let player = scope.spawn(move || play(link, recording, registry, &findings));
-            // Also when an assertion fails: the player runs as long as it has an audience.
-            let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut looker, &found)));
-            shared.set_audience(Audience::Left);
+            // Also when an assertion fails: the player runs as long as it has viewers.
+            let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut window_link, &found)));
+            shared.set_presence(ViewerPresence::Left);
             let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             player.join().expect("no panic").expect("it plays");
             outcome
@@ -203,9 +203,9 @@ mod tests {
     }
 
     /// Waits without limit until the displayed state is as expected.
-    fn until(looker: &mut Looker, what: &str, is: impl Fn(&mut Looker) -> bool) {
+    fn until(window_link: &mut WindowLink, what: &str, is: impl Fn(&mut WindowLink) -> bool) {
         let begun = Instant::now();
-        while !is(looker) {
+        while !is(window_link) {
             assert!(begun.elapsed() < Duration::from_secs(60), "{what}");
             std::thread::sleep(Duration::from_millis(5));
         }
@@ -213,52 +213,58 @@ mod tests {
 
     #[test]
     fn it_is_led_to_any_time_and_back_and_shows_the_same_there() {
-        shown(|looker, _| {
-            let pose = |looker: &mut Looker| {
-                format!("{:?}", looker.scene().iter::<trocar_scene::Pose>().collect::<Vec<_>>())
+        shown(|window_link, _| {
+            let pose = |window_link: &mut WindowLink| {
+                format!("{:?}", window_link.scene().iter::<trocar_scene::Pose>().collect::<Vec<_>>())
             };
-            looker.ask(Ask::Pause);
-            until(looker, "it pauses", |looker| looker.standing().course == Course::Paused);
+            window_link.request(Request::Pause);
+            until(window_link, "it pauses", |window_link| {
+                window_link.state().play_state == PlayState::Paused
+            });
             let mut seen = Vec::new();
             for millis in [700, 200, 700, 200] {
                 let time = SimTime::from_millis(millis);
-                looker.ask(Ask::Seek(time));
+                window_link.request(Request::Seek(time));
                 let near = |now: SimTime| now.0.abs_diff(time.0) < SimTime::from_millis(50).0;
-                until(looker, &format!("it is led to {millis} ms"), |looker| near(looker.now()));
-                seen.push(pose(looker));
+                until(window_link, &format!("it is led to {millis} ms"), |window_link| {
+                    near(window_link.now())
+                });
+                seen.push(pose(window_link));
             }
             assert_eq!((&seen[0], &seen[1]), (&seen[2], &seen[3]));
             assert_ne!(seen[0], seen[1]);
-            let before = looker.now();
-            looker.ask(Ask::Step { back: true });
-            until(looker, "a step back", |looker| looker.now() < before);
+            let before = window_link.now();
+            window_link.request(Request::Step { back: true });
+            until(window_link, "a step back", |window_link| window_link.now() < before);
         });
     }
 
     #[test]
     fn it_ends_and_goes_on_from_the_beginning_or_over_and_over() {
-        shown(|looker, _| {
-            looker.ask(Ask::Speed(16.0));
-            until(looker, "it ends", |looker| looker.standing().course == Course::Over);
-            assert_eq!(looker.standing().length, Some(looker.now()));
-            looker.ask(Ask::Loop(true));
-            looker.ask(Ask::Resume);
-            until(looker, "it begins anew", |looker| looker.now() < SimTime::from_millis(500));
-            until(looker, "it goes on", |looker| looker.now() > SimTime::from_millis(500));
-            until(looker, "and begins anew again", |looker| looker.now() < SimTime::from_millis(500));
-            assert_eq!(looker.standing().course, Course::Running);
+        shown(|window_link, _| {
+            window_link.request(Request::Speed(16.0));
+            until(window_link, "it ends", |window_link| window_link.state().play_state == PlayState::Over);
+            assert_eq!(window_link.state().length, Some(window_link.now()));
+            window_link.request(Request::Loop(true));
+            window_link.request(Request::Resume);
+            until(window_link, "it begins anew", |window_link| window_link.now() < SimTime::from_millis(500));
+            until(window_link, "it goes on", |window_link| window_link.now() > SimTime::from_millis(500));
+            until(window_link, "and begins anew again", |window_link| {
+                window_link.now() < SimTime::from_millis(500)
+            });
+            assert_eq!(window_link.state().play_state, PlayState::Running);
         });
     }
 
     #[test]
     fn what_is_found_out_about_it_stands_on_its_timeline() {
-        shown(|looker, found| {
+        shown(|window_link, found| {
             let mark = Mark { time: SimTime::from_millis(300), what: "a gap".into(), bad: true };
             let note = Note { text: "it has a gap".into(), bad: true };
             found.send(Findings { marks: vec![mark.clone()], note: note.clone() }).expect("it listens");
-            until(looker, "it is told", |looker| !looker.standing().notes.is_empty());
-            let standing = looker.standing();
-            assert_eq!((&standing.marks, &standing.notes[0].1), (&vec![mark], &note));
+            until(window_link, "it is told", |window_link| !window_link.state().notes.is_empty());
+            let state = window_link.state();
+            assert_eq!((&state.marks, &state.notes[0].1), (&vec![mark], &note));
         });
     }
 }

@@ -7,26 +7,26 @@ use trocar_kernel::handle::Submitted;
 use trocar_scene::{PersonAction, PersonView};
 use trocar_viewer::window::Player;
 
-use super::link::{Seat, Shared};
+use super::link::{PlayerGuest, Shared};
 
 /// Turns key and button presses into control input, and writes it into the session.
 pub struct Person {
     shared: Arc<Shared>,
     bindings: Bindings,
-    seated: Option<(Seat, Controls)>,
+    player_guest: Option<(PlayerGuest, Controls)>,
     pad: Option<GamepadReader>,
 }
 
 impl Person {
-    /// A person who takes the seat as soon as a session offers one.
+    /// A person who plays as soon as a session offers a guest.
     pub fn new(shared: Arc<Shared>, bindings: Bindings) -> Self {
         let pad =
             GamepadReader::start().map_err(|error| tracing::info!("no gamepads are read: {error}")).ok();
-        Self { shared, bindings, seated: None, pad }
+        Self { shared, bindings, player_guest: None, pad }
     }
 
     fn controls(&mut self) -> Option<&mut Controls> {
-        self.seated.as_mut().map(|(_, controls)| controls)
+        self.player_guest.as_mut().map(|(_, controls)| controls)
     }
 }
 
@@ -58,19 +58,19 @@ impl Player for Person {
     }
 
     fn pass(&mut self, secs: f64, view: Option<PersonView>) {
-        if let Some(seat) = self.shared.take_seat() {
+        if let Some(player_guest) = self.shared.take_player_guest() {
             // A new session: its hands begin at their own positions.
-            let controls = Controls::new(self.bindings.clone(), &seat.guest.snapshot());
-            self.seated = Some((seat, controls));
+            let controls = Controls::new(self.bindings.clone(), &player_guest.guest.snapshot());
+            self.player_guest = Some((player_guest, controls));
         }
-        let Some((seat, controls)) = &mut self.seated else { return };
+        let Some((player_guest, controls)) = &mut self.player_guest else { return };
         while let Some(state) = self.pad.as_ref().and_then(GamepadReader::next) {
             controls.gamepad(state.as_ref());
         }
         controls.advance(secs);
-        let input = controls.input(view, seat.guest.now());
-        let person = seat.person;
-        match seat.guest.write(|_, out| out.put(person, input)) {
+        let input = controls.input(view, player_guest.guest.now());
+        let person = player_guest.person;
+        match player_guest.guest.write(|_, out| out.put(person, input)) {
             // All values are totals: the next batch contains this one.
             Ok(Submitted::Dropped) => tracing::debug!("the session was too busy for what the person did"),
             Ok(_) => {}

@@ -7,14 +7,15 @@ use std::time::{Duration, Instant};
 use trocar::play;
 use trocar::run::{Progress, RunOptions};
 use trocar::session::Session;
-use trocar_kernel::spec::{FaultSink, VIEWER};
+use trocar_kernel::spec::VIEWER;
 use trocar_scene::{Access, EntitySet, PersonInput, SimTime, Snapshot};
-use trocar_viewer::window::subject::{Abilities, Ask, Course, Standing, Tune, Tuning};
+use trocar_viewer::window::subject::{Abilities, PlayState, Request, SubjectState, Tune, Tuning};
 
 use super::actors::actors;
-use super::link::{Audience, Link, Seat};
-use crate::tune::Desk;
-use crate::tune::protocol::Request;
+use super::faults::Viewers;
+use super::link::{PlayerGuest, SessionLink, ViewerPresence};
+use crate::tune::TuningService;
+use crate::tune::protocol::Request as TuneRequest;
 
 /// Interval at which windows receive the actors' rates and health.
 const TELL_EVERY: Duration = Duration::from_millis(250);
@@ -33,11 +34,11 @@ pub enum Next {
 }
 
 /// Connects a session and its windows.
-pub struct Attendant {
-    link: Link,
+pub struct SessionHost {
+    link: SessionLink,
     /// Whether a person moves the hands.
     plays: bool,
-    viewers: Arc<dyn FaultSink>,
+    viewers: Arc<Viewers>,
     /// Set by a signal.
     stop: Arc<AtomicBool>,
     begun: bool,
@@ -48,9 +49,9 @@ pub struct Attendant {
     told: Option<Instant>,
 }
 
-impl Attendant {
+impl SessionHost {
     /// For a session that has not begun yet; `viewers` receives faults aimed at the windows.
-    pub fn new(link: Link, plays: bool, viewers: Arc<dyn FaultSink>) -> Self {
+    pub fn new(link: SessionLink, plays: bool, viewers: Arc<Viewers>) -> Self {
         Self {
             link,
             plays,
@@ -71,6 +72,11 @@ impl Attendant {
         (self.stop, self.begun, self.paused, self.again, self.told) = (stop, false, false, false, None);
     }
 
+    /// Whether the first picture is still to come.
+    pub fn awaits_picture(&self) -> bool {
+        self.link.shared().presence() == ViewerPresence::There && !self.viewers.have_shown()
+    }
+
     /// Shows the last scene of the ended session.
     pub fn ended(&mut self, last: Arc<Snapshot>) {
         self.link.show(last);
@@ -78,68 +84,68 @@ impl Attendant {
     }
 
     /// Serves the windows; called between two looks at the scene.
-    pub fn attend(&mut self, progress: &mut Progress<'_>, desk: &mut Desk<'_>) {
+    pub fn update(&mut self, progress: &mut Progress<'_>, tuning_service: &mut TuningService<'_>) {
         if !self.begun {
             self.begun = true;
-            self.begin(progress.session, desk);
+            self.begin(progress.session, tuning_service);
         }
         if self.pace.is_some() {
             self.link.show(progress.session.snapshot());
         }
-        while let Some(ask) = self.link.asked() {
-            self.serve(progress.session, desk, ask);
+        while let Some(request) = self.link.requested() {
+            self.handle(progress.session, tuning_service, request);
         }
         self.tell(progress.session);
-        self.keep_pace(progress.session, desk);
+        self.keep_pace(progress.session, tuning_service);
         while self.paused && !self.shall_end() {
-            if self.link.shared().audience() == Audience::Cut {
+            if self.link.shared().presence() == ViewerPresence::Cut {
                 // Without a window nothing could resume it.
                 self.resume(progress.session);
                 break;
             }
-            desk.serve(progress.session);
-            if let Some(ask) = self.link.wait(LOOK_EVERY) {
-                self.serve(progress.session, desk, ask);
+            tuning_service.serve(progress.session);
+            if let Some(request) = self.link.wait(LOOK_EVERY) {
+                self.handle(progress.session, tuning_service, request);
             }
         }
         progress.end = self.shall_end();
     }
 
     fn shall_end(&self) -> bool {
-        let left = self.link.shared().audience() == Audience::Left;
+        let left = self.link.shared().presence() == ViewerPresence::Left;
         self.again || left || self.stop.load(Ordering::Relaxed)
     }
 
-    fn begin(&mut self, session: &mut Session, desk: &mut Desk<'_>) {
+    fn begin(&mut self, session: &mut Session, tuning_service: &mut TuningService<'_>) {
         let reader = session.reader();
         self.pace = reader.is_none().then(|| (Instant::now(), session.now()));
         let speed = self.pace.is_some();
         self.link.read_from(reader);
         let abilities = Abilities { pause: true, step: true, speed, reset: true, seek: false, tune: true };
-        self.link.tell(|standing| {
-            (standing.course, standing.abilities) = (Course::Running, abilities);
+        self.link.tell(|state| {
+            (state.play_state, state.abilities) = (PlayState::Running, abilities);
         });
-        self.tell_tuning(session, desk);
+        self.tell_tuning(session, tuning_service);
         if self.plays
-            && let Err(why) = self.offer_seat(session)
+            && let Err(why) = self.offer_player(session)
         {
             self.link.note(format!("nobody can play: {why}"), true);
         }
     }
 
     /// A person who plays takes part in the session as a guest, which writes only the input for the hands.
-    fn offer_seat(&mut self, session: &mut Session) -> Result<(), String> {
+    fn offer_player(&mut self, session: &mut Session) -> Result<(), String> {
         let person = play::person(&session.snapshot()).ok_or("the scenario has no hands")?;
         let access = Access::new().writes::<PersonInput>(EntitySet::Of(vec![person]));
         let guest = session.guest("viewer", &access).map_err(|error| error.to_string())?;
-        self.link.offer(Seat { guest, person });
+        self.link.offer_player_guest(PlayerGuest { guest, person });
         Ok(())
     }
 
     /// In virtual time: waits until the wall clock has caught up.
-    fn keep_pace(&mut self, session: &mut Session, desk: &mut Desk<'_>) {
+    fn keep_pace(&mut self, session: &mut Session, tuning_service: &mut TuningService<'_>) {
         while let Some((since, from)) = self.pace.filter(|_| !self.paused && !self.shall_end()) {
-            let passed = session.now().since(from).as_secs_f64() / self.link.standing().speed;
+            let passed = session.now().since(from).as_secs_f64() / self.link.state().speed;
             let ahead = passed - since.elapsed().as_secs_f64();
             if ahead < -0.25 {
                 // The machine is too slow for this speed: run as fast as possible, and do not catch up later.
@@ -149,8 +155,8 @@ impl Attendant {
             if ahead <= 1e-3 {
                 return;
             }
-            if let Some(ask) = self.link.wait(Duration::from_secs_f64(ahead).min(LOOK_EVERY)) {
-                self.serve(session, desk, ask);
+            if let Some(request) = self.link.wait(Duration::from_secs_f64(ahead).min(LOOK_EVERY)) {
+                self.handle(session, tuning_service, request);
             }
         }
     }
@@ -159,20 +165,20 @@ impl Attendant {
         session.resume();
         self.paused = false;
         self.pace = self.pace.map(|_| (Instant::now(), session.now()));
-        self.link.tell(|standing| standing.course = Course::Running);
+        self.link.tell(|state| state.play_state = PlayState::Running);
     }
 
     fn pause(&mut self, session: &mut Session) {
         session.pause();
         self.paused = true;
-        self.link.tell(|standing| standing.course = Course::Paused);
+        self.link.tell(|state| state.play_state = PlayState::Paused);
     }
 
-    fn serve(&mut self, session: &mut Session, desk: &mut Desk<'_>, ask: Ask) {
-        match ask {
-            Ask::Pause if !self.paused => self.pause(session),
-            Ask::Resume if self.paused => self.resume(session),
-            Ask::Step { back: false } if self.paused => {
+    fn handle(&mut self, session: &mut Session, tuning_service: &mut TuningService<'_>, request: Request) {
+        match request {
+            Request::Pause if !self.paused => self.pause(session),
+            Request::Resume if self.paused => self.resume(session),
+            Request::Step { back: false } if self.paused => {
                 let until = session.now() + STEP;
                 session.resume();
                 session.run_until(until);
@@ -181,25 +187,25 @@ impl Attendant {
                     self.link.show(session.snapshot());
                 }
             }
-            Ask::Speed(speed) if self.pace.is_some() && (0.01..=100.0).contains(&speed) => {
+            Request::Speed(speed) if self.pace.is_some() && (0.01..=100.0).contains(&speed) => {
                 self.pace = Some((Instant::now(), session.now()));
-                self.link.tell(|standing| standing.speed = speed);
+                self.link.tell(|state| state.speed = speed);
             }
-            Ask::Reset => self.again = true,
-            Ask::Tune(tune) => self.tune(session, desk, tune),
+            Request::Reset => self.again = true,
+            Request::Tune(tune) => self.tune(session, tuning_service, tune),
             // Windows do not offer requests that are impossible now.
             _ => {}
         }
     }
 
-    fn tune(&mut self, session: &mut Session, desk: &mut Desk<'_>, tune: Tune) {
+    fn tune(&mut self, session: &mut Session, tuning_service: &mut TuningService<'_>, tune: Tune) {
         let request = match tune {
-            Tune::Set(values) => Request::Set { values },
-            Tune::Use(set) => Request::Use { set },
-            Tune::Keep(set) => Request::Keep { set },
-            Tune::Save(file) => Request::Save { file },
+            Tune::Set(values) => TuneRequest::Set { values },
+            Tune::Use(set) => TuneRequest::Use { set },
+            Tune::Keep(set) => TuneRequest::Keep { set },
+            Tune::Save(file) => TuneRequest::Save { file },
         };
-        let reply = desk.ask(session, &request);
+        let reply = tuning_service.ask(session, &request);
         if let Some(error) = reply.error {
             self.link.note(error, true);
         }
@@ -209,19 +215,19 @@ impl Attendant {
         for left_out in reply.left_out {
             self.link.note(left_out, true);
         }
-        self.tell_tuning(session, desk);
+        self.tell_tuning(session, tuning_service);
     }
 
-    fn tell_tuning(&mut self, session: &mut Session, desk: &mut Desk<'_>) {
-        let reply = desk.ask(session, &Request::Status {});
+    fn tell_tuning(&mut self, session: &mut Session, tuning_service: &mut TuningService<'_>) {
+        let reply = tuning_service.ask(session, &TuneRequest::Status {});
         let changed = reply
             .fields
             .into_iter()
             .map(|row| (row.field, row.before.unwrap_or_default(), row.value))
             .collect();
         let tuning = Tuning { changed, sets: reply.sets, in_use: reply.in_use };
-        if self.link.standing().tuning != tuning {
-            self.link.tell(|standing| standing.tuning = tuning);
+        if self.link.state().tuning != tuning {
+            self.link.tell(|state| state.tuning = tuning);
         }
     }
 
@@ -231,7 +237,7 @@ impl Attendant {
         }
         self.told = Some(Instant::now());
         let actors = actors(session);
-        self.link.tell(|standing| standing.actors = actors);
+        self.link.tell(|state| state.actors = actors);
     }
 
     /// After the session: shows its last scene until the user restarts it or closes the window.
@@ -240,16 +246,16 @@ impl Attendant {
             return Next::Again;
         }
         self.link.note(verdict, bad);
-        self.link.tell(|standing: &mut Standing| {
-            standing.course = Course::Over;
-            standing.abilities = Abilities { reset: true, ..Abilities::default() };
+        self.link.tell(|state: &mut SubjectState| {
+            state.play_state = PlayState::Over;
+            state.abilities = Abilities { reset: true, ..Abilities::default() };
         });
         loop {
-            if self.link.shared().audience() != Audience::There || self.stop.load(Ordering::Relaxed) {
+            if self.link.shared().presence() != ViewerPresence::There || self.stop.load(Ordering::Relaxed) {
                 return Next::End;
             }
             match self.link.wait(5 * LOOK_EVERY) {
-                Some(Ask::Reset) => return Next::Again,
+                Some(Request::Reset) => return Next::Again,
                 _ => continue,
             }
         }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use trocar_devices::SessionTime;
-use trocar_kernel::runtime::Standstill;
+use trocar_kernel::runtime::PausableClock;
 use trocar_scene::SimTime;
 
 use super::{Running, Session};
@@ -14,9 +14,9 @@ const FADE_MAX: Duration = Duration::from_millis(200);
 const LOOK: Duration = Duration::from_millis(1);
 
 /// Session time for the device drivers, computed from the time since the start.
-pub(super) fn device_time(still: &Arc<Standstill>) -> SessionTime {
-    let still = still.clone();
-    SessionTime::new(move |elapsed_ns| (still.at(SimTime(elapsed_ns)).as_nanos(), still.is_still()))
+pub(super) fn device_time(clock: &Arc<PausableClock>) -> SessionTime {
+    let clock = clock.clone();
+    SessionTime::new(move |elapsed_ns| (clock.at(SimTime(elapsed_ns)).as_nanos(), clock.is_paused()))
 }
 
 impl Session {

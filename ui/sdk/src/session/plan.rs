@@ -42,7 +42,7 @@ pub(crate) struct Role {
 
 /// A controller that cannot serve other hands than those it was made for.
 #[derive(Debug)]
-pub(crate) struct Bound(pub String);
+pub(crate) struct BoundToHands(pub String);
 
 impl Role {
     pub fn new(name: &str, writer: u16, rate_hz: f64, blueprint: Blueprint) -> Self {
@@ -75,8 +75,8 @@ impl Role {
     }
 
     /// Its specification for a session with other hands.
-    fn other(&self, hands: &[HandPort]) -> Result<ControllerSpec, Bound> {
-        let bound = || Bound(self.name.clone());
+    fn other(&self, hands: &[HandPort]) -> Result<ControllerSpec, BoundToHands> {
+        let bound = || BoundToHands(self.name.clone());
         match &self.for_hands {
             Some(for_hands) => Ok(self.spec(for_hands(hands).ok_or_else(bound)?)),
             // A controller with a device's fence serves that device, whatever its kind says.
@@ -97,7 +97,7 @@ impl SessionPlan {
     }
 
     /// Another session of the same controllers, beginning in `scene`.
-    pub fn other(&self, seed: u64, scene: Store, hands: &[HandPort]) -> Result<SessionSpec, Bound> {
+    pub fn other(&self, seed: u64, scene: Store, hands: &[HandPort]) -> Result<SessionSpec, BoundToHands> {
         let controllers = self.roles.iter().map(|role| role.other(hands)).collect::<Result<_, _>>()?;
         Ok(self.session(seed, scene, controllers, hands))
     }

@@ -1,4 +1,4 @@
-//! The lower bound: a bare loop that draws the triangles of a stage with one light and Phong's highlight (Phong 1975).
+//! The lower bound: a bare loop that draws the triangles of a scene with one light and Phong's highlight (Phong 1975).
 //! It is optimised for just that: interleaved vertices, one draw for each surface from the nearest to the farthest, no
 //! allocation per frame.
 
@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use nalgebra::{Matrix4, Point3, Vector3};
 use wgpu::util::DeviceExt;
 
-use crate::draw_list::{Item, Stage};
+use crate::draw_list::{DrawList, Item};
 use crate::gpu::{Gpu, targets};
 use crate::view::View;
 
@@ -38,7 +38,7 @@ struct Part {
 }
 
 /// The bare loop.
-pub struct Bare {
+pub struct BaselineRenderer {
     pipeline: wgpu::RenderPipeline,
     frame: wgpu::Buffer,
     frame_group: wgpu::BindGroup,
@@ -50,9 +50,9 @@ pub struct Bare {
     depth: wgpu::TextureView,
 }
 
-impl Bare {
-    /// For the present surfaces of the stage, which must not deform, seen from `view`, into `target`.
-    pub fn new(gpu: &Gpu, stage: &Stage, view: &View, target: &wgpu::Texture) -> Self {
+impl BaselineRenderer {
+    /// For the present surfaces of the list, which must not deform, seen from `view`, into `target`.
+    pub fn new(gpu: &Gpu, draw_list: &DrawList, view: &View, target: &wgpu::Texture) -> Self {
         let device = &gpu.device;
         let layout = |dynamic, bytes: usize| {
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -89,7 +89,7 @@ impl Bare {
                 }],
             })
         };
-        let count = stage.items().len();
+        let count = draw_list.items().len();
         let (frame, items) = (buffer(size_of::<Frame>()), buffer(STRIDE * count.max(1)));
         let frame_group = group(&layouts[0], &frame, size_of::<Frame>());
         let items_group = group(&layouts[1], &items, size_of::<ItemUniform>());
@@ -102,14 +102,14 @@ impl Bare {
             items,
             items_group,
             bytes: vec![0; STRIDE * count],
-            parts: parts(gpu, stage, view),
+            parts: parts(gpu, draw_list, view),
             target: target.create_view(&Default::default()),
             depth,
         }
     }
 
-    /// Draws a frame: poses from the stage, a light beside the eye.
-    pub fn draw(&mut self, gpu: &Gpu, stage: &Stage, view: &View) {
+    /// Draws a frame: poses from the list, a light beside the eye.
+    pub fn draw(&mut self, gpu: &Gpu, draw_list: &DrawList, view: &View) {
         let eye = view.world_from_eye.translation.vector;
         let light = eye + Vector3::new(0.05, 0.0, 0.05);
         let single = |vector: Vector3<f64>| [vector.x as f32, vector.y as f32, vector.z as f32, 0.0];
@@ -120,7 +120,7 @@ impl Bare {
             candela: single(Vector3::repeat(0.03)),
         };
         gpu.queue.write_buffer(&self.frame, 0, bytemuck::bytes_of(&frame));
-        for (item, bytes) in stage.items().iter().zip(self.bytes.chunks_exact_mut(STRIDE)) {
+        for (item, bytes) in draw_list.items().iter().zip(self.bytes.chunks_exact_mut(STRIDE)) {
             let uniform = ItemUniform {
                 world_from_item: matrix(&item.world_from_item.to_homogeneous()),
                 color: item.material.base_color.map(|part| part as f32),
@@ -165,13 +165,13 @@ impl Bare {
 }
 
 /// Interleaved vertices, from the nearest to the farthest part.
-fn parts(gpu: &Gpu, stage: &Stage, view: &View) -> Vec<Part> {
+fn parts(gpu: &Gpu, draw_list: &DrawList, view: &View) -> Vec<Part> {
     let eye_from_world = view.world_from_eye.inverse();
     let depth = |item: &Item| {
         let centre = eye_from_world * Point3::from(item.world_from_item.translation.vector);
         centre.z - f64::from(item.surface.geometry.radius)
     };
-    let mut order: Vec<(usize, &Item)> = stage.items().iter().enumerate().collect();
+    let mut order: Vec<(usize, &Item)> = draw_list.items().iter().enumerate().collect();
     order.sort_by(|(_, a), (_, b)| depth(a).total_cmp(&depth(b)));
     let buffer = |contents: &[u8], usage| {
         gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor { label: None, contents, usage })

@@ -2,8 +2,8 @@
 
 use trocar_scene::Snapshot;
 
-use crate::bench::{Bare, Theatre};
-use crate::draw_list::Stage;
+use crate::bench::{BaselineRenderer, TestScene};
+use crate::draw_list::DrawList;
 use crate::error::ViewError;
 use crate::gpu::surfaces::SurfaceCopies;
 use crate::gpu::{Gpu, targets};
@@ -14,31 +14,31 @@ use crate::quality::Quality;
 use crate::renderer::Renderer;
 use crate::view::View;
 
-/// Draws a [`Theatre`] into a texture.
-pub struct Studio {
+/// Draws a [`TestScene`] into a texture.
+pub struct BenchRenderer {
     gpu: Gpu,
-    theatre: Theatre,
+    test_scene: TestScene,
     view: View,
     renderer: Renderer,
-    bare: Bare,
+    bare: BaselineRenderer,
     target: wgpu::Texture,
 }
 
-impl Studio {
-    /// A theatre of about so many triangles, in a picture of that size.
+impl BenchRenderer {
+    /// A test scene of about so many triangles, in a picture of that size.
     ///
     /// # Errors
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`], [`ViewError::Size`].
     pub fn new(triangles: usize, size: [u32; 2]) -> Result<Self, ViewError> {
         let gpu = Gpu::headless()?;
         targets::check_size(&gpu, size)?;
-        let theatre = Theatre::new(triangles);
-        let view = theatre.view(f64::from(size[0]) / f64::from(size[1]));
+        let test_scene = TestScene::new(triangles);
+        let view = test_scene.view(f64::from(size[0]) / f64::from(size[1]));
         let target = targets::target(&gpu, size, targets::COLOR, 1);
         let mut renderer = Renderer::new(&gpu, None);
-        renderer.update(&gpu, &theatre.snapshot());
-        let bare = Bare::new(&gpu, renderer.stage(), &view, &target);
-        Ok(Self { gpu, theatre, view, renderer, bare, target })
+        renderer.update(&gpu, &test_scene.snapshot());
+        let bare = BaselineRenderer::new(&gpu, renderer.draw_list(), &view, &target);
+        Ok(Self { gpu, test_scene, view, renderer, bare, target })
     }
 
     /// The device.
@@ -54,23 +54,23 @@ impl Studio {
 
     /// As [`Self::frame`], without waiting for the device.
     pub fn submit(&mut self, layout: &Layout, quality: Quality) {
-        self.theatre.move_instruments();
-        let scene = self.theatre.snapshot();
+        self.test_scene.move_instruments();
+        let scene = self.test_scene.snapshot();
         self.renderer.update(&self.gpu, &scene);
         self.renderer.draw(&self.gpu, &scene, &self.view, layout, quality, &self.target);
     }
 
     /// The same with the bare loop.
     pub fn bare_frame(&mut self) {
-        self.theatre.move_instruments();
-        self.renderer.update(&self.gpu, &self.theatre.snapshot());
-        self.bare.draw(&self.gpu, self.renderer.stage(), &self.view);
+        self.test_scene.move_instruments();
+        self.renderer.update(&self.gpu, &self.test_scene.snapshot());
+        self.bare.draw(&self.gpu, self.renderer.draw_list(), &self.view);
         self.finish();
     }
 
     /// Checks for changes and draws them; returns whether there were any.
     pub fn look(&mut self, quality: Quality) -> bool {
-        let (scene, pace) = (self.theatre.snapshot(), Pace { quality, scale: 1.0 });
+        let (scene, pace) = (self.test_scene.snapshot(), Pace { quality, scale: 1.0 });
         let needed = self.renderer.needs_draw(&scene, &self.view, &Layout::Mono, pace, &self.target);
         if needed {
             self.renderer.update(&self.gpu, &scene);
@@ -108,31 +108,35 @@ impl Studio {
 /// A deforming sheet, and its copy on the device.
 pub struct Upload {
     gpu: Gpu,
-    theatre: Theatre,
-    stage: Stage,
+    test_scene: TestScene,
+    draw_list: DrawList,
     copies: SurfaceCopies,
 }
 
 impl Upload {
     /// A sheet of `side × side` vertices.
     pub fn new(gpu: &Gpu, side: usize) -> Self {
-        let theatre = Theatre::sheet_of(side);
-        let mut upload =
-            Self { gpu: gpu.clone(), theatre, stage: Stage::new(), copies: SurfaceCopies::default() };
+        let test_scene = TestScene::sheet_of(side);
+        let mut upload = Self {
+            gpu: gpu.clone(),
+            test_scene,
+            draw_list: DrawList::new(),
+            copies: SurfaceCopies::default(),
+        };
         upload.send();
         upload
     }
 
     /// Moves every vertex.
     pub fn deform(&mut self) {
-        self.theatre.deform();
+        self.test_scene.deform();
     }
 
     /// Follows the scene and uploads changes; returns their number of bytes once the device has them.
     pub fn send(&mut self) -> u64 {
         let before = self.copies.bytes_sent;
-        self.stage.update(&self.theatre.snapshot());
-        for item in self.stage.items() {
+        self.draw_list.update(&self.test_scene.snapshot());
+        for item in self.draw_list.items() {
             self.copies.send(&self.gpu, &item.surface);
         }
         self.copies.sweep();

@@ -9,9 +9,9 @@ mod test_scene;
 
 use std::time::Instant;
 
-pub use baseline::Bare;
-pub use harness::{Studio, Upload};
-pub use test_scene::Theatre;
+pub use baseline::BaselineRenderer;
+pub use harness::{BenchRenderer, Upload};
+pub use test_scene::TestScene;
 
 /// Times alternating blocks: `blocks` times a block of `frames` frames of each contestant, after one warm-up block.
 /// Returns the median frame time of every block \[s\], a list for each contestant.

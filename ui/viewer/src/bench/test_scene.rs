@@ -9,7 +9,7 @@ use trocar_scene::{
     VisualMaterial,
 };
 
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::view::{Lens, View};
 
 /// Tissues, each with its centre \[m\] and its size \[m\].
@@ -22,7 +22,7 @@ const SHEETS: [(&str, [f64; 3], f64); 4] = [
 /// A scene with so many triangles: four wet tissues with all four maps, two steel instruments and three rubber rings,
 /// under one lamp with shadows. The materials are those of the scenarios, without relief; tissue fills the picture, so
 /// that every pixel is shaded.
-pub struct Theatre {
+pub struct TestScene {
     store: Store,
     commands: Commands,
     instruments: Vec<Entity>,
@@ -30,28 +30,29 @@ pub struct Theatre {
     steps: u32,
 }
 
-impl Theatre {
+impl TestScene {
     /// With about so many triangles.
     pub fn new(triangles: usize) -> Self {
-        let mut theatre = Self::empty();
-        theatre.hardware();
-        let mut stage = Stage::new();
-        stage.update(&theatre.snapshot());
-        let hardware: usize = stage.items().iter().map(|item| item.surface.geometry.indices.len() / 3).sum();
+        let mut test_scene = Self::empty();
+        test_scene.hardware();
+        let mut draw_list = DrawList::new();
+        draw_list.update(&test_scene.snapshot());
+        let hardware: usize =
+            draw_list.items().iter().map(|item| item.surface.geometry.indices.len() / 3).sum();
         let share = triangles.saturating_sub(hardware) / SHEETS.len();
         // Two triangles per square.
         let side = ((share as f64 / 2.0).sqrt().round() as usize).max(1);
         for (name, middle, size) in SHEETS {
-            theatre.sheet(name, middle.into(), size, side);
+            test_scene.sheet(name, middle.into(), size, side);
         }
-        theatre
+        test_scene
     }
 
     /// One sheet of tissue with `side × side` vertices that deforms as a whole, and nothing else.
     pub fn sheet_of(side: usize) -> Self {
-        let mut theatre = Self::empty();
-        theatre.sheet("liver", Point3::origin(), 0.2, side.max(2) - 1);
-        theatre
+        let mut test_scene = Self::empty();
+        test_scene.sheet("liver", Point3::origin(), 0.2, side.max(2) - 1);
+        test_scene
     }
 
     fn empty() -> Self {
@@ -204,10 +205,10 @@ mod tests {
     #[test]
     fn a_theatre_has_about_as_many_triangles_as_were_asked_for() {
         for asked in [20_000, 200_000] {
-            let mut stage = Stage::new();
-            stage.update(&Theatre::new(asked).snapshot());
+            let mut draw_list = DrawList::new();
+            draw_list.update(&TestScene::new(asked).snapshot());
             let triangles: usize =
-                stage.items().iter().map(|item| item.surface.geometry.indices.len() / 3).sum();
+                draw_list.items().iter().map(|item| item.surface.geometry.indices.len() / 3).sum();
             assert!(triangles.abs_diff(asked) * 20 < asked, "{triangles} of {asked}");
         }
     }

@@ -8,8 +8,8 @@
 mod atlas;
 mod cuts;
 pub mod damage;
-mod painter;
 mod scalar_map;
+mod vertex_painter;
 
 use nalgebra::Vector2;
 use thiserror::Error;
@@ -20,7 +20,7 @@ pub use scalar_map::ScalarMap;
 
 use crate::texture::Image8;
 use crate::texture::image8::byte;
-use painter::Painter;
+use vertex_painter::VertexPainter;
 
 /// Largest width and height of a map \[texels\].
 pub const SIZE_MAX: u32 = 4096;
@@ -88,7 +88,7 @@ pub struct EditMap {
     /// The initial image, if not [`UNTOUCHED`].
     base: Option<Image8>,
     /// Damage, blood, gloss.
-    painter: Painter<3>,
+    vertex_painter: VertexPainter<3>,
     /// What the map showed at the vertices when the topology last changed.
     inherited: Vec<[f32; 3]>,
     cuts: CutFinder,
@@ -105,7 +105,7 @@ impl EditMap {
         Ok(Self {
             image: Image8::filled(width, height, UNTOUCHED),
             base: None,
-            painter: Painter::new(width, height),
+            vertex_painter: VertexPainter::new(width, height),
             inherited: Vec::new(),
             cuts: CutFinder::default(),
             cut_width: CUT_WIDTH,
@@ -139,7 +139,7 @@ impl EditMap {
 
     /// Texels inside more than one triangle (see [`Atlas::shared`]).
     pub fn shared(&self) -> usize {
-        self.painter.atlas().shared()
+        self.vertex_painter.atlas().shared()
     }
 
     /// Takes a topology: triangles, and the texture coordinate of each vertex. The next state repaints everything;
@@ -150,7 +150,7 @@ impl EditMap {
             [damage, blood, gloss]
         });
         self.inherited = inherited.collect();
-        self.painter.set_surface(triangles, uv);
+        self.vertex_painter.set_surface(triangles, uv);
         for (texel, pixel) in self.image.pixels.iter_mut().enumerate() {
             let base = self.base.as_ref().map_or(UNTOUCHED, |base| base.pixels[texel]);
             *pixel = [base[0], base[1], pixel[2], base[3]];
@@ -182,7 +182,7 @@ impl EditMap {
             [damage, blood, gloss]
         };
         let (image, base) = (&mut self.image, self.base.as_ref());
-        self.painter.paint(value, |texel, [damage, blood, gloss]| {
+        self.vertex_painter.paint(value, |texel, [damage, blood, gloss]| {
             let below = base.map_or(UNTOUCHED, |base| base.pixels[texel]);
             let pixel = &mut image.pixels[texel];
             pixel[0] = below[0].max(byte(damage));

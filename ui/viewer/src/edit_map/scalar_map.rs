@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-use super::painter::Painter;
+use super::vertex_painter::VertexPainter;
 use super::{DirtyRect, MapSizeError};
 
 /// A map of one channel: 0 for the lower end of a range, 255 for its upper end.
@@ -12,7 +12,7 @@ pub struct ScalarMap {
     height: u32,
     values: Vec<u8>,
     range: [f64; 2],
-    painter: Painter<1>,
+    vertex_painter: VertexPainter<1>,
 }
 
 impl ScalarMap {
@@ -25,7 +25,13 @@ impl ScalarMap {
         MapSizeError::check(width, height)?;
         let values = vec![0; width as usize * height as usize];
         let high = if high > low { high } else { low + 1.0 };
-        Ok(Self { width, height, values, range: [low, high], painter: Painter::new(width, height) })
+        Ok(Self {
+            width,
+            height,
+            values,
+            range: [low, high],
+            vertex_painter: VertexPainter::new(width, height),
+        })
     }
 
     /// Width and height \[texels\].
@@ -45,7 +51,7 @@ impl ScalarMap {
 
     /// Takes a topology, as [`super::EditMap::set_surface`].
     pub fn set_surface(&mut self, triangles: &[[u32; 3]], uv: &[Vector2<f64>]) {
-        self.painter.set_surface(triangles, uv);
+        self.vertex_painter.set_surface(triangles, uv);
         self.values.fill(0);
     }
 
@@ -57,6 +63,6 @@ impl ScalarMap {
             [((value - low) / (high - low)) as f32]
         };
         let values = &mut self.values;
-        self.painter.paint(value, |texel, [value]| values[texel] = crate::texture::image8::byte(value))
+        self.vertex_painter.paint(value, |texel, [value]| values[texel] = crate::texture::image8::byte(value))
     }
 }

@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use wgpu::util::DeviceExt;
 
 use crate::colormap::Colormap;
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::geometry::Geometry;
 use crate::gpu::Gpu;
 use crate::gpu::surfaces::{SurfaceCopies, SurfaceCopy};
@@ -162,17 +162,17 @@ impl OverlayPass {
         gpu: &Gpu,
         overlays: &Overlays,
         seen: &Seen,
-        stage: &Stage,
+        draw_list: &DrawList,
         copies: &SurfaceCopies,
     ) {
         let vertex = wgpu::BufferUsages::VERTEX;
         let Sketch { lines, triangles, .. } = &seen.sketch;
         self.bytes_sent += fill(gpu, &mut self.lines, lines, vertex);
         self.bytes_sent += fill(gpu, &mut self.triangles, triangles, vertex);
-        self.send_spots(gpu, &seen.sketch, stage);
+        self.send_spots(gpu, &seen.sketch, draw_list);
         self.edge_width = 0.5 * overlays.line_width;
         if overlays.shows(Overlay::Wireframe) {
-            for item in stage.items() {
+            for item in draw_list.items() {
                 let surface = &item.surface;
                 if let Some(copy) = copies.get(surface.id) {
                     self.send_edges(gpu, surface.id, surface.topology, &surface.geometry, copy);
@@ -180,17 +180,17 @@ impl OverlayPass {
             }
         }
         self.edges.retain(|_, edges| std::mem::take(&mut edges.used));
-        self.send_fields(gpu, &seen.fields, stage);
+        self.send_fields(gpu, &seen.fields, draw_list);
     }
 
-    fn send_spots(&mut self, gpu: &Gpu, sketch: &Sketch, stage: &Stage) {
+    fn send_spots(&mut self, gpu: &Gpu, sketch: &Sketch, draw_list: &DrawList) {
         self.spots = None;
         if sketch.spots.is_empty() {
             return;
         }
         let mut order: Vec<_> = sketch.spots.iter().collect();
         order.sort_by_key(|spot| spot.item);
-        let mut ranges = vec![[0_u32; 2]; stage.items().len().max(1)];
+        let mut ranges = vec![[0_u32; 2]; draw_list.items().len().max(1)];
         let mut items = Vec::new();
         for (place, spot) in order.iter().enumerate() {
             let Some([first, count]) = ranges.get_mut(spot.item) else { continue };
@@ -246,10 +246,10 @@ impl OverlayPass {
         }
     }
 
-    fn send_fields(&mut self, gpu: &Gpu, fields: &[Field], stage: &Stage) {
+    fn send_fields(&mut self, gpu: &Gpu, fields: &[Field], draw_list: &DrawList) {
         let mut before = std::mem::take(&mut self.fields);
         for field in fields {
-            let Some(item) = stage.items().get(field.item) else { continue };
+            let Some(item) = draw_list.items().get(field.item) else { continue };
             let surface = (item.surface.id, item.surface.topology);
             let same = |sent: &SentField| {
                 sent.field.item == field.item && sent.surface == surface && sent.field.is_like(field)
@@ -364,7 +364,7 @@ impl OverlayPass {
         pass: &mut wgpu::RenderPass<'_>,
         eye: usize,
         (format, samples): (wgpu::TextureFormat, u32),
-        stage: &Stage,
+        draw_list: &DrawList,
         copies: &SurfaceCopies,
         items_group: &wgpu::BindGroup,
     ) {
@@ -372,7 +372,7 @@ impl OverlayPass {
         pass.set_bind_group(0, view, &[]);
         // Every item has its own offset in the list.
         let item_at = |item: u32| [item * size_of::<GpuItem>() as u32];
-        let copy = |item: u32| copies.get(stage.items().get(item as usize)?.surface.id);
+        let copy = |item: u32| copies.get(draw_list.items().get(item as usize)?.surface.id);
         if let Some(pipeline) = self.pipelines.get(&(Kind::Field, false, format, samples)) {
             pass.set_pipeline(pipeline);
             for sent in &self.fields {
@@ -390,7 +390,7 @@ impl OverlayPass {
         }
         if let Some(pipeline) = self.pipelines.get(&(Kind::Edges, false, format, samples)) {
             pass.set_pipeline(pipeline);
-            for (item, drawn) in stage.items().iter().enumerate() {
+            for (item, drawn) in draw_list.items().iter().enumerate() {
                 let Some(edges) = self.edges.get(&drawn.surface.id) else { continue };
                 pass.set_bind_group(1, items_group, &item_at(item as u32));
                 pass.set_bind_group(2, &edges.group.0, &[]);

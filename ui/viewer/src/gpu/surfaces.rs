@@ -22,7 +22,7 @@ pub struct SurfaceCopy {
     used: bool,
 }
 
-/// All copies, by the stage's numbers.
+/// All copies, by the numbers of the draw list.
 #[derive(Default)]
 pub struct SurfaceCopies {
     copies: BTreeMap<u64, SurfaceCopy>,

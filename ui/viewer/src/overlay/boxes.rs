@@ -6,7 +6,7 @@ use trocar_scene::{BoundingVolumeTree, Snapshot};
 use super::Overlays;
 use super::sketch::{Sketch, Stroke};
 use crate::colormap::Colormap;
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::geometry::Geometry;
 
 /// Most boxes drawn of one tree.
@@ -16,7 +16,7 @@ const LEVELS: f64 = 12.0;
 
 /// Draws the bounding-volume tree of every entity that has one, coloured by level, and the local bounding box of every
 /// other surface.
-pub fn boxes(overlays: &Overlays, scene: &Snapshot, stage: &Stage, sketch: &mut Sketch) {
+pub fn boxes(overlays: &Overlays, scene: &Snapshot, draw_list: &DrawList, sketch: &mut Sketch) {
     let stroke = |level: u32, hidden: f32| {
         let [r, g, b] = Colormap::Turbo.color(0.12 + 0.8 * (f64::from(level) / LEVELS).min(1.0));
         Stroke { color: [r, g, b, 220], width: 0.75 * overlays.line_width, hidden }
@@ -27,7 +27,7 @@ pub fn boxes(overlays: &Overlays, scene: &Snapshot, stage: &Stage, sketch: &mut 
             sketch.cuboid(&world_from_entity, &min, &max, &stroke(level, 0.15));
         }
     }
-    for item in stage.items() {
+    for item in draw_list.items() {
         if scene.get::<BoundingVolumeTree>(item.entity).is_some() {
             continue;
         }

@@ -9,7 +9,7 @@ use trocar_scene::{
 
 use super::sketch::{Spot, Stroke};
 use super::{Legend, Overlays, Seen};
-use crate::draw_list::{Item, Part, Stage};
+use crate::draw_list::{DrawList, Item, Part};
 
 /// Colour of contacts.
 pub const CONTACT: [u8; 4] = [240, 20, 16, 255];
@@ -32,11 +32,11 @@ fn contacts(scene: &Snapshot) -> impl Iterator<Item = &Collision> {
 }
 
 /// Colours contact areas: the triangles that a detector names, or a spot where it names none.
-pub fn touching(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mut Seen) {
+pub fn touching(overlays: &Overlays, scene: &Snapshot, draw_list: &DrawList, seen: &mut Seen) {
     let mut filled = BTreeSet::new();
     for contact in contacts(scene) {
         for (entity, primitive) in [(contact.a, contact.primitive_a), (contact.b, contact.primitive_b)] {
-            let mut marker = Marker { overlays, scene, stage, seen, filled: &mut filled };
+            let mut marker = Marker { overlays, scene, draw_list, seen, filled: &mut filled };
             marker.mark(entity, primitive, contact.middle_in_world());
         }
     }
@@ -46,7 +46,7 @@ pub fn touching(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mut
 struct Marker<'a> {
     overlays: &'a Overlays,
     scene: &'a Snapshot,
-    stage: &'a Stage,
+    draw_list: &'a DrawList,
     seen: &'a mut Seen,
     filled: &'a mut BTreeSet<(Entity, u8, u32)>,
 }
@@ -99,7 +99,7 @@ impl Marker<'_> {
 
     /// Corners of a drawn triangle, in world.
     fn triangle(&self, entity: Entity, index: u32) -> Option<[Point3<f64>; 3]> {
-        let (_, item) = of(self.stage, entity).find(|(_, item)| item.part == Part::Whole)?;
+        let (_, item) = of(self.draw_list, entity).find(|(_, item)| item.part == Part::Whole)?;
         let geometry = &item.surface.geometry;
         // Triangles with invalid vertices are not drawn, which shifts the indices of later ones.
         let place = match self.scene.get::<SurfaceMesh>(entity) {
@@ -131,15 +131,15 @@ impl Marker<'_> {
 
     fn spot(&mut self, entity: Entity, is: impl Fn(Part) -> bool, centre: Point3<f64>) {
         let radius = self.overlays.spot_radius;
-        for (item, _) in of(self.stage, entity).filter(|(_, item)| is(item.part)) {
+        for (item, _) in of(self.draw_list, entity).filter(|(_, item)| is(item.part)) {
             self.seen.sketch.spot(Spot { item, centre, radius });
         }
     }
 }
 
-/// Items of an entity, with their indices in the stage's list.
-fn of(stage: &Stage, entity: Entity) -> impl Iterator<Item = (usize, &Item)> {
-    let items = stage.items();
+/// Items of an entity, with their indices in the draw list.
+fn of(draw_list: &DrawList, entity: Entity) -> impl Iterator<Item = (usize, &Item)> {
+    let items = draw_list.items();
     let first = items.partition_point(|item| item.entity < entity);
     items.iter().enumerate().skip(first).take_while(move |(_, item)| item.entity == entity)
 }

@@ -6,7 +6,7 @@ use trocar_scene::{Burn, ScalarField, ScalarFields, Snapshot, Temperature};
 
 use super::{Legend, Overlay, Overlays, Seen};
 use crate::colormap::Colormap;
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::edit_map::damage;
 
 /// The mapping from a vertex's value to the displayed value.
@@ -21,7 +21,7 @@ pub enum Measure {
 /// One number per vertex of an item.
 #[derive(Clone, Debug)]
 pub struct Field {
-    /// Index in the stage's list.
+    /// Index in the draw list.
     pub item: usize,
     /// One value per vertex of the entity.
     pub values: Arc<Vec<f64>>,
@@ -56,11 +56,17 @@ impl Field {
 
 /// Collects a field of the drawn entities. An entity shows one field at a time: the first of temperature, burn and
 /// field that it has.
-pub(super) fn field(overlay: Overlay, overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mut Seen) {
+pub(super) fn field(
+    overlay: Overlay,
+    overlays: &Overlays,
+    scene: &Snapshot,
+    draw_list: &DrawList,
+    seen: &mut Seen,
+) {
     match overlay {
         Overlay::Temperature => {
             let (range, colormap) = (ordered(overlays.celsius), Colormap::Inferno);
-            for (item, entity) in free(stage, seen) {
+            for (item, entity) in free(draw_list, seen) {
                 let Some(Temperature { celsius }) = scene.get(entity) else { continue };
                 let values = Arc::clone(celsius);
                 seen.fields.push(Field { item, values, measure: Measure::Value, range, colormap });
@@ -69,18 +75,18 @@ pub(super) fn field(overlay: Overlay, overlays: &Overlays, scene: &Snapshot, sta
         }
         Overlay::Burn => {
             let (range, colormap) = ([0.0, 100.0], Colormap::Viridis);
-            for (item, entity) in free(stage, seen) {
+            for (item, entity) in free(draw_list, seen) {
                 let Some(Burn { omega }) = scene.get(entity) else { continue };
                 let values = Arc::clone(omega);
                 seen.fields.push(Field { item, values, measure: Measure::Denatured, range, colormap });
             }
             seen.legends.push(Legend::scale("denatured protein", "%", range, colormap));
         }
-        _ => scalar_fields(overlays, scene, stage, seen),
+        _ => scalar_fields(overlays, scene, draw_list, seen),
     }
 }
 
-fn scalar_fields(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mut Seen) {
+fn scalar_fields(overlays: &Overlays, scene: &Snapshot, draw_list: &DrawList, seen: &mut Seen) {
     let picked = |fields: &'_ ScalarFields| -> Option<ScalarField> {
         match &overlays.field {
             Some(name) => fields.get(name).cloned(),
@@ -88,7 +94,7 @@ fn scalar_fields(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mu
         }
     };
     let mut shown: Vec<(usize, ScalarField)> = Vec::new();
-    for (item, entity) in free(stage, seen) {
+    for (item, entity) in free(draw_list, seen) {
         shown.extend(scene.get::<ScalarFields>(entity).and_then(picked).map(|field| (item, field)));
     }
     // Entities with the same quantity share its scale.
@@ -112,9 +118,9 @@ fn scalar_fields(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mu
 }
 
 /// Items without a field so far, with their entities.
-fn free(stage: &Stage, seen: &Seen) -> Vec<(usize, trocar_scene::Entity)> {
+fn free(draw_list: &DrawList, seen: &Seen) -> Vec<(usize, trocar_scene::Entity)> {
     let taken: Vec<usize> = seen.fields.iter().map(|field| field.item).collect();
-    let items = stage.items().iter().enumerate();
+    let items = draw_list.items().iter().enumerate();
     items.filter(|(item, _)| !taken.contains(item)).map(|(item, drawn)| (item, drawn.entity)).collect()
 }
 

@@ -21,7 +21,7 @@ use nalgebra::Point3;
 use thiserror::Error;
 use trocar_scene::{Name, Pose, Snapshot};
 
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 
 /// A kind of overlay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -250,17 +250,17 @@ const LABELS_MAX: usize = 256;
 const AXES_MAX: usize = 1024;
 
 /// Computes the overlays of a scene. `trails` has recorded the snapshots before.
-pub fn look(overlays: &Overlays, scene: &Snapshot, stage: &Stage, trails: &Trails) -> Seen {
+pub fn look(overlays: &Overlays, scene: &Snapshot, draw_list: &DrawList, trails: &Trails) -> Seen {
     let mut seen = Seen::default();
     for overlay in overlays.iter() {
         match overlay {
-            Overlay::Contacts => contacts::touching(overlays, scene, stage, &mut seen),
+            Overlay::Contacts => contacts::touching(overlays, scene, draw_list, &mut seen),
             Overlay::Normals => contacts::normals(overlays, scene, &mut seen),
             Overlay::Forces => contacts::forces(overlays, scene, &mut seen),
             Overlay::HandForces => forces::hands(overlays, scene, &mut seen),
             // Drawn from the surfaces that are on the device.
             Overlay::Wireframe => {}
-            Overlay::Boxes => boxes::boxes(overlays, scene, stage, &mut seen.sketch),
+            Overlay::Boxes => boxes::boxes(overlays, scene, draw_list, &mut seen.sketch),
             Overlay::Trails => trails.draw(overlays, &mut seen.sketch),
             Overlay::Axes => {
                 for (entity, _) in scene.iter::<Pose>().take(AXES_MAX) {
@@ -268,18 +268,18 @@ pub fn look(overlays: &Overlays, scene: &Snapshot, stage: &Stage, trails: &Trail
                     seen.sketch.axes(&world_from_entity, overlays.axis_length, overlays.line_width);
                 }
             }
-            Overlay::Names => label(scene, stage, &mut seen.labels),
+            Overlay::Names => label(scene, draw_list, &mut seen.labels),
             Overlay::Temperature | Overlay::Burn | Overlay::Field => {
-                fields::field(overlay, overlays, scene, stage, &mut seen);
+                fields::field(overlay, overlays, scene, draw_list, &mut seen);
             }
         }
     }
     seen
 }
 
-fn label(scene: &Snapshot, stage: &Stage, labels: &mut Vec<(Point3<f64>, String)>) {
+fn label(scene: &Snapshot, draw_list: &DrawList, labels: &mut Vec<(Point3<f64>, String)>) {
     let mut last = None;
-    for item in stage.items() {
+    for item in draw_list.items() {
         if last == Some(item.entity) || labels.len() >= LABELS_MAX {
             continue;
         }

@@ -44,7 +44,7 @@ pub struct Corner {
 /// A coloured part of an item's surface: its intersection with a ball.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spot {
-    /// Index in the stage's list.
+    /// Index in the draw list.
     pub item: usize,
     /// Centre of the ball, in world \[m\].
     pub centre: Point3<f64>,

@@ -1,5 +1,6 @@
 //! The renderer: from a snapshot to a frame.
 
+mod culling;
 mod frames;
 mod items;
 mod overlays;
@@ -7,7 +8,6 @@ mod particles;
 mod probe;
 mod scratch;
 mod shadows;
-mod sight;
 
 use std::path::PathBuf;
 
@@ -15,11 +15,11 @@ use trocar_scene::{Revision, Snapshot, VisualMaterial};
 
 use self::frames::{Frames, Lighting};
 use self::items::{Draw, Items, Style};
-use self::overlays::{Below, Layer};
-use self::particles::{Loose, Over};
+use self::overlays::{OverlayLayer, SceneBelow};
+use self::particles::{ParticleLayer, ParticleTargets};
 use self::scratch::Scratches;
 use self::shadows::Shadows;
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::gpu::Gpu;
 use crate::gpu::composite::{Composite, Seen};
 use crate::gpu::edits::Edits;
@@ -50,7 +50,7 @@ struct Canvas<'a> {
 
 /// Draws scenes. Data on the device is kept from frame to frame; only changes are uploaded.
 pub struct Renderer {
-    stage: Stage,
+    draw_list: DrawList,
     copies: SurfaceCopies,
     materials: Materials,
     edits: Edits,
@@ -60,8 +60,8 @@ pub struct Renderer {
     frames: Frames,
     scratches: Scratches,
     shadows: Shadows,
-    loose: Loose,
-    layer: Layer,
+    particle_layer: ParticleLayer,
+    overlay_layer: OverlayLayer,
     /// The overlays.
     pub overlays: Overlays,
     shown: Option<Shown>,
@@ -87,7 +87,7 @@ impl Renderer {
         let passes = Passes::new(gpu, &materials.layout);
         let items = Items::new(gpu, &passes);
         Self {
-            stage: Stage::new(),
+            draw_list: DrawList::new(),
             copies: SurfaceCopies::default(),
             materials,
             edits: Edits::default(),
@@ -97,16 +97,16 @@ impl Renderer {
             frames: Frames::default(),
             scratches: Scratches::default(),
             shadows: Shadows::default(),
-            loose: Loose::default(),
-            layer: Layer::default(),
+            particle_layer: ParticleLayer::default(),
+            overlay_layer: OverlayLayer::default(),
             overlays: Overlays::default(),
             shown: None,
         }
     }
 
     /// The drawn items.
-    pub fn stage(&self) -> &Stage {
-        &self.stage
+    pub fn draw_list(&self) -> &DrawList {
+        &self.draw_list
     }
 
     /// Texels of edit maps uploaded since the start.
@@ -121,38 +121,38 @@ impl Renderer {
 
     /// Bytes of overlays uploaded since the start.
     pub fn overlay_bytes_sent(&self) -> u64 {
-        self.layer.bytes_sent()
+        self.overlay_layer.bytes_sent()
     }
 
     /// Bytes of smoke and fluids uploaded since the start.
     pub fn particle_bytes_sent(&self) -> u64 {
-        self.loose.bytes_sent()
+        self.particle_layer.bytes_sent()
     }
 
     /// Full-picture passes for smoke and fluids since the start.
     pub fn particle_passes(&self) -> u64 {
-        self.loose.passes()
+        self.particle_layer.passes()
     }
 
     /// The legends of the overlays.
     pub fn legends(&self) -> &[Legend] {
-        self.layer.legends()
+        self.overlay_layer.legends()
     }
 
     /// Records a snapshot for overlays of the past such as trails; for callers that look more often than they draw.
     pub fn watch(&mut self, scene: &Snapshot) {
-        self.layer.watch(&self.overlays, scene);
+        self.overlay_layer.watch(&self.overlays, scene);
     }
 
     /// Follows the scene to this snapshot and uploads changes.
     pub fn update(&mut self, gpu: &Gpu, scene: &Snapshot) {
-        let anew = self.stage.update(scene);
+        let anew = self.draw_list.update(scene);
         if anew {
             self.send(gpu, scene);
         }
-        self.loose.follow(gpu, scene, &self.passes);
-        let Self { layer, overlays, stage, copies, passes, .. } = self;
-        layer.follow(gpu, overlays, scene, &Below { stage, copies, passes, anew });
+        self.particle_layer.follow(gpu, scene, &self.passes);
+        let Self { overlay_layer, overlays, draw_list, copies, passes, .. } = self;
+        overlay_layer.follow(gpu, overlays, scene, &SceneBelow { draw_list, copies, passes, anew });
     }
 
     fn send(&mut self, gpu: &Gpu, scene: &Snapshot) {
@@ -162,7 +162,7 @@ impl Renderer {
         };
         self.edits.update(gpu, scene, base);
         self.items.clear();
-        for item in self.stage.items() {
+        for item in self.draw_list.items() {
             self.copies.send(gpu, &item.surface);
             let edit = self.edits.get(item.entity);
             let number = edit.map(|(number, _)| number);
@@ -251,7 +251,7 @@ impl Renderer {
         for (index, shot) in shots.iter().enumerate() {
             let pixels = shot.pane.pixels(size);
             let mut lights = lights::shining(scene, &shot.centre);
-            let exposure = lights::exposure(&lights, &sight::focus(&self.items.draws, &shot.centre));
+            let exposure = lights::exposure(&lights, &culling::focus(&self.items.draws, &shot.centre));
             if throw {
                 // Lights with shadows first, in the order of their layers.
                 lights.sort_by_key(|light| light.shadow.map_or(usize::MAX, |(layer, _)| layer));
@@ -270,7 +270,7 @@ impl Renderer {
                     true => [pixels[2], pixels[3]],
                     false => [pixels[2], pixels[3]].map(|side| scaled(side, scale)),
                 };
-                self.layer.prepare(gpu, eyes, eye, own, (format, quality.samples));
+                self.overlay_layer.prepare(gpu, eyes, eye, own, (format, quality.samples));
                 if straight {
                     let canvas = Canvas { into: &into, size, pane: pixels, clear: index == 0 };
                     self.draw_eye(gpu, &mut encoder, eyes, eye, &style, &canvas);
@@ -294,7 +294,7 @@ impl Renderer {
                 }
             }
         }
-        self.layer.annotate(gpu, &mut encoder, &self.overlays, (&into, format), size, &shots);
+        self.overlay_layer.annotate(gpu, &mut encoder, &self.overlays, (&into, format), size, &shots);
         gpu.queue.submit([encoder.finish()]);
     }
 
@@ -311,7 +311,7 @@ impl Renderer {
         // Pixels per metre at a depth of a metre.
         let scale = f64::from(pane[3]) / (2.0 * (0.5 * view.lens.field_of_view).tan());
         let mut pipelines = Vec::with_capacity(self.items.draws.len());
-        for (index, nearest) in sight::order(&self.items.draws, view) {
+        for (index, nearest) in culling::order(&self.items.draws, view) {
             let key = self.items.draws[index].key(style, scale / nearest);
             let materials = &self.materials;
             pipelines.push((index, self.passes.surface(gpu, &key, |shader| materials.source(shader))));
@@ -325,7 +325,7 @@ impl Renderer {
         };
         // Smoke and fluids need the depth of solid surfaces, so they have passes of their own, the last of which
         // resolves.
-        let over = (!self.loose.is_empty()).then(|| Over {
+        let over = (!self.particle_layer.is_empty()).then(|| ParticleTargets {
             drawn: drawn.clone(),
             resolved: resolved.cloned(),
             depth: scratch.depth.clone(),
@@ -361,7 +361,7 @@ impl Renderer {
             return;
         }
         let kind = (style.format, style.quality.samples);
-        self.layer.draw(&mut pass, index, kind, &self.stage, &self.copies, &self.items.group);
+        self.overlay_layer.draw(&mut pass, index, kind, &self.draw_list, &self.copies, &self.items.group);
     }
 
     /// Draws an item with the first of its vertex buffers: positions, normals, texture coordinates.

@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use trocar_scene::Snapshot;
 
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::gpu::Gpu;
 use crate::gpu::annotate::{Annotator, Note};
 use crate::gpu::overlay::OverlayPass;
@@ -14,8 +14,8 @@ use crate::overlay::{self, Legend, Overlay, Overlays, Seen, Trails};
 use crate::view::View;
 
 /// The scene below the overlays.
-pub(super) struct Below<'a> {
-    pub(super) stage: &'a Stage,
+pub(super) struct SceneBelow<'a> {
+    pub(super) draw_list: &'a DrawList,
     pub(super) copies: &'a SurfaceCopies,
     pub(super) passes: &'a Passes,
     /// Whether it has changed since the last frame.
@@ -24,7 +24,7 @@ pub(super) struct Below<'a> {
 
 /// Empty until an overlay is shown.
 #[derive(Default)]
-pub(super) struct Layer {
+pub(super) struct OverlayLayer {
     trails: Trails,
     /// The computed overlays, and their settings.
     seen: Option<(Overlays, Seen)>,
@@ -32,7 +32,7 @@ pub(super) struct Layer {
     annotator: Option<Annotator>,
 }
 
-impl Layer {
+impl OverlayLayer {
     pub(super) fn bytes_sent(&self) -> u64 {
         self.pass.as_ref().map_or(0, |pass| pass.bytes_sent)
     }
@@ -51,8 +51,14 @@ impl Layer {
     }
 
     /// Recomputes the overlays if the scene or their settings changed.
-    pub(super) fn follow(&mut self, gpu: &Gpu, overlays: &Overlays, scene: &Snapshot, below: &Below<'_>) {
-        let Below { stage, copies, passes, anew } = *below;
+    pub(super) fn follow(
+        &mut self,
+        gpu: &Gpu,
+        overlays: &Overlays,
+        scene: &Snapshot,
+        below: &SceneBelow<'_>,
+    ) {
+        let SceneBelow { draw_list, copies, passes, anew } = *below;
         self.watch(overlays, scene);
         if overlays.is_empty() {
             self.seen = None;
@@ -61,9 +67,9 @@ impl Layer {
         if !anew && self.seen.as_ref().is_some_and(|(before, _)| before == overlays) {
             return;
         }
-        let seen = overlay::look(overlays, scene, stage, &self.trails);
+        let seen = overlay::look(overlays, scene, draw_list, &self.trails);
         let pass = self.pass.get_or_insert_with(|| OverlayPass::new(gpu, &passes.items_layout));
-        pass.send(gpu, overlays, &seen, stage, copies);
+        pass.send(gpu, overlays, &seen, draw_list, copies);
         self.seen = Some((overlays.clone(), seen));
     }
 
@@ -85,12 +91,12 @@ impl Layer {
         pass: &mut wgpu::RenderPass<'_>,
         eye: usize,
         kind: (wgpu::TextureFormat, u32),
-        stage: &Stage,
+        draw_list: &DrawList,
         copies: &SurfaceCopies,
         items: &wgpu::BindGroup,
     ) {
         if let (Some(_), Some(own)) = (&self.seen, &self.pass) {
-            own.draw(pass, eye, kind, stage, copies, items);
+            own.draw(pass, eye, kind, draw_list, copies, items);
         }
     }
 

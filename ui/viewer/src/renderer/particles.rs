@@ -5,7 +5,7 @@ use trocar_scene::{Entity, ParticleKind, Snapshot};
 use crate::gpu::Gpu;
 use crate::gpu::particles::fluid::{FluidPass, Scene};
 use crate::gpu::particles::smoke::SmokePass;
-use crate::gpu::particles::{Care, ParticleCopies, ROUNDS, SightOf};
+use crate::gpu::particles::{EyeView, ParticleCopies, ParticleQuality, ROUNDS};
 use crate::gpu::passes::Passes;
 use crate::particles::Swarm;
 use crate::quality::Quality;
@@ -14,7 +14,7 @@ use crate::renderer::{Canvas, Renderer};
 use crate::view::View;
 
 /// The render targets for smoke and fluids of one eye.
-pub(super) struct Over {
+pub(super) struct ParticleTargets {
     /// The multisampled colour target.
     pub(super) drawn: wgpu::TextureView,
     /// The resolve target, with several samples per pixel.
@@ -25,7 +25,7 @@ pub(super) struct Over {
 
 /// Empty until a scene has particles.
 #[derive(Default)]
-pub(super) struct Loose {
+pub(super) struct ParticleLayer {
     swarm: Swarm,
     copies: Option<ParticleCopies>,
     smoke: Option<SmokePass>,
@@ -34,7 +34,7 @@ pub(super) struct Loose {
     passes: u64,
 }
 
-impl Loose {
+impl ParticleLayer {
     pub(super) fn passes(&self) -> u64 {
         self.passes
     }
@@ -78,10 +78,10 @@ impl Loose {
         if let (true, Some(copies), Some(fluid)) =
             (self.swarm.has(ParticleKind::Fluid), &mut self.copies, &mut self.fluid)
         {
-            let care = Care::of(Quality::FULL);
+            let quality = ParticleQuality::of(Quality::FULL);
             let pane = [0, 0, size[0], size[1]];
-            let sight = SightOf { view, pane, care, lights: 0, shadows: 0, first_number };
-            copies.set_sight(gpu, 0, &self.swarm, &sight);
+            let eye_view = EyeView { view, pane, quality, lights: 0, shadows: 0, first_number };
+            copies.set_eye(gpu, 0, &self.swarm, &eye_view);
             fluid.measure(gpu, encoder, (copies, &passes.frame_layout), frame, size, textures);
             self.passes += 2 + 2 * ROUNDS as u64;
         }
@@ -98,34 +98,34 @@ impl Renderer {
         (eye, view): (usize, &View),
         style: &Style,
         canvas: &Canvas<'_>,
-        over: &Over,
+        over: &ParticleTargets,
     ) {
         let (pane, kind) = (canvas.pane, (style.format, style.quality.samples));
         let frame_layout = &self.passes.frame_layout;
         let frame = self.frames.eye(eye);
-        let loose = &mut self.loose;
-        let Some(copies) = &mut loose.copies else { return };
-        let care = Care::of(style.quality);
+        let particle_layer = &mut self.particle_layer;
+        let Some(copies) = &mut particle_layer.copies else { return };
+        let quality = ParticleQuality::of(style.quality);
         let (lights, shadows) = (style.lights, style.shadows);
-        let sight = SightOf { view, pane, care, lights, shadows, first_number: 0 };
-        copies.set_sight(gpu, eye, &loose.swarm, &sight);
+        let eye_view = EyeView { view, pane, quality, lights, shadows, first_number: 0 };
+        copies.set_eye(gpu, eye, &particle_layer.swarm, &eye_view);
         if let (Some(bounds), Some(fluid)) =
-            (loose.swarm.fluid_bounds(view, [pane[2], pane[3]]), &mut loose.fluid)
+            (particle_layer.swarm.fluid_bounds(view, [pane[2], pane[3]]), &mut particle_layer.fluid)
         {
             let (color, depth) = (&over.drawn, &over.depth);
-            let scene = Scene { frame, color, depth, pane, bounds, kind, care };
-            loose.passes += fluid.draw(gpu, encoder, (copies, frame_layout), eye, &scene);
+            let scene = Scene { frame, color, depth, pane, bounds, kind, quality };
+            particle_layer.passes += fluid.draw(gpu, encoder, (copies, frame_layout), eye, &scene);
         }
-        let has_smoke = loose.swarm.has(ParticleKind::Smoke);
+        let has_smoke = particle_layer.swarm.has(ParticleKind::Smoke);
         let mut apart = None;
-        if let (true, Some(smoke)) = (has_smoke, &mut loose.smoke) {
-            let pixels = care.smoke_pixels;
+        if let (true, Some(smoke)) = (has_smoke, &mut particle_layer.smoke) {
+            let pixels = quality.smoke_pixels;
             let over = (kind, &over.depth, pixels);
-            smoke.prepare(gpu, (copies, frame_layout), &loose.swarm, eye, view, over);
+            smoke.prepare(gpu, (copies, frame_layout), &particle_layer.swarm, eye, view, over);
             if pixels > 1 {
-                let (groups, side) = ((frame, copies.sight(eye)), [pane[2], pane[3]]);
+                let (groups, side) = ((frame, copies.eye_group(eye)), [pane[2], pane[3]]);
                 apart = smoke.draw_apart(gpu, encoder, groups, eye, kind.1, (side, pixels));
-                loose.passes += 1;
+                particle_layer.passes += 1;
             }
         }
         let attachment = wgpu::RenderPassColorAttachment {
@@ -143,15 +143,15 @@ impl Renderer {
             depth_stencil_attachment: Some(depth),
             ..Default::default()
         });
-        loose.passes += 1;
+        particle_layer.passes += 1;
         let [x, y, width, height] = pane.map(|pixels| pixels as f32);
         pass.set_viewport(x, y, width, height, 0.0, 1.0);
         pass.set_scissor_rect(pane[0], pane[1], pane[2], pane[3]);
-        if let (true, Some(smoke)) = (has_smoke, &loose.smoke) {
+        if let (true, Some(smoke)) = (has_smoke, &particle_layer.smoke) {
             pass.set_bind_group(0, frame, &[]);
-            pass.set_bind_group(1, copies.sight(eye), &[]);
+            pass.set_bind_group(1, copies.eye_group(eye), &[]);
             smoke.draw(&mut pass, eye, kind, apart);
         }
-        self.layer.draw(&mut pass, eye, kind, &self.stage, &self.copies, &self.items.group);
+        self.overlay_layer.draw(&mut pass, eye, kind, &self.draw_list, &self.copies, &self.items.group);
     }
 }

@@ -57,7 +57,14 @@ impl Renderer {
         let first_number = entities.len() as u32 + 1;
         let frame = (&self.passes, self.frames.eye(0));
         let textures = [&views[0], &views[1], &depth];
-        entities.extend(self.loose.measure(gpu, &mut encoder, frame, (view, size), first_number, textures));
+        entities.extend(self.particle_layer.measure(
+            gpu,
+            &mut encoder,
+            frame,
+            (view, size),
+            first_number,
+            textures,
+        ));
         gpu.queue.submit([encoder.finish()]);
         let floats = targets::read(gpu, &metres)?;
         let whole = targets::read(gpu, &numbers)?;

@@ -58,7 +58,7 @@ impl Canvas {
 }
 
 /// Computes a texture's values at a point of the unit square.
-pub(super) type Painter = Box<dyn Fn(f32, f32) -> Texel>;
+pub(super) type TexelPainter = Box<dyn Fn(f32, f32) -> Texel>;
 
 /// The recipe of a texture.
 pub(super) struct Recipe {
@@ -69,7 +69,7 @@ pub(super) struct Recipe {
     pub relief: f32,
     /// Smallest size at which its details are drawn; smaller ones are downsampled from it.
     pub drawn_min: u32,
-    pub painter: fn(&Canvas) -> Painter,
+    pub painter: fn(&Canvas) -> TexelPainter,
 }
 
 impl Recipe {

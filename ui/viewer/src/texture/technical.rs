@@ -3,13 +3,13 @@
 //! Plastic, rubber, board and the metals are neutral, so that the material's base colour tints them.
 
 use super::noise::{Fbm, Perlin, Worley, lerp, mix, smoothstep, wrap};
-use super::recipe::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Recipe, Texel, TexelPainter};
 
 /// Open-celled polyurethane foam as in box trainers.
 pub(super) const FOAM: Recipe =
     Recipe { name: "foam", tile: 0.03, relief: 0.0008, drawn_min: 256, painter: foam };
 
-fn foam(canvas: &Canvas) -> Painter {
+fn foam(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let warp = [
         Fbm::field(canvas.seed(1), [10, 10], 2, 0.5, size),
@@ -45,7 +45,7 @@ fn foam(canvas: &Canvas) -> Painter {
 pub(super) const BRUSHED_METAL: Recipe =
     Recipe { name: "brushed_metal", tile: 0.03, relief: 0.00006, drawn_min: 256, painter: brushed_metal };
 
-fn brushed_metal(canvas: &Canvas) -> Painter {
+fn brushed_metal(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let streaks = Fbm::field(canvas.seed(1), [2, 60], 4, 0.75, size);
     let long = Perlin::new(canvas.seed(2), [1, 127]);
@@ -68,7 +68,7 @@ fn brushed_metal(canvas: &Canvas) -> Painter {
 pub(super) const STEEL: Recipe =
     Recipe { name: "steel", tile: 0.03, relief: 0.00002, drawn_min: 256, painter: steel };
 
-fn steel(canvas: &Canvas) -> Painter {
+fn steel(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let smear = Fbm::field(canvas.seed(1), [3, 3], 6, 0.55, size);
     let scratches = [Perlin::new(canvas.seed(2), [3, 61]), Perlin::new(canvas.seed(3), [2, 53])];
@@ -94,7 +94,7 @@ fn steel(canvas: &Canvas) -> Painter {
 pub(super) const PLASTIC: Recipe =
     Recipe { name: "plastic", tile: 0.02, relief: 0.00005, drawn_min: 256, painter: plastic };
 
-fn plastic(canvas: &Canvas) -> Painter {
+fn plastic(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let peel = Fbm::field(canvas.seed(1), [34, 34], 3, 0.45, size);
     let tone = Fbm::field(canvas.seed(2), [3, 3], 4, 0.5, size);
@@ -119,7 +119,7 @@ fn plastic(canvas: &Canvas) -> Painter {
 pub(super) const RUBBER: Recipe =
     Recipe { name: "rubber", tile: 0.02, relief: 0.00014, drawn_min: 256, painter: rubber };
 
-fn rubber(canvas: &Canvas) -> Painter {
+fn rubber(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let grain = Fbm::field(canvas.seed(1), [52, 52], 3, 0.65, size);
     let tone = Fbm::field(canvas.seed(2), [4, 4], 5, 0.55, size);
@@ -144,7 +144,7 @@ fn rubber(canvas: &Canvas) -> Painter {
 pub(super) const BOARD: Recipe =
     Recipe { name: "board", tile: 0.03, relief: 0.00003, drawn_min: 256, painter: board };
 
-fn board(canvas: &Canvas) -> Painter {
+fn board(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let warp = [
         Fbm::field(canvas.seed(1), [14, 14], 2, 0.5, size),
@@ -173,7 +173,7 @@ fn board(canvas: &Canvas) -> Painter {
 pub(super) const CHECKER: Recipe =
     Recipe { name: "checker", tile: 0.08, relief: 0.0, drawn_min: 64, painter: checker };
 
-fn checker(_: &Canvas) -> Painter {
+fn checker(_: &Canvas) -> TexelPainter {
     Box::new(|u, v| {
         let odd = ((wrap(u) * 8.0) as u32 + (wrap(v) * 8.0) as u32) % 2 == 1;
         Texel {

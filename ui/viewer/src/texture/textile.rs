@@ -1,13 +1,13 @@
 //! Textiles: gauze, drapes, sutures.
 
 use super::noise::{Fbm, Field, Perlin, lerp, mix, smoothstep, wave, wrap};
-use super::recipe::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Recipe, Texel, TexelPainter};
 
 /// Open plain weave of cotton; transparent between the threads.
 pub(super) const GAUZE: Recipe =
     Recipe { name: "gauze", tile: 0.03, relief: 0.0006, drawn_min: 256, painter: gauze };
 
-fn gauze(canvas: &Canvas) -> Painter {
+fn gauze(canvas: &Canvas) -> TexelPainter {
     let weave = Weave::new(canvas, 24.0);
     Box::new(move |u, v| weave.at(u, v))
 }
@@ -16,7 +16,7 @@ fn gauze(canvas: &Canvas) -> Painter {
 pub(super) const INK_CIRCLE: Recipe =
     Recipe { name: "ink_circle", tile: 0.1, relief: 0.0006, drawn_min: 512, painter: ink_circle };
 
-fn ink_circle(canvas: &Canvas) -> Painter {
+fn ink_circle(canvas: &Canvas) -> TexelPainter {
     let weave = Weave::new(canvas, 72.0);
     let texel = 1.0 / canvas.size as f32;
     let bleed = Fbm::field(canvas.seed(11), [20, 20], 4, 0.6, canvas.size);
@@ -102,7 +102,7 @@ impl Weave {
 pub(super) const DRAPE: Recipe =
     Recipe { name: "drape", tile: 0.08, relief: 0.0022, drawn_min: 256, painter: drape };
 
-fn drape(canvas: &Canvas) -> Painter {
+fn drape(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let fibres = [
         Fbm::field(canvas.seed(1), [18, 90], 3, 0.6, size),
@@ -140,7 +140,7 @@ fn drape(canvas: &Canvas) -> Painter {
 pub(super) const SUTURE: Recipe =
     Recipe { name: "suture", tile: 0.001, relief: 0.00006, drawn_min: 128, painter: suture };
 
-fn suture(canvas: &Canvas) -> Painter {
+fn suture(canvas: &Canvas) -> TexelPainter {
     let fuzz = Fbm::field(canvas.seed(1), [24, 24], 3, 0.6, canvas.size);
     let strands = Fbm::field(canvas.seed(2), [16, 16], 2, 0.5, canvas.size);
     Box::new(move |u, v| {

@@ -1,7 +1,7 @@
 //! Solid tissues: liver, fat, muscle, skin; and blood.
 
 use super::noise::{Fbm, Perlin, Worley, lerp, mix, smoothstep};
-use super::recipe::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Recipe, Texel, TexelPainter};
 use super::vessels::{Growth, VesselTree};
 
 /// Deep red-brown under a glistening capsule, mottled, with lobules of one to two millimetres: darker around
@@ -9,7 +9,7 @@ use super::vessels::{Growth, VesselTree};
 pub(super) const LIVER: Recipe =
     Recipe { name: "liver", tile: 0.045, relief: 0.0014, drawn_min: 256, painter: liver };
 
-fn liver(canvas: &Canvas) -> Painter {
+fn liver(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let mottle = Fbm::field(canvas.seed(1), [3, 3], 6, 0.55, size);
     let swell = Fbm::field(canvas.seed(2), [2, 2], 3, 0.4, size);
@@ -43,7 +43,7 @@ fn liver(canvas: &Canvas) -> Painter {
 pub(super) const FAT: Recipe =
     Recipe { name: "fat", tile: 0.04, relief: 0.0019, drawn_min: 256, painter: fat };
 
-fn fat(canvas: &Canvas) -> Painter {
+fn fat(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let canvas = *canvas;
     let warp =
@@ -96,7 +96,7 @@ fn fat(canvas: &Canvas) -> Painter {
 pub(super) const MUSCLE: Recipe =
     Recipe { name: "muscle", tile: 0.035, relief: 0.0009, drawn_min: 256, painter: muscle };
 
-fn muscle(canvas: &Canvas) -> Painter {
+fn muscle(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let bend = Fbm::field(canvas.seed(1), [2, 3], 3, 0.45, size);
     let bundles = Worley::new(canvas.seed(2), [3, 13], 0.35);
@@ -131,7 +131,7 @@ fn muscle(canvas: &Canvas) -> Painter {
 pub(super) const SKIN: Recipe =
     Recipe { name: "skin", tile: 0.02, relief: 0.00007, drawn_min: 256, painter: skin };
 
-fn skin(canvas: &Canvas) -> Painter {
+fn skin(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let warp =
         [Fbm::field(canvas.seed(1), [9, 9], 3, 0.5, size), Fbm::field(canvas.seed(2), [9, 9], 3, 0.5, size)];
@@ -167,7 +167,7 @@ fn skin(canvas: &Canvas) -> Painter {
 pub(super) const BLOOD: Recipe =
     Recipe { name: "blood", tile: 0.04, relief: 0.0008, drawn_min: 128, painter: blood };
 
-fn blood(canvas: &Canvas) -> Painter {
+fn blood(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let depth = Fbm::field(canvas.seed(1), [3, 3], 5, 0.5, size);
     let clots = Fbm::field(canvas.seed(2), [6, 6], 4, 0.45, size);

@@ -1,7 +1,7 @@
 //! Hollow organs and the membranes around them: peritoneum, stomach, bowel, gallbladder.
 
 use super::noise::{Fbm, Worley, lerp, mix, smoothstep};
-use super::recipe::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Recipe, Texel, TexelPainter};
 use super::vessels::{Growth, VesselTree};
 
 /// Blends a vessel over a colour: a fine edge in the wall's own shade, then the vessel's colour.
@@ -13,7 +13,7 @@ fn with_vessel(color: [f32; 3], vessel: f32, shade: [f32; 3], strength: f32) -> 
 pub(super) const PERITONEUM: Recipe =
     Recipe { name: "peritoneum", tile: 0.05, relief: 0.001, drawn_min: 256, painter: peritoneum };
 
-fn peritoneum(canvas: &Canvas) -> Painter {
+fn peritoneum(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let canvas = *canvas;
     let tone = Fbm::field(canvas.seed(1), [3, 3], 5, 0.5, size);
@@ -73,7 +73,7 @@ fn peritoneum(canvas: &Canvas) -> Painter {
 pub(super) const STOMACH: Recipe =
     Recipe { name: "stomach", tile: 0.06, relief: 0.005, drawn_min: 256, painter: stomach };
 
-fn stomach(canvas: &Canvas) -> Painter {
+fn stomach(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let course = Fbm::field(canvas.seed(1), [2, 3], 3, 0.5, size);
     let ridges = Fbm::new(canvas.seed(2), [2, 6], 2, 0.22, size);
@@ -113,7 +113,7 @@ fn stomach(canvas: &Canvas) -> Painter {
 pub(super) const BOWEL: Recipe =
     Recipe { name: "bowel", tile: 0.05, relief: 0.0012, drawn_min: 256, painter: bowel };
 
-fn bowel(canvas: &Canvas) -> Painter {
+fn bowel(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let canvas = *canvas;
     let tone = Fbm::field(canvas.seed(1), [3, 3], 5, 0.5, size);
@@ -159,7 +159,7 @@ fn bowel(canvas: &Canvas) -> Painter {
 pub(super) const GALLBLADDER: Recipe =
     Recipe { name: "gallbladder", tile: 0.04, relief: 0.001, drawn_min: 256, painter: gallbladder };
 
-fn gallbladder(canvas: &Canvas) -> Painter {
+fn gallbladder(canvas: &Canvas) -> TexelPainter {
     let size = canvas.size;
     let canvas = *canvas;
     let tone = Fbm::field(canvas.seed(1), [3, 3], 6, 0.55, size);

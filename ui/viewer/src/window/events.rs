@@ -16,11 +16,11 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy}
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{CursorGrabMode, Window, WindowId};
 
+use super::health::ViewerHealth;
 use super::keys;
-use super::lifecycle::{self, Address, Mail, Opening, Trouble};
-use super::soundness::Soundness;
+use super::lifecycle::{self, ViewerFault, WindowHandle, WindowMessage, WindowSettings};
 use super::subject::{Player, Subject};
-use super::view_state::{Choice, Eyes, Look};
+use super::view_state::{Choice, Look, StereoLayout};
 use crate::layout::Stereo;
 use crate::overlay::Overlays;
 use crate::quality::Quality;
@@ -31,7 +31,7 @@ const HAND_PERIOD: Duration = Duration::from_millis(8);
 const WINDOWS_MAX: usize = 16;
 
 /// Messages to the event loop from windows, and from the program that opened them.
-pub enum Told {
+pub enum LoopMessage {
     /// Opens another window with these settings.
     Open(Vec<Box<dyn Subject>>, Choice),
     /// A window's actor has ended, with the reason if it was not asked to.
@@ -39,7 +39,7 @@ pub enum Told {
     /// The player takes control of the instruments in this window.
     TakeHands(WindowId),
     /// Injects a fault into every window's viewer.
-    Trouble(Trouble),
+    ViewerFault(ViewerFault),
     /// Closes all windows.
     Quit,
 }
@@ -55,7 +55,7 @@ pub struct Options {
     /// Quality; `None`: chosen by the pacer.
     pub quality: Option<Quality>,
     /// Stereo layout.
-    pub eyes: Eyes,
+    pub eyes: StereoLayout,
     /// Distance and convergence of the eyes.
     pub stereo: Stereo,
     /// The overlays.
@@ -68,8 +68,8 @@ pub struct Options {
 
 /// The windows of a program. Only one instance can exist, on the program's first thread.
 pub struct Windows {
-    event_loop: EventLoop<Told>,
-    soundness: Arc<Soundness>,
+    event_loop: EventLoop<LoopMessage>,
+    health: Arc<ViewerHealth>,
 }
 
 impl Windows {
@@ -83,17 +83,17 @@ impl Windows {
             EventLoopError::Os(error) => format!("the display cannot be used: {error}"),
             error => error.to_string(),
         })?;
-        Ok(Self { event_loop, soundness: Arc::default() })
+        Ok(Self { event_loop, health: Arc::default() })
     }
 
     /// A sender of messages to the event loop.
-    pub fn proxy(&self) -> EventLoopProxy<Told> {
+    pub fn proxy(&self) -> EventLoopProxy<LoopMessage> {
         self.event_loop.create_proxy()
     }
 
     /// Health of the windows.
-    pub fn soundness(&self) -> Arc<Soundness> {
-        self.soundness.clone()
+    pub fn health(&self) -> Arc<ViewerHealth> {
+        self.health.clone()
     }
 
     /// Shows subjects until the last window is closed.
@@ -107,7 +107,7 @@ impl Windows {
             Err(cameras) => (!cameras.is_empty()).then_some(Look::Cameras(cameras)),
         };
         let player_help = options.player.as_ref().map_or_else(Vec::new, |player| player.help());
-        let mut house = House {
+        let mut house = WindowLoop {
             proxy,
             opening: Some((
                 options.subjects,
@@ -129,10 +129,10 @@ impl Windows {
             focused: false,
             last: Instant::now(),
             failed: None,
-            soundness: self.soundness,
+            health: self.health,
         };
         let ran = self.event_loop.run_app(&mut house);
-        house.windows.drain(..).for_each(Address::close);
+        house.windows.drain(..).for_each(WindowHandle::close);
         match (ran, house.failed) {
             (_, Some(why)) => Err(why),
             (Err(error), None) => Err(error.to_string()),
@@ -141,25 +141,25 @@ impl Windows {
     }
 }
 
-struct House {
-    proxy: EventLoopProxy<Told>,
+struct WindowLoop {
+    proxy: EventLoopProxy<LoopMessage>,
     opening: Option<(Vec<Box<dyn Subject>>, Choice)>,
     size: [f64; 2],
     player: Option<Box<dyn Player>>,
     player_help: Vec<(String, String)>,
     wants_hands: bool,
-    windows: Vec<Address>,
+    windows: Vec<WindowHandle>,
     /// The window in which the player controls the instruments.
     hands: Option<WindowId>,
     modifiers: Modifiers,
     focused: bool,
     last: Instant,
     failed: Option<String>,
-    soundness: Arc<Soundness>,
+    health: Arc<ViewerHealth>,
 }
 
-impl House {
-    fn find(&self, id: WindowId) -> Option<&Address> {
+impl WindowLoop {
+    fn find(&self, id: WindowId) -> Option<&WindowHandle> {
         self.windows.iter().find(|window| lifecycle::id(window) == id)
     }
 
@@ -173,12 +173,12 @@ impl House {
             .with_title(format!("{title} – Trocar"))
             .with_inner_size(LogicalSize::new(self.size[0], self.size[1]))
             .with_min_inner_size(LogicalSize::new(200.0, 150.0));
-        let opening = Opening {
+        let opening = WindowSettings {
             subjects,
             choice,
             hands: self.player.is_some(),
             player_help: self.player_help.clone(),
-            soundness: self.soundness.clone(),
+            health: self.health.clone(),
         };
         let opened = event_loop.create_window(attributes).map_err(|error| error.to_string());
         let started = opened.and_then(|window| {
@@ -205,7 +205,7 @@ impl House {
             tracing::debug!("the pointer is not held: {error}");
         }
         window.set_cursor_visible(false);
-        address.send(Mail::Hands(true));
+        address.send(WindowMessage::Hands(true));
         self.hands = Some(id);
         self.last = Instant::now();
     }
@@ -219,7 +219,7 @@ impl House {
             // A grab that cannot be released now is released when the window closes.
             let _ = address.window.set_cursor_grab(CursorGrabMode::None);
             address.window.set_cursor_visible(true);
-            address.send(Mail::Hands(false));
+            address.send(WindowMessage::Hands(false));
         }
     }
 
@@ -292,7 +292,7 @@ impl House {
     }
 }
 
-impl ApplicationHandler<Told> for House {
+impl ApplicationHandler<LoopMessage> for WindowLoop {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
         if let Some((subjects, choice)) = self.opening.take() {
             self.open(event_loop, subjects, choice);
@@ -304,10 +304,10 @@ impl ApplicationHandler<Told> for House {
         }
     }
 
-    fn user_event(&mut self, event_loop: &ActiveEventLoop, told: Told) {
+    fn user_event(&mut self, event_loop: &ActiveEventLoop, told: LoopMessage) {
         match told {
-            Told::Open(subjects, choice) => self.open(event_loop, subjects, choice),
-            Told::Closed(id, why) => {
+            LoopMessage::Open(subjects, choice) => self.open(event_loop, subjects, choice),
+            LoopMessage::Closed(id, why) => {
                 if self.hands == Some(id) {
                     self.give_back_hands();
                 }
@@ -324,11 +324,11 @@ impl ApplicationHandler<Told> for House {
                     event_loop.exit();
                 }
             }
-            Told::TakeHands(id) => self.take_hands(id),
-            Told::Trouble(trouble) => {
-                self.windows.iter().for_each(|window| window.send(Mail::Trouble(trouble)));
+            LoopMessage::TakeHands(id) => self.take_hands(id),
+            LoopMessage::ViewerFault(trouble) => {
+                self.windows.iter().for_each(|window| window.send(WindowMessage::ViewerFault(trouble)));
             }
-            Told::Quit => event_loop.exit(),
+            LoopMessage::Quit => event_loop.exit(),
         }
     }
 
@@ -344,8 +344,8 @@ impl ApplicationHandler<Told> for House {
         }
         let Some(address) = self.find(id) else { return };
         match event {
-            WindowEvent::CloseRequested => address.send(Mail::Close),
-            event => address.send(Mail::Event(event)),
+            WindowEvent::CloseRequested => address.send(WindowMessage::Close),
+            event => address.send(WindowMessage::Event(event)),
         }
     }
 

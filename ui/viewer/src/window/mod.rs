@@ -1,9 +1,9 @@
 //! Windows that show sessions and recordings.
 //!
 //! ```text
-//!                    ┌─ events ─▶ screen (a thread per window) ─▶ sights ─▶ Renderer ─▶ canvas ┐
-//!  event loop ───────┤                 │ panels ◀─ Standing                                   ├─▶ painter ─▶ pixels
-//!  (first thread)    │                 └ Ask ─▶ Subject                                       ┘
+//!                    ┌─ events ─▶ screen (a thread per window) ─▶ views  ─▶ Renderer ─▶ canvas ┐
+//!  event loop ───────┤                 │ panels ◀─ SubjectState                               ├─▶ surface ─▶ pixels
+//!  (first thread)    │                 └ Request ─▶ Subject                                    ┘
 //!                    └─ hands ─▶ Player ─▶ the session, at 125 Hz, however long a frame takes
 //! ```
 //!
@@ -13,20 +13,20 @@
 mod canvas;
 pub mod display;
 mod events;
+mod health;
 pub mod keys;
 mod lifecycle;
 mod mouse;
 pub mod navigate;
 mod panel;
 mod screen;
-mod soundness;
 pub mod subject;
 mod surface;
 pub mod view_state;
 
-pub use events::{Options, Told, Windows};
-pub use lifecycle::Trouble;
-pub use soundness::Soundness;
-pub use subject::{Ask, Course, Player, Standing, Subject};
-pub use view_state::{Choice, Eyes};
+pub use events::{LoopMessage, Options, Windows};
+pub use health::ViewerHealth;
+pub use lifecycle::ViewerFault;
+pub use subject::{PlayState, Player, Request, Subject, SubjectState};
+pub use view_state::{Choice, StereoLayout};
 pub use winit::event_loop::EventLoopProxy;

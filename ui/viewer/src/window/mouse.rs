@@ -29,13 +29,13 @@ pub(super) enum Gesture {
 #[derive(Debug, Default)]
 pub(super) struct Mouse {
     place: Pos2,
-    /// The sight in which a button went down, and that button.
+    /// The subject in which a button went down, and that button.
     drags: Option<(usize, MouseButton)>,
     clicked: Option<(Instant, Pos2)>,
 }
 
 impl Mouse {
-    /// The gesture of an event; `over` returns the sight at a position, and `None` over a panel.
+    /// The gesture of an event; `over` returns the subject at a position, and `None` over a panel.
     pub(super) fn follow(
         &mut self,
         event: &WindowEvent,
@@ -47,8 +47,8 @@ impl Mouse {
                 let place = Pos2::new(position.x as f32, position.y as f32);
                 let moved = place - std::mem::replace(&mut self.place, place);
                 match self.drags? {
-                    (sight, MouseButton::Left) => Some(Gesture::Turn(sight, moved)),
-                    (sight, _) => Some(Gesture::Shift(sight, moved)),
+                    (subject_view, MouseButton::Left) => Some(Gesture::Turn(subject_view, moved)),
+                    (subject_view, _) => Some(Gesture::Shift(subject_view, moved)),
                 }
             }
             WindowEvent::MouseInput { state: ElementState::Released, button, .. } => {
@@ -56,8 +56,8 @@ impl Mouse {
                 None
             }
             WindowEvent::MouseInput { button, .. } => {
-                let sight = over(self.place)?;
-                self.drags = Some((sight, *button));
+                let subject_view = over(self.place)?;
+                self.drags = Some((subject_view, *button));
                 if *button != MouseButton::Left {
                     return None;
                 }
@@ -65,7 +65,7 @@ impl Mouse {
                     now.duration_since(at) < DOUBLE && place.distance(self.place) < DOUBLE_PIXELS
                 });
                 self.clicked = (!twice).then_some((now, self.place));
-                twice.then_some(Gesture::Select(sight, self.place))
+                twice.then_some(Gesture::Select(subject_view, self.place))
             }
             WindowEvent::MouseWheel { delta, .. } => {
                 let notches = match delta {
@@ -97,7 +97,7 @@ mod tests {
         WindowEvent::MouseInput { device_id: DeviceId::dummy(), state, button }
     }
 
-    /// A panel at the left of x = 100, a sight at its right.
+    /// A panel at the left of x = 100, a subject at its right.
     fn over(place: Pos2) -> Option<usize> {
         (place.x >= 100.0).then_some(0)
     }

@@ -13,15 +13,15 @@ use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::Fullscreen;
 
 use super::canvas::Canvas;
-use super::events::Told;
+use super::events::LoopMessage;
+use super::health::WindowHealth;
 use super::keys::{self, Action};
-use super::lifecycle::{Life, Mail, Trouble};
+use super::lifecycle::{ViewerFault, WindowActor, WindowMessage};
 use super::mouse::{Gesture, Mouse};
-use super::panel::{Hands, Panels, ask_all, next_speed, toggle_course};
-use super::soundness::Pulse;
-use super::subject::{Ask, Course};
-use super::surface::{Painter, Shown};
-use super::view_state::{Choice, Eyes, QUALITIES, Sight};
+use super::panel::{Hands, Panels, next_speed, request_all, toggle_play};
+use super::subject::{PlayState, Request};
+use super::surface::{FrameOutcome, WindowSurface};
+use super::view_state::{Choice, QUALITIES, StereoLayout, SubjectView};
 use crate::error::ViewError;
 use crate::gpu::Gpu;
 use crate::pacing::Pacer;
@@ -41,21 +41,21 @@ pub(super) enum End {
 }
 
 /// State that survives a restart of the actor: keys that are down, and a requested picture.
-pub(super) struct Kept {
+pub(super) struct KeptState {
     pub(super) panels: Panels,
-    pub(super) sights: Vec<Sight>,
+    pub(super) subject_views: Vec<SubjectView>,
     pub(super) hands: Hands,
-    pub(super) pulse: Pulse,
+    pub(super) window_health: WindowHealth,
     pub(super) modifiers: Modifiers,
     pub(super) picture_wanted: bool,
 }
 
 /// A run of a window's actor between two restarts.
 pub(super) struct Screen<'a> {
-    life: &'a Life,
+    actor: &'a WindowActor,
     gpu: &'a Gpu,
-    painter: &'a mut Painter,
-    kept: &'a mut Kept,
+    painter: &'a mut WindowSurface,
+    kept: &'a mut KeptState,
     ui: egui::Context,
     input: egui_winit::State,
     canvas: Canvas,
@@ -69,15 +69,20 @@ pub(super) struct Screen<'a> {
     hidden: bool,
     closing: bool,
     frames: Vec<Instant>,
-    told: Vec<(Course, f64, Option<u64>)>,
+    told: Vec<(PlayState, f64, Option<u64>)>,
 }
 
 impl<'a> Screen<'a> {
-    pub(super) fn new(life: &'a Life, gpu: &'a Gpu, painter: &'a mut Painter, kept: &'a mut Kept) -> Self {
+    pub(super) fn new(
+        actor: &'a WindowActor,
+        gpu: &'a Gpu,
+        painter: &'a mut WindowSurface,
+        kept: &'a mut KeptState,
+    ) -> Self {
         let ui = egui::Context::default();
         ui.set_theme(egui::Theme::Dark);
         let largest = gpu.device.limits().max_texture_dimension_2d as usize;
-        let window = &life.window;
+        let window = &actor.window;
         let input = egui_winit::State::new(
             ui.clone(),
             egui::ViewportId::ROOT,
@@ -88,7 +93,7 @@ impl<'a> Screen<'a> {
         );
         let load = if gpu.is_software() { SOFTWARE_LOAD } else { 1.0 };
         Self {
-            life,
+            actor,
             gpu,
             painter,
             kept,
@@ -109,15 +114,15 @@ impl<'a> Screen<'a> {
     pub(super) fn run(mut self) -> End {
         let mut next = Instant::now();
         loop {
-            match self.life.inbox.recv_timeout(next.saturating_duration_since(Instant::now())) {
-                Ok(mail) => self.receive(mail),
+            match self.actor.inbox.recv_timeout(next.saturating_duration_since(Instant::now())) {
+                Ok(message) => self.receive(message),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => return End::Closed,
             }
-            while let Ok(mail) = self.life.inbox.try_recv() {
-                self.receive(mail);
+            while let Ok(message) = self.actor.inbox.try_recv() {
+                self.receive(message);
             }
-            if self.life.overflowed.swap(false, Ordering::Relaxed) {
+            if self.actor.overflowed.swap(false, Ordering::Relaxed) {
                 // A key released without focus must not stay down.
                 self.kept.modifiers = Modifiers::default();
                 self.stale = true;
@@ -130,14 +135,18 @@ impl<'a> Screen<'a> {
                 continue;
             }
             next = now + FRAME;
-            let newer = self.kept.sights.iter_mut().fold(false, |newer, sight| sight.follow() | newer);
-            let asked = self.wanted.is_some_and(|wanted| wanted <= now) | self.heard_something();
-            if self.hidden || !(newer || asked || self.stale) {
+            let newer = self
+                .kept
+                .subject_views
+                .iter_mut()
+                .fold(false, |newer, subject_view| subject_view.follow() | newer);
+            let requested = self.wanted.is_some_and(|wanted| wanted <= now) | self.heard_something();
+            if self.hidden || !(newer || requested || self.stale) {
                 continue;
             }
             match self.frame() {
-                Ok(Shown::Yes) => {
-                    self.kept.pulse.well();
+                Ok(FrameOutcome::Yes) => {
+                    self.kept.window_health.recovered();
                     // Waits until it is drawn, to measure the frame time.
                     if let Err(error) = self.gpu.device.poll(wgpu::PollType::wait_indefinitely()) {
                         return End::Failed(error.to_string());
@@ -146,7 +155,7 @@ impl<'a> Screen<'a> {
                     self.pacer.drawn(took);
                     next = Instant::now() + Duration::from_secs_f64(self.pacer.rest(took).clamp(0.0, 1.0));
                 }
-                Ok(Shown::NotNow | Shown::Again) => self.stale = true,
+                Ok(FrameOutcome::NotNow | FrameOutcome::Again) => self.stale = true,
                 Err(error) => return End::Failed(error.to_string()),
             }
         }
@@ -154,29 +163,29 @@ impl<'a> Screen<'a> {
 
     /// Whether a subject has new data for the panels.
     fn heard_something(&mut self) -> bool {
-        let said = |sight: &mut Sight| {
-            let standing = sight.subject.standing();
-            (standing.course, standing.speed, standing.notes.last().map(|(number, _)| *number))
+        let said = |subject_view: &mut SubjectView| {
+            let state = subject_view.subject.state();
+            (state.play_state, state.speed, state.notes.last().map(|(number, _)| *number))
         };
-        let told: Vec<_> = self.kept.sights.iter_mut().map(said).collect();
+        let told: Vec<_> = self.kept.subject_views.iter_mut().map(said).collect();
         let changed = told != self.told;
         self.told = told;
         changed
     }
 
-    fn receive(&mut self, mail: Mail) {
-        match mail {
-            Mail::Close => self.closing = true,
-            Mail::Trouble(Trouble::Panic) => panic!("a fault that was injected"),
-            Mail::Trouble(Trouble::DeviceLost) => {
+    fn receive(&mut self, message: WindowMessage) {
+        match message {
+            WindowMessage::Close => self.closing = true,
+            WindowMessage::ViewerFault(ViewerFault::Panic) => panic!("a fault that was injected"),
+            WindowMessage::ViewerFault(ViewerFault::DeviceLost) => {
                 self.gpu.device.destroy();
                 self.stale = true;
             }
-            Mail::Hands(taken) => {
+            WindowMessage::Hands(taken) => {
                 self.kept.hands.taken = taken;
                 self.stale = true;
             }
-            Mail::Event(event) => self.event(&event),
+            WindowMessage::Event(event) => self.event(&event),
         }
     }
 
@@ -205,7 +214,7 @@ impl<'a> Screen<'a> {
         if let Some(gesture) = self.mouse.follow(event, Instant::now(), over) {
             self.lead(gesture);
         }
-        self.stale |= self.input.on_window_event(&self.life.window, event).repaint;
+        self.stale |= self.input.on_window_event(&self.actor.window, event).repaint;
     }
 
     /// Moves the camera by a gesture.
@@ -215,22 +224,22 @@ impl<'a> Screen<'a> {
         let led = match gesture {
             Gesture::Turn(index, moved) => {
                 let moved = moved / height(index) as f32;
-                self.kept.sights[index].free().turn(f64::from(moved.x), f64::from(moved.y));
+                self.kept.subject_views[index].free().turn(f64::from(moved.x), f64::from(moved.y));
                 index
             }
             Gesture::Shift(index, moved) => {
                 let moved = moved / height(index) as f32;
-                self.kept.sights[index].free().shift(f64::from(moved.x), f64::from(moved.y));
+                self.kept.subject_views[index].free().shift(f64::from(moved.x), f64::from(moved.y));
                 index
             }
             Gesture::Zoom(index, notches) => {
-                self.kept.sights[index].free().zoom(notches);
+                self.kept.subject_views[index].free().zoom(notches);
                 index
             }
             Gesture::Select(index, place) => {
                 let Some((_, at)) = self.canvas.at(place) else { return };
-                match self.kept.sights[index].pick(self.gpu, at) {
-                    Ok(found) => self.kept.sights[index].selected = found,
+                match self.kept.subject_views[index].pick(self.gpu, at) {
+                    Ok(found) => self.kept.subject_views[index].selected = found,
                     // The next frame will fail as well, and report it.
                     Err(error) => tracing::debug!("nothing is selected: {error}"),
                 }
@@ -238,8 +247,8 @@ impl<'a> Screen<'a> {
             }
         };
         // Compared recordings share one point of view.
-        let look = self.kept.sights[led].look.clone();
-        self.kept.sights.iter_mut().for_each(|sight| sight.look = look.clone());
+        let look = self.kept.subject_views[led].look.clone();
+        self.kept.subject_views.iter_mut().for_each(|subject_view| subject_view.look = look.clone());
     }
 
     /// Whether the window has handled a key.
@@ -266,63 +275,72 @@ impl<'a> Screen<'a> {
             Action::RightPanel => self.kept.panels.right = !self.kept.panels.right,
             Action::Actors => self.kept.panels.actors = !self.kept.panels.actors,
             Action::FullScreen => {
-                let window = &self.life.window;
+                let window = &self.actor.window;
                 let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
                 window.set_fullscreen(full);
             }
             Action::Layout => {
-                for sight in self.kept.sights.iter_mut() {
-                    let at = Eyes::ALL.iter().position(|(eyes, _)| *eyes == sight.eyes);
-                    sight.eyes = Eyes::ALL[cycle(at, Eyes::ALL.len())].0;
+                for subject_view in self.kept.subject_views.iter_mut() {
+                    let at = StereoLayout::ALL.iter().position(|(eyes, _)| *eyes == subject_view.eyes);
+                    subject_view.eyes = StereoLayout::ALL[cycle(at, StereoLayout::ALL.len())].0;
                 }
             }
             Action::Quality => {
-                for sight in self.kept.sights.iter_mut() {
-                    let at = QUALITIES.iter().position(|(quality, _)| *quality == sight.quality);
-                    sight.quality = QUALITIES[cycle(at, QUALITIES.len())].0;
+                for subject_view in self.kept.subject_views.iter_mut() {
+                    let at = QUALITIES.iter().position(|(quality, _)| *quality == subject_view.quality);
+                    subject_view.quality = QUALITIES[cycle(at, QUALITIES.len())].0;
                 }
             }
-            Action::Hands if self.kept.hands.there => self.tell(Told::TakeHands(self.life.window.id())),
+            Action::Hands if self.kept.hands.there => {
+                self.tell(LoopMessage::TakeHands(self.actor.window.id()))
+            }
             Action::Hands => {
                 let text = "nobody plays in this session: start it with --play";
                 self.kept.panels.note(text.to_owned(), true);
             }
-            Action::Pause => toggle_course(&mut self.kept.sights),
-            Action::Step => ask_all(&mut self.kept.sights, &Ask::Step { back: false }),
-            Action::StepBack => ask_all(&mut self.kept.sights, &Ask::Step { back: true }),
+            Action::Pause => toggle_play(&mut self.kept.subject_views),
+            Action::Step => request_all(&mut self.kept.subject_views, &Request::Step { back: false }),
+            Action::StepBack => request_all(&mut self.kept.subject_views, &Request::Step { back: true }),
             Action::Faster => self.speed(1),
             Action::Slower => self.speed(-1),
-            Action::Reset => ask_all(&mut self.kept.sights, &Ask::Reset),
+            Action::Reset => request_all(&mut self.kept.subject_views, &Request::Reset),
             Action::Loop => {
-                let looped =
-                    self.kept.sights.first_mut().is_some_and(|sight| sight.subject.standing().looped);
-                ask_all(&mut self.kept.sights, &Ask::Loop(!looped));
+                let looped = self
+                    .kept
+                    .subject_views
+                    .first_mut()
+                    .is_some_and(|subject_view| subject_view.subject.state().looped);
+                request_all(&mut self.kept.subject_views, &Request::Loop(!looped));
             }
-            Action::CameraBefore => self.kept.sights.iter_mut().for_each(|sight| sight.cycle_camera(-1)),
-            Action::CameraNext => self.kept.sights.iter_mut().for_each(|sight| sight.cycle_camera(1)),
+            Action::CameraBefore => {
+                self.kept.subject_views.iter_mut().for_each(|subject_view| subject_view.cycle_camera(-1))
+            }
+            Action::CameraNext => {
+                self.kept.subject_views.iter_mut().for_each(|subject_view| subject_view.cycle_camera(1))
+            }
             Action::FreeCamera => {
-                for sight in self.kept.sights.iter_mut() {
-                    sight.free();
+                for subject_view in self.kept.subject_views.iter_mut() {
+                    subject_view.free();
                 }
             }
             // Taken once all earlier input is drawn.
             Action::Screenshot => self.kept.picture_wanted = true,
             Action::NewWindow => self.new_window(),
             Action::Close => self.closing = true,
-            Action::Quit => self.tell(Told::Quit),
+            Action::Quit => self.tell(LoopMessage::Quit),
             Action::Show(overlay) => {
-                for sight in self.kept.sights.iter_mut() {
-                    sight.overlays.toggle(overlay);
+                for subject_view in self.kept.subject_views.iter_mut() {
+                    subject_view.overlays.toggle(overlay);
                 }
             }
         }
     }
 
     fn speed(&mut self, by: isize) {
-        let Some(sight) = self.kept.sights.first_mut() else { return };
-        let standing = sight.subject.standing();
-        if standing.abilities.speed {
-            ask_all(&mut self.kept.sights, &Ask::Speed(next_speed(standing.speed, by)));
+        let Some(subject_view) = self.kept.subject_views.first_mut() else { return };
+        let state = subject_view.subject.state();
+        if state.abilities.speed {
+            request_all(&mut self.kept.subject_views, &Request::Speed(next_speed(state.speed, by)));
         } else {
             let text = "in real time there is one speed only; --lockstep and recordings have others";
             self.kept.panels.note(text.to_owned(), true);
@@ -331,11 +349,11 @@ impl<'a> Screen<'a> {
 
     fn screenshot(&mut self) {
         self.stale = true;
-        for index in 0..self.kept.sights.len() {
-            let sight = &self.kept.sights[index];
-            let saved = sight.picture(self.gpu).and_then(|picture| match picture {
+        for index in 0..self.kept.subject_views.len() {
+            let subject_view = &self.kept.subject_views[index];
+            let saved = subject_view.picture(self.gpu).and_then(|picture| match picture {
                 Some(picture) => {
-                    let file = free_name(&sight.subject.title());
+                    let file = free_name(&subject_view.subject.title());
                     picture.save(&file).map(|()| file.display().to_string())
                 }
                 None => Ok("nothing yet".to_owned()),
@@ -349,36 +367,37 @@ impl<'a> Screen<'a> {
 
     fn new_window(&mut self) {
         let others: Result<Vec<_>, String> =
-            self.kept.sights.iter_mut().map(|sight| sight.subject.another()).collect();
+            self.kept.subject_views.iter_mut().map(|subject_view| subject_view.subject.another()).collect();
         match others {
             Ok(subjects) => {
-                let choice = self.kept.sights.first().map_or_else(Choice::default, Sight::choice);
-                self.tell(Told::Open(subjects, choice));
+                let choice =
+                    self.kept.subject_views.first().map_or_else(Choice::default, SubjectView::choice);
+                self.tell(LoopMessage::Open(subjects, choice));
             }
             Err(why) => self.kept.panels.note(format!("no other window: {why}"), true),
         }
     }
 
-    fn tell(&self, told: Told) {
+    fn tell(&self, told: LoopMessage) {
         // If the event loop has ended, the message is lost, and this window ends as well.
-        let _ = self.life.proxy.send_event(told);
+        let _ = self.actor.proxy.send_event(told);
     }
 
-    fn frame(&mut self) -> Result<Shown, ViewError> {
+    fn frame(&mut self) -> Result<FrameOutcome, ViewError> {
         let now = Instant::now();
         self.frames.retain(|at| now.duration_since(*at) < Duration::from_secs(1));
         self.frames.push(now);
         (self.stale, self.wanted) = (false, None);
-        let raw = self.input.take_egui_input(&self.life.window);
+        let raw = self.input.take_egui_input(&self.actor.window);
         let (rate, pace) = (self.frames.len() as f64, self.pacer.pace());
         let mut actions = Vec::new();
         let mut outcome = Ok(());
         let ui = self.ui.clone();
         let output = ui.run_ui(raw, |ui| {
-            let wishes = self.kept.panels.show(ui, &mut self.kept.sights, rate, self.kept.hands);
+            let wishes = self.kept.panels.show(ui, &mut self.kept.subject_views, rate, self.kept.hands);
             actions.extend(wishes.0);
             egui::CentralPanel::no_frame().show(ui, |ui| {
-                outcome = self.canvas.show(ui, self.gpu, self.painter, &mut self.kept.sights, pace);
+                outcome = self.canvas.show(ui, self.gpu, self.painter, &mut self.kept.subject_views, pace);
             });
             self.kept.panels.show_notes(ui);
         });
@@ -387,17 +406,17 @@ impl<'a> Screen<'a> {
             // Rates change even while the scene does not.
             ui.request_repaint_after(Duration::from_millis(500));
         }
-        if let Some(sight) = self.kept.sights.first() {
-            self.life.view.store(Some(Arc::new(sight.person_view())));
+        if let Some(subject_view) = self.kept.subject_views.first() {
+            self.actor.view.store(Some(Arc::new(subject_view.person_view())));
         }
-        self.input.handle_platform_output(&self.life.window, output.platform_output);
+        self.input.handle_platform_output(&self.actor.window, output.platform_output);
         if let Some(root) = output.viewport_output.get(&egui::ViewportId::ROOT) {
             self.wanted = now.checked_add(root.repaint_delay);
         }
         let shapes = ui.tessellate(output.shapes, output.pixels_per_point);
         let shown = self.painter.show(
             self.gpu,
-            &self.life.window,
+            &self.actor.window,
             &shapes,
             output.textures_delta,
             output.pixels_per_point,

@@ -23,10 +23,10 @@ pub trait Subject: Send {
     fn now(&mut self) -> SimTime;
 
     /// The subject's state; updated about ten times per second.
-    fn standing(&mut self) -> Arc<Standing>;
+    fn state(&mut self) -> Arc<SubjectState>;
 
-    /// Sends a request; its result appears in the scene and in [`Standing`].
-    fn ask(&mut self, ask: Ask);
+    /// Sends a request; its result appears in the scene and in [`SubjectState`].
+    fn request(&mut self, request: Request);
 
     /// A subject of the same source for another window.
     ///
@@ -58,7 +58,7 @@ pub trait Player {
 
 /// A window's request to its subject.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Ask {
+pub enum Request {
     /// Pause.
     Pause,
     /// Resume.
@@ -95,7 +95,7 @@ pub enum Tune {
 
 /// Whether time advances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Course {
+pub enum PlayState {
     /// It advances.
     #[default]
     Running,
@@ -124,9 +124,9 @@ pub struct Abilities {
 
 /// The state of a subject.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Standing {
+pub struct SubjectState {
     /// Whether time advances.
-    pub course: Course,
+    pub play_state: PlayState,
     /// Speed relative to real time.
     pub speed: f64,
     /// The supported requests.

@@ -8,7 +8,7 @@ use crate::error::ViewError;
 use crate::gpu::{Gpu, targets};
 
 /// A window's surface with the renderer of the user interface.
-pub struct Painter {
+pub struct WindowSurface {
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
     egui: egui_wgpu::Renderer,
@@ -16,7 +16,7 @@ pub struct Painter {
 
 /// The outcome of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shown {
+pub enum FrameOutcome {
     /// It is on the screen.
     Yes,
     /// There is nothing to draw on: the window has no size, or is not visible.
@@ -25,7 +25,7 @@ pub enum Shown {
     Again,
 }
 
-impl Painter {
+impl WindowSurface {
     /// The device that draws on this window, and its surface.
     ///
     /// # Errors
@@ -107,7 +107,7 @@ impl Painter {
         shapes: &[egui::ClippedPrimitive],
         mut changed: egui::TexturesDelta,
         pixels_per_point: f32,
-    ) -> Result<Shown, ViewError> {
+    ) -> Result<FrameOutcome, ViewError> {
         gpu.check()?;
         // Also for a frame that is not shown: texture changes are reported only once.
         for (id, deltas) in changed.set.drain() {
@@ -130,14 +130,14 @@ impl Painter {
         window: &Window,
         shapes: &[egui::ClippedPrimitive],
         pixels_per_point: f32,
-    ) -> Shown {
+    ) -> FrameOutcome {
         use wgpu::CurrentSurfaceTexture as Current;
         let texture = match self.surface.get_current_texture() {
             Current::Success(texture) | Current::Suboptimal(texture) => texture,
-            Current::Timeout | Current::Occluded | Current::Validation => return Shown::NotNow,
+            Current::Timeout | Current::Occluded | Current::Validation => return FrameOutcome::NotNow,
             Current::Outdated | Current::Lost => {
                 self.surface.configure(&gpu.device, &self.config);
-                return Shown::Again;
+                return FrameOutcome::Again;
             }
         };
         let screen = egui_wgpu::ScreenDescriptor { size_in_pixels: self.size(), pixels_per_point };
@@ -165,6 +165,6 @@ impl Painter {
         gpu.queue.submit(work);
         window.pre_present_notify();
         gpu.queue.present(texture);
-        Shown::Yes
+        FrameOutcome::Yes
     }
 }

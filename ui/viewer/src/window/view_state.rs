@@ -8,7 +8,7 @@ use trocar_scene::{Camera, Entity, PersonView, SimTime, Snapshot};
 
 use super::navigate::Orbit;
 use super::subject::Subject;
-use crate::draw_list::Stage;
+use crate::draw_list::DrawList;
 use crate::error::ViewError;
 use crate::gpu::{Gpu, targets};
 use crate::layout::{self, Layout, Stereo};
@@ -33,7 +33,7 @@ pub enum Look {
 
 /// Stereo layout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Eyes {
+pub enum StereoLayout {
     /// One eye.
     #[default]
     One,
@@ -49,7 +49,7 @@ pub enum Eyes {
     Quad,
 }
 
-impl Eyes {
+impl StereoLayout {
     /// All layouts, with names for people.
     pub const ALL: [(Self, &'static str); 6] = [
         (Self::One, "one eye"),
@@ -60,15 +60,15 @@ impl Eyes {
         (Self::Quad, "four views"),
     ];
 
-    /// The layout of a picture of a stage.
-    pub fn layout(self, stereo: Stereo, stage: &Stage, view: &View) -> Layout {
+    /// The layout of a picture of a scene.
+    pub fn layout(self, stereo: Stereo, draw_list: &DrawList, view: &View) -> Layout {
         match self {
             Self::One => Layout::Mono,
             Self::SideBySide => Layout::SideBySide(stereo),
             Self::TopBottom => Layout::TopBottom(stereo),
             Self::Rows => Layout::RowInterleaved(stereo),
             Self::Anaglyph => Layout::Anaglyph(stereo),
-            Self::Quad => Layout::quad(stage, view),
+            Self::Quad => Layout::quad(draw_list, view),
         }
     }
 }
@@ -81,13 +81,13 @@ pub const QUALITIES: [(Option<Quality>, &str); 4] = [
     (Some(Quality::FINE), "fine"),
 ];
 
-/// A user's settings of a sight, which another sight can take over.
+/// A user's settings of a subject's view, which another view can take over.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choice {
     /// Point of view; `None`: the first camera.
     pub look: Option<Look>,
     /// Stereo layout.
-    pub eyes: Eyes,
+    pub eyes: StereoLayout,
     /// Distance and convergence of the eyes.
     pub stereo: Stereo,
     /// Quality; `None`: chosen by the pacer.
@@ -97,13 +97,13 @@ pub struct Choice {
 }
 
 /// A subject in a window.
-pub struct Sight {
+pub struct SubjectView {
     /// The subject.
     pub subject: Box<dyn Subject>,
     /// Point of view.
     pub look: Look,
     /// Stereo layout.
-    pub eyes: Eyes,
+    pub eyes: StereoLayout,
     /// Distance and convergence of the eyes.
     pub stereo: Stereo,
     /// Quality; `None`: chosen by the pacer.
@@ -125,8 +125,8 @@ pub struct Sight {
     quad: Option<Layout>,
 }
 
-impl Sight {
-    /// A sight of a subject, with the user's settings.
+impl SubjectView {
+    /// A view of a subject, with the user's settings.
     pub fn new(gpu: &Gpu, mut subject: Box<dyn Subject>, choice: &Choice) -> Self {
         let scene = subject.scene();
         let renderer = Renderer::new(gpu, subject.folder());
@@ -134,7 +134,7 @@ impl Sight {
             Some((camera, _)) => Look::Camera(scene.name(camera)),
             None => Look::Free(Orbit::from_view(&View::default_of(&scene, None), 0.35)),
         });
-        let mut sight = Self {
+        let mut subject_view = Self {
             subject,
             look,
             eyes: choice.eyes,
@@ -150,8 +150,8 @@ impl Sight {
             target: None,
             quad: None,
         };
-        sight.feed();
-        sight
+        subject_view.feed();
+        subject_view
     }
 
     /// The clock for [`Motion`].
@@ -254,7 +254,7 @@ impl Sight {
             return depth(self.scene.world_pose(entity).translation.vector.into());
         }
         let mut depths: Vec<f64> = Vec::new();
-        for item in self.renderer.stage().items() {
+        for item in self.renderer.draw_list().items() {
             let centre = Point3::from(item.world_from_item.translation.vector);
             let inside = |at: [f64; 2]| at.iter().all(|share| (0.1..=0.9).contains(share));
             if view.project(&centre).is_some_and(|(at, _)| inside(at)) {
@@ -294,20 +294,20 @@ impl Sight {
             let tiles =
                 names.iter().filter_map(|name| entities().find(|camera| self.shown.name(*camera) == *name));
             // Four views are of one eye.
-            let eyes = if self.eyes == Eyes::Quad { Eyes::One } else { self.eyes };
-            let each = eyes.layout(self.stereo, self.renderer.stage(), view);
-            return Layout::grid(tiles.map(layout::Sight::Camera)).each(&each);
+            let eyes = if self.eyes == StereoLayout::Quad { StereoLayout::One } else { self.eyes };
+            let each = eyes.layout(self.stereo, self.renderer.draw_list(), view);
+            return Layout::grid(tiles.map(layout::TileView::Camera)).each(&each);
         }
-        if self.eyes != Eyes::Quad {
+        if self.eyes != StereoLayout::Quad {
             self.quad = None;
-            return self.eyes.layout(self.stereo, self.renderer.stage(), view);
+            return self.eyes.layout(self.stereo, self.renderer.draw_list(), view);
         }
         if self.quad.is_none() {
             // The layout needs to know the items.
             self.renderer.update(gpu, &self.shown);
         }
-        let (eyes, stereo, stage) = (self.eyes, self.stereo, self.renderer.stage());
-        self.quad.get_or_insert_with(|| eyes.layout(stereo, stage, view)).clone()
+        let (eyes, stereo, draw_list) = (self.eyes, self.stereo, self.renderer.draw_list());
+        self.quad.get_or_insert_with(|| eyes.layout(stereo, draw_list, view)).clone()
     }
 
     /// The last drawn picture.
@@ -329,7 +329,7 @@ impl Sight {
     /// Corners of the boxes around an entity's parts in world; bits 0, 1, 2 of a corner's index tell whether it is at
     /// the upper end along x, y, z.
     pub fn boxes(&self, entity: Entity) -> Vec<[Point3<f64>; 8]> {
-        let items = self.renderer.stage().items().iter().filter(|item| item.entity == entity);
+        let items = self.renderer.draw_list().items().iter().filter(|item| item.entity == entity);
         items
             .filter_map(|item| {
                 let mut positions = item.surface.geometry.positions.iter();

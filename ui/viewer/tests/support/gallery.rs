@@ -10,9 +10,9 @@ use trocar_scene::{
     SimTime, Snapshot, SurfaceMesh, Temperature, Texture, TextureCoordinates, VertexPositions,
     VisualMaterial,
 };
-use trocar_viewer::draw_list::Stage;
-use trocar_viewer::layout::{Sight, Stereo, Tile};
-use trocar_viewer::{Eye, Layout, Lens, Overlay, Overlays, Pane, Picture, Quality, View};
+use trocar_viewer::draw_list::DrawList;
+use trocar_viewer::layout::{Stereo, Tile, TileView};
+use trocar_viewer::{Layout, Lens, OffscreenRenderer, Overlay, Overlays, Pane, Picture, Quality, View};
 
 use super::{Scene, colored, grid};
 
@@ -45,20 +45,20 @@ impl Case {
     /// The picture, and what drew it. An eye sees one scene in its life: those of others have revisions of the same
     /// numbers.
     pub fn draw(&self) -> (Picture, String) {
-        let mut eye =
-            Eye::new(self.folder.clone()).expect("a graphics adapter: tests/run installs a software one");
-        eye.quality = self.quality;
-        eye.renderer_mut().overlays = self.overlays.clone();
-        let picture = eye.picture(&self.scene, &self.view, &self.layout, self.size).expect("a picture");
-        (picture, eye.gpu().describe())
+        let mut renderer = OffscreenRenderer::new(self.folder.clone())
+            .expect("a graphics adapter: tests/run installs a software one");
+        renderer.quality = self.quality;
+        renderer.renderer_mut().overlays = self.overlays.clone();
+        let picture = renderer.picture(&self.scene, &self.view, &self.layout, self.size).expect("a picture");
+        (picture, renderer.gpu().describe())
     }
 }
 
 /// From above, at a slant.
 pub fn slanted(distance: f64, field_of_view: f64) -> View {
     let lens = Lens { field_of_view, aspect: 4.0 / 3.0, near: 0.01, far: 2.0, shift: [0.0; 2] };
-    let eye = Point3::new(0.0, -0.64, 0.768) * distance;
-    View::looking_at(eye, Point3::origin(), Vector3::z(), lens)
+    let renderer = Point3::new(0.0, -0.64, 0.768) * distance;
+    View::looking_at(renderer, Point3::origin(), Vector3::z(), lens)
 }
 
 /// A cone of light from the upper left, that throws shadows or does not.
@@ -234,16 +234,16 @@ pub fn layouts() -> Vec<Case> {
     ]
     .map(|(name, layout)| Case { layout, ..of_studio(name) })
     .into();
-    let mut stage = Stage::new();
+    let mut draw_list = DrawList::new();
     let quad = of_studio("quad");
-    stage.update(&quad.scene);
-    cases.push(Case { layout: Layout::quad(&stage, &quad.view), ..quad });
+    draw_list.update(&quad.scene);
+    cases.push(Case { layout: Layout::quad(&draw_list, &quad.view), ..quad });
     let pane = |x, y, width, height| Pane { x, y, width, height };
-    let mut turned = Tile::new(pane(0.65, 0.0, 0.35, 0.5), Sight::Given);
+    let mut turned = Tile::new(pane(0.65, 0.0, 0.35, 0.5), TileView::Given);
     turned.view_from_eye = Isometry3::rotation(Vector3::new(0.0, 0.0, 0.5));
-    let mut woven = Tile::new(pane(0.65, 0.5, 0.35, 0.5), Sight::Given);
+    let mut woven = Tile::new(pane(0.65, 0.5, 0.35, 0.5), TileView::Given);
     woven.layout = Layout::Anaglyph(stereo);
-    let whole = Tile::new(pane(0.0, 0.0, 0.65, 1.0), Sight::Given);
+    let whole = Tile::new(pane(0.0, 0.0, 0.65, 1.0), TileView::Given);
     cases.push(Case { layout: Layout::Tiles(vec![whole, turned, woven]), ..of_studio("tiles") });
     let lens = of_studio("lens");
     let view = View { distortion: 0.3, vignette: 0.8, ..lens.view };

@@ -12,7 +12,7 @@ use trocar_scene::{
     Commands, Entity, EntityAllocator, Light, Pose, Registry, RegistryBuilder, SCENARIO_SPAWNER, Scenario,
     Shape, SimTime, Snapshot, Store, VisualMaterial,
 };
-use trocar_viewer::{Eye, Layout, Lens, Picture, View};
+use trocar_viewer::{Layout, Lens, OffscreenRenderer, Picture, View};
 
 /// A square of so many cells along each side: texture coordinates of its corners (0 to 1), and two triangles a cell.
 pub fn grid(cells: u32) -> (Vec<[f64; 2]>, Vec<[u32; 3]>) {
@@ -93,12 +93,18 @@ pub fn front() -> View {
     View::looking_at(Point3::new(0.0, -0.3, 0.0), Point3::origin(), Vector3::z(), lens)
 }
 
-pub fn eye() -> Eye {
-    Eye::new(None).expect("a graphics adapter: tests/run installs a software one")
+pub fn renderer() -> OffscreenRenderer {
+    OffscreenRenderer::new(None).expect("a graphics adapter: tests/run installs a software one")
 }
 
-pub fn picture(eye: &mut Eye, scene: &Scene, view: &View, layout: &Layout, side: u32) -> Picture {
-    eye.picture(&scene.view(), view, layout, [side, side]).expect("a picture")
+pub fn picture(
+    renderer: &mut OffscreenRenderer,
+    scene: &Scene,
+    view: &View,
+    layout: &Layout,
+    side: u32,
+) -> Picture {
+    renderer.picture(&scene.view(), view, layout, [side, side]).expect("a picture")
 }
 
 /// Mean colour of a block of pixels.

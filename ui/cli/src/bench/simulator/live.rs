@@ -18,9 +18,9 @@ const BLOCKS: usize = 3;
 const KEPT: [(&str, f64); 3] = [("organ", 20.0), ("membrane", 500.0), ("eye", 60.0)];
 
 /// Reads every vertex position, as a viewer would.
-struct Eye;
+struct SceneReader;
 
-impl Controller for Eye {
+impl Controller for SceneReader {
     fn access(&self) -> Access {
         Access::new().reads::<VertexPositions>().reads::<Pose>()
     }
@@ -35,7 +35,7 @@ impl Controller for Eye {
 
 /// Achieved rates, and the punctuality of the hands.
 pub fn live() -> Result<Vec<BenchResult>, Failure> {
-    let app = App::new().controller_with("eye", |(): &(), _| Ok(Eye)).joins("eye", 60.0);
+    let app = App::new().controller_with("eye", |(): &(), _| Ok(SceneReader)).joins("eye", 60.0);
     let scenario = app.scenario("two-rates")?;
     let options = RunOptions { seconds: Some(BLOCK_SECS), ..RunOptions::default() };
     let span = Duration::from_secs_f64(BLOCK_SECS);

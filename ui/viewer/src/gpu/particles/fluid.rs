@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 
 use super::{
-    Care, Order, ParticleCopies, ROUNDS, Recipe, group, layout, over, pipeline, scene_depth, texels,
+    Order, ParticleCopies, ParticleQuality, ROUNDS, Recipe, group, layout, over, pipeline, scene_depth,
+    texels,
 };
 use crate::gpu::Gpu;
 use crate::gpu::targets::{DEPTH, METRES, NUMBERS, target};
@@ -43,7 +44,7 @@ pub(crate) struct Scene<'a> {
     /// The part of the pane that may contain fluid.
     pub(crate) bounds: [u32; 4],
     pub(crate) kind: Kind,
-    pub(crate) care: Care,
+    pub(crate) quality: ParticleQuality,
 }
 
 /// Draws fluids. Created when a scene first has some.
@@ -146,15 +147,15 @@ impl FluidPass {
         scene: &Scene<'_>,
     ) -> u64 {
         self.prepare(gpu, (copies, frame_layout), eye, scene);
-        let Care { pixels, .. } = scene.care;
+        let ParticleQuality { pixels, .. } = scene.quality;
         let [_, _, width, height] = scene.pane;
         let place = self.pictures(gpu, [width.div_ceil(pixels), height.div_ceil(pixels)]);
         let own = &self.pictures[place];
         let bounds = coarse(scene.bounds, pixels, own.size);
-        let sight = copies.sight(eye);
+        let eye_group = copies.eye_group(eye);
         // The last row and column of texels may extend beyond the pane.
         let reach = [width, height].map(|side| side as f32 / pixels as f32);
-        self.surface(encoder, (scene.frame, sight), own, (bounds, reach), None);
+        self.surface(encoder, (scene.frame, eye_group), own, (bounds, reach), None);
         if let (Some((_, thickness)), Some(Some((_, depth)))) =
             (self.thickness.get(&scene.kind.1), self.depths.get(eye))
         {
@@ -165,7 +166,7 @@ impl FluidPass {
             pass.set_scissor_rect(x, y, width, height);
             pass.set_pipeline(thickness);
             pass.set_bind_group(0, scene.frame, &[]);
-            pass.set_bind_group(1, sight, &[]);
+            pass.set_bind_group(1, eye_group, &[]);
             pass.set_bind_group(2, depth, &[]);
             self.order.draw(&mut pass, 3);
         }
@@ -177,7 +178,7 @@ impl FluidPass {
         let [x, y, width, height] = scene.bounds;
         pass.set_scissor_rect(scene.pane[0] + x, scene.pane[1] + y, width, height);
         pass.set_bind_group(0, scene.frame, &[]);
-        pass.set_bind_group(1, sight, &[]);
+        pass.set_bind_group(1, eye_group, &[]);
         pass.set_bind_group(2, &own.group, &[]);
         for surface in surfaces {
             pass.set_pipeline(surface);
@@ -227,15 +228,15 @@ impl FluidPass {
         }
         let own = &self.pictures[place];
         let bounds = ([0, 0, size[0], size[1]], size.map(|side| side as f32));
-        let sight = copies.sight(0);
+        let eye_group = copies.eye_group(0);
         if let Some((whose, group)) = &own.numbers {
-            self.surface(encoder, (frame, sight), own, bounds, Some((&probe[0], whose)));
+            self.surface(encoder, (frame, eye_group), own, bounds, Some((&probe[0], whose)));
             let load = wgpu::LoadOp::Load;
             let attachments = [attach(metres, load), attach(numbers, load)];
             let mut pass = begin(encoder, "measure", &attachments, Some((depth, wgpu::LoadOp::Load)));
             pass.set_pipeline(&probe[1]);
             pass.set_bind_group(0, frame, &[]);
-            pass.set_bind_group(1, sight, &[]);
+            pass.set_bind_group(1, eye_group, &[]);
             pass.set_bind_group(2, group, &[]);
             pass.draw(0..3, 0..1);
         }
@@ -246,7 +247,7 @@ impl FluidPass {
     fn surface(
         &self,
         encoder: &mut wgpu::CommandEncoder,
-        (frame, sight): (&wgpu::BindGroup, &wgpu::BindGroup),
+        (frame, eye_group): (&wgpu::BindGroup, &wgpu::BindGroup),
         own: &Pictures,
         ([x, y, width, height], reach): ([u32; 4], [f32; 2]),
         numbered: Option<(&wgpu::RenderPipeline, &wgpu::TextureView)>,
@@ -262,7 +263,7 @@ impl FluidPass {
             pass.set_scissor_rect(x, y, width, height);
             pass.set_pipeline(numbered.map_or(&self.balls, |(pipeline, _)| pipeline));
             pass.set_bind_group(0, frame, &[]);
-            pass.set_bind_group(1, sight, &[]);
+            pass.set_bind_group(1, eye_group, &[]);
             self.order.draw(&mut pass, 3);
         }
         for _ in 0..ROUNDS {
@@ -271,7 +272,7 @@ impl FluidPass {
                 pass.set_scissor_rect(x, y, width, height);
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(0, frame, &[]);
-                pass.set_bind_group(1, sight, &[]);
+                pass.set_bind_group(1, eye_group, &[]);
                 pass.set_bind_group(2, &own.smooth_groups[from], &[]);
                 pass.draw(0..3, 0..1);
             }

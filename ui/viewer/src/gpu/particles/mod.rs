@@ -24,7 +24,7 @@ pub(crate) const ROUNDS: usize = 2;
 
 /// Quality of the particles.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Care {
+pub(crate) struct ParticleQuality {
     /// Pixels per texel of a fluid's intermediate pictures.
     pub(crate) pixels: u32,
     /// Pixels per texel of the smoke picture.
@@ -37,7 +37,7 @@ pub(crate) struct Care {
     pub(crate) wisps: bool,
 }
 
-impl Care {
+impl ParticleQuality {
     pub(crate) fn of(quality: Quality) -> Self {
         let Quality { wet, fine, .. } = quality;
         Self {
@@ -59,7 +59,7 @@ impl Care {
 /// Per-eye uniforms, in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-struct GpuSight {
+struct GpuEye {
     eye_from_world: [[f32; 4]; 4],
     scale: [f32; 2],
     shift: [f32; 2],
@@ -89,11 +89,11 @@ struct GpuCloud {
 
 /// The view and settings of one eye.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct SightOf<'a> {
+pub(crate) struct EyeView<'a> {
     pub(crate) view: &'a View,
     /// Pane of the target \[pixels\]: left, top, width, height.
     pub(crate) pane: [u32; 4],
-    pub(crate) care: Care,
+    pub(crate) quality: ParticleQuality,
     pub(crate) lights: u32,
     pub(crate) shadows: u32,
     /// Number of the first entity in a segmentation picture.
@@ -108,7 +108,7 @@ pub(crate) struct ParticleCopies {
     clouds: wgpu::Buffer,
     list: Vec<GpuCloud>,
     sent: Vec<GpuCloud>,
-    sights: Vec<(wgpu::Buffer, wgpu::BindGroup)>,
+    eye_groups: Vec<(wgpu::Buffer, wgpu::BindGroup)>,
     /// Bytes of particles uploaded since the start.
     pub(crate) bytes_sent: u64,
 }
@@ -127,7 +127,7 @@ impl ParticleCopies {
             count: None,
         };
         let entries = [
-            uniform(Stages::VERTEX_FRAGMENT, false, size_of::<GpuSight>() as u64),
+            uniform(Stages::VERTEX_FRAGMENT, false, size_of::<GpuEye>() as u64),
             storage(1, Stages::VERTEX),
             storage(2, Stages::VERTEX_FRAGMENT),
         ];
@@ -139,7 +139,7 @@ impl ParticleCopies {
             clouds: room(gpu, 0),
             list: Vec::new(),
             sent: Vec::new(),
-            sights: Vec::new(),
+            eye_groups: Vec::new(),
             bytes_sent: 0,
         }
     }
@@ -150,7 +150,7 @@ impl ParticleCopies {
         let mut all = false;
         if self.particles.size() < size_of_val(swarm.particles()) as u64 {
             self.particles = room(gpu, size_of_val(swarm.particles()));
-            self.sights.clear();
+            self.eye_groups.clear();
             all = true;
         }
         for cloud in swarm.clouds().iter().filter(|cloud| (cloud.changed || all) && cloud.count > 0) {
@@ -166,7 +166,7 @@ impl ParticleCopies {
         }));
         if self.clouds.size() < (self.list.len() * size_of::<GpuCloud>()) as u64 {
             self.clouds = room(gpu, self.list.len().next_power_of_two() * size_of::<GpuCloud>());
-            self.sights.clear();
+            self.eye_groups.clear();
             self.sent.clear();
         }
         if self.sent != self.list {
@@ -176,47 +176,48 @@ impl ParticleCopies {
     }
 
     /// Writes the view of an eye; each eye has its own number within a submission.
-    pub(crate) fn set_sight(&mut self, gpu: &Gpu, eye: usize, swarm: &Swarm, of: &SightOf<'_>) {
-        while self.sights.len() <= eye {
+    pub(crate) fn set_eye(&mut self, gpu: &Gpu, eye: usize, swarm: &Swarm, of: &EyeView<'_>) {
+        while self.eye_groups.len() <= eye {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("sight"),
-                size: size_of::<GpuSight>() as u64,
+                label: Some("eye"),
+                size: size_of::<GpuEye>() as u64,
                 usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
             });
             let resources = [&buffer, &self.particles, &self.clouds].map(|buffer| buffer.as_entire_binding());
             let group = group(gpu, &self.sight_layout, &resources);
-            self.sights.push((buffer, group));
+            self.eye_groups.push((buffer, group));
         }
-        let SightOf { view, pane, care, .. } = *of;
+        let EyeView { view, pane, quality, .. } = *of;
         let lens = &view.lens;
         let scale = lens.clip_from_eye();
         let radius = swarm.drop_radius() as f32;
-        let texels = f64::from(pane[3]) / (2.0 * (0.5 * lens.field_of_view).tan() * f64::from(care.pixels));
-        let sight = GpuSight {
+        let texels =
+            f64::from(pane[3]) / (2.0 * (0.5 * lens.field_of_view).tan() * f64::from(quality.pixels));
+        let eye_view = GpuEye {
             eye_from_world: view.world_from_eye.inverse().to_homogeneous().map(|part| part as f32).into(),
             scale: [scale[(0, 0)] as f32, -scale[(1, 1)] as f32],
             shift: lens.shift.map(|part| part as f32),
             near: lens.near as f32,
             far: lens.far as f32,
             texels: texels as f32,
-            pixels: care.pixels as f32,
+            pixels: quality.pixels as f32,
             pane: pane.map(|pixels| pixels as f32),
             reach: 2.2 * radius,
             range: radius,
-            taps: care.taps,
-            lights: if care.one_light { of.lights.min(1) } else { of.lights },
+            taps: quality.taps,
+            lights: if quality.one_light { of.lights.min(1) } else { of.lights },
             shadows: of.shadows,
-            wisps: u32::from(care.wisps),
+            wisps: u32::from(quality.wisps),
             first_number: of.first_number,
-            smoke_pixels: care.smoke_pixels as f32,
+            smoke_pixels: quality.smoke_pixels as f32,
         };
-        gpu.queue.write_buffer(&self.sights[eye].0, 0, bytemuck::bytes_of(&sight));
+        gpu.queue.write_buffer(&self.eye_groups[eye].0, 0, bytemuck::bytes_of(&eye_view));
     }
 
     /// The bind group of an eye that was written.
-    pub(crate) fn sight(&self, eye: usize) -> &wgpu::BindGroup {
-        &self.sights[eye].1
+    pub(crate) fn eye_group(&self, eye: usize) -> &wgpu::BindGroup {
+        &self.eye_groups[eye].1
     }
 }
 

@@ -25,7 +25,7 @@ type Kind = (wgpu::TextureFormat, u32);
 
 /// The data of one eye.
 #[derive(Default)]
-struct Eye {
+struct EyeBuffers {
     order: Order,
     /// The bind group of the scene's depth, and that depth texture.
     depth: Option<(wgpu::TextureView, wgpu::BindGroup)>,
@@ -46,7 +46,7 @@ pub(crate) struct SmokePass {
     wisps: wgpu::TextureView,
     sampler: wgpu::Sampler,
     clamped: wgpu::Sampler,
-    eyes: Vec<Eye>,
+    eyes: Vec<EyeBuffers>,
     keys: Vec<(f32, u32)>,
 }
 
@@ -124,7 +124,7 @@ impl SmokePass {
             self.veils.entry(kind).or_insert_with(|| pipeline(gpu, &veil));
         }
         if self.eyes.len() <= eye {
-            self.eyes.resize_with(eye + 1, Eye::default);
+            self.eyes.resize_with(eye + 1, EyeBuffers::default);
         }
         let own = &mut self.eyes[eye];
         if own.depth.as_ref().is_none_or(|(before, _)| before != depth) {
@@ -145,7 +145,7 @@ impl SmokePass {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        (frame, sight): (&wgpu::BindGroup, &wgpu::BindGroup),
+        (frame, eye_group): (&wgpu::BindGroup, &wgpu::BindGroup),
         eye: usize,
         samples: u32,
         (pane, smoke_pixels): ([u32; 2], u32),
@@ -169,7 +169,7 @@ impl SmokePass {
         pass.set_viewport(0.0, 0.0, width, height, 0.0, 1.0);
         pass.set_pipeline(pipeline);
         pass.set_bind_group(0, frame, &[]);
-        pass.set_bind_group(1, sight, &[]);
+        pass.set_bind_group(1, eye_group, &[]);
         pass.set_bind_group(2, depth, &[]);
         own.order.draw(&mut pass, 6);
         Some(place)

@@ -3,7 +3,7 @@
 use egui::{RichText, Ui};
 
 use super::super::subject::Actor;
-use super::super::view_state::Sight;
+use super::super::view_state::SubjectView;
 use super::{BAD, GOOD, POOR};
 
 const HEAD: [&str; 10] = [
@@ -20,12 +20,12 @@ const HEAD: [&str; 10] = [
 ];
 
 /// One table per subject.
-pub(super) fn show(ui: &mut Ui, sights: &mut [Sight]) {
+pub(super) fn show(ui: &mut Ui, subject_views: &mut [SubjectView]) {
     egui::ScrollArea::both().auto_shrink(false).show(ui, |ui| {
-        for (index, sight) in sights.iter_mut().enumerate() {
-            let standing = sight.subject.standing();
-            if standing.actors.is_empty() {
-                ui.label(format!("{}: nobody acts", sight.subject.title()));
+        for (index, subject_view) in subject_views.iter_mut().enumerate() {
+            let state = subject_view.subject.state();
+            if state.actors.is_empty() {
+                ui.label(format!("{}: nobody acts", subject_view.subject.title()));
                 continue;
             }
             egui::Grid::new(("actors", index)).striped(true).show(ui, |ui| {
@@ -33,7 +33,7 @@ pub(super) fn show(ui: &mut Ui, sights: &mut [Sight]) {
                     ui.label(RichText::new(head).weak());
                 }
                 ui.end_row();
-                standing.actors.iter().for_each(|actor| row(ui, actor));
+                state.actors.iter().for_each(|actor| row(ui, actor));
             });
         }
     });

@@ -6,8 +6,8 @@ use egui::Ui;
 use serde_json::Value;
 use trocar_scene::Entity;
 
-use super::super::subject::{Ask, Tune};
-use super::super::view_state::Sight;
+use super::super::subject::{Request, Tune};
+use super::super::view_state::SubjectView;
 use super::tune::FIELD;
 use super::value;
 
@@ -24,7 +24,7 @@ pub(in super::super) struct Inspector {
 }
 
 impl Inspector {
-    pub(super) fn show(&mut self, ui: &mut Ui, sight: &mut Sight) {
+    pub(super) fn show(&mut self, ui: &mut Ui, subject_view: &mut SubjectView) {
         ui.strong("inspect");
         ui.horizontal(|ui| {
             ui.label("find");
@@ -34,43 +34,43 @@ impl Inspector {
         egui::ScrollArea::vertical().id_salt("entities").max_height(140.0).auto_shrink([false, true]).show(
             ui,
             |ui| {
-                let scene = sight.scene.clone();
+                let scene = subject_view.scene.clone();
                 let named = scene.entities().map(|entity| (entity, scene.name(entity)));
                 let found = named.filter(|(_, name)| name.to_lowercase().contains(&wanted));
                 for (entity, name) in found.take(LISTED_MAX) {
-                    ui.selectable_value(&mut sight.selected, Some(entity), name);
+                    ui.selectable_value(&mut subject_view.selected, Some(entity), name);
                 }
             },
         );
-        let Some(entity) = sight.selected else {
+        let Some(entity) = subject_view.selected else {
             self.read = None;
             ui.weak("double click something in the scene");
             return;
         };
-        self.refresh(entity, sight);
+        self.refresh(entity, subject_view);
         let Some((_, _, Value::Object(components))) = &mut self.read else { return };
-        let name = sight.scene.name(entity);
+        let name = subject_view.scene.name(entity);
         ui.horizontal(|ui| {
             ui.heading(&name);
             if ui.small_button("×").clicked() {
-                sight.selected = None;
+                subject_view.selected = None;
             }
         });
-        let editable = sight.subject.standing().abilities.tune;
+        let editable = subject_view.subject.state().abilities.tune;
         egui::ScrollArea::vertical().id_salt("components").auto_shrink(false).show(ui, |ui| {
             for (component, row) in components {
                 let path = format!("{name}.{component}");
                 if let Some((field, value)) = value::show(ui, component, row, &path, editable) {
-                    sight.subject.ask(Ask::Tune(Tune::Set(vec![(field, value)])));
+                    subject_view.subject.request(Request::Tune(Tune::Set(vec![(field, value)])));
                 }
             }
         });
     }
 
-    fn refresh(&mut self, entity: Entity, sight: &Sight) {
+    fn refresh(&mut self, entity: Entity, subject_view: &SubjectView) {
         let fresh = |(of, since, _): &(Entity, Instant, Value)| *of == entity && since.elapsed() < READ_EVERY;
         if !self.read.as_ref().is_some_and(fresh) {
-            self.read = Some((entity, Instant::now(), sight.scene.entity_json(entity)));
+            self.read = Some((entity, Instant::now(), subject_view.scene.entity_json(entity)));
         }
     }
 }

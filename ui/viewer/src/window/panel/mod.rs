@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use egui::{Color32, RichText, Ui};
 
 use super::keys::Action;
-use super::subject::{Ask, Course, Note};
-use super::view_state::Sight;
+use super::subject::{Note, PlayState, Request};
+use super::view_state::SubjectView;
 
 pub(super) use inspect::Inspector;
 pub(super) use tune::TuningPanel;
@@ -72,11 +72,11 @@ impl Panels {
     }
 
     /// Collects new notes of the subjects.
-    fn listen(&mut self, sights: &mut [Sight]) {
-        self.heard.resize(sights.len(), 0);
-        for (index, sight) in sights.iter_mut().enumerate() {
-            let standing = sight.subject.standing();
-            for (number, note) in &standing.notes {
+    fn listen(&mut self, subject_views: &mut [SubjectView]) {
+        self.heard.resize(subject_views.len(), 0);
+        for (index, subject_view) in subject_views.iter_mut().enumerate() {
+            let state = subject_view.subject.state();
+            for (number, note) in &state.notes {
                 if *number > self.heard[index] {
                     self.heard[index] = *number;
                     self.note(note.text.clone(), note.bad);
@@ -87,33 +87,39 @@ impl Panels {
     }
 
     /// Draws all panels; the scene gets the rest of `ui`.
-    pub(super) fn show(&mut self, ui: &mut Ui, sights: &mut [Sight], frames: f64, hands: Hands) -> Wishes {
+    pub(super) fn show(
+        &mut self,
+        ui: &mut Ui,
+        subject_views: &mut [SubjectView],
+        frames: f64,
+        hands: Hands,
+    ) -> Wishes {
         let mut wishes = Wishes::default();
-        self.listen(sights);
-        if sights.iter_mut().any(|sight| sight.subject.standing().length.is_some()) {
-            egui::Panel::bottom("timeline").show(ui, |ui| timeline::show(ui, sights, &mut wishes));
+        self.listen(subject_views);
+        if subject_views.iter_mut().any(|subject_view| subject_view.subject.state().length.is_some()) {
+            egui::Panel::bottom("timeline").show(ui, |ui| timeline::show(ui, subject_views, &mut wishes));
         }
         if self.actors {
             egui::Panel::bottom("actors")
                 .resizable(true)
                 .default_size(180.0)
-                .show(ui, |ui| actors::show(ui, sights));
+                .show(ui, |ui| actors::show(ui, subject_views));
         }
         if self.left {
             // Fixed width, whatever its content, so that the scene keeps its size.
             egui::Panel::left("session").exact_size(240.0).show(ui, |ui| {
                 ui.spacing_mut().slider_width = 70.0;
                 egui::ScrollArea::vertical().show(ui, |ui| {
-                    session::show(ui, sights, frames, hands, &mut wishes);
+                    session::show(ui, subject_views, frames, hands, &mut wishes);
                 });
             });
         }
         if self.right {
             egui::Panel::right("inspect").exact_size(300.0).show(ui, |ui| {
-                let Some(sight) = sights.first_mut() else { return };
-                self.tuning.show(ui, sight);
+                let Some(subject_view) = subject_views.first_mut() else { return };
+                self.tuning.show(ui, subject_view);
                 ui.separator();
-                self.inspector.show(ui, sight);
+                self.inspector.show(ui, subject_view);
             });
         }
         if self.help {
@@ -151,8 +157,8 @@ pub(super) struct Hands {
 }
 
 /// Sends the same request to every subject of the window.
-pub(super) fn ask_all(sights: &mut [Sight], ask: &Ask) {
-    sights.iter_mut().for_each(|sight| sight.subject.ask(ask.clone()));
+pub(super) fn request_all(subject_views: &mut [SubjectView], request: &Request) {
+    subject_views.iter_mut().for_each(|subject_view| subject_view.subject.request(request.clone()));
 }
 
 /// The next speed, up or down.
@@ -165,9 +171,11 @@ pub(super) fn next_speed(now: f64, by: isize) -> f64 {
 }
 
 /// Pauses or resumes.
-pub(super) fn toggle_course(sights: &mut [Sight]) {
-    let runs = sights.iter_mut().any(|sight| sight.subject.standing().course == Course::Running);
-    ask_all(sights, if runs { &Ask::Pause } else { &Ask::Resume });
+pub(super) fn toggle_play(subject_views: &mut [SubjectView]) {
+    let runs = subject_views
+        .iter_mut()
+        .any(|subject_view| subject_view.subject.state().play_state == PlayState::Running);
+    request_all(subject_views, if runs { &Request::Pause } else { &Request::Resume });
 }
 
 /// A time as text for people.

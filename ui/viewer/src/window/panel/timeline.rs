@@ -4,26 +4,29 @@ use egui::{Color32, Pos2, Rect, Sense, Stroke, Ui, Vec2};
 use trocar_scene::SimTime;
 
 use super::super::keys::Action;
-use super::super::subject::{Ask, Course};
-use super::super::view_state::Sight;
-use super::{BAD, Wishes, ask_all, clock, toggle_course};
+use super::super::subject::{PlayState, Request};
+use super::super::view_state::SubjectView;
+use super::{BAD, Wishes, clock, request_all, toggle_play};
 
 /// A seek bar from the beginning to the end, with marks at events.
-pub(super) fn show(ui: &mut Ui, sights: &mut [Sight], wishes: &mut Wishes) {
-    let Some(first) = sights.first_mut() else { return };
-    let standing = first.subject.standing();
+pub(super) fn show(ui: &mut Ui, subject_views: &mut [SubjectView], wishes: &mut Wishes) {
+    let Some(first) = subject_views.first_mut() else { return };
+    let state = first.subject.state();
     let now = first.subject.now();
-    let length =
-        sights.iter_mut().filter_map(|sight| sight.subject.standing().length).max().unwrap_or_default();
+    let length = subject_views
+        .iter_mut()
+        .filter_map(|subject_view| subject_view.subject.state().length)
+        .max()
+        .unwrap_or_default();
     ui.horizontal(|ui| {
-        let text = if standing.course == Course::Running { "⏸" } else { "▶" };
+        let text = if state.play_state == PlayState::Running { "⏸" } else { "▶" };
         if ui.button(text).on_hover_text("Space").clicked() {
-            toggle_course(sights);
+            toggle_play(subject_views);
         }
         if ui.button("⏮").on_hover_text("Backspace").clicked() {
-            ask_all(sights, &Ask::Reset);
+            request_all(subject_views, &Request::Reset);
         }
-        let mut looped = standing.looped;
+        let mut looped = state.looped;
         if ui.toggle_value(&mut looped, "🔁").on_hover_text("L: begin anew at the end").changed() {
             wishes.0.push(Action::Loop);
         }
@@ -39,8 +42,8 @@ pub(super) fn show(ui: &mut Ui, sights: &mut [Sight], wishes: &mut Wishes) {
         painter.rect_filled(line, 3.0, ui.visuals().extreme_bg_color);
         let done = Rect::from_min_max(line.min, Pos2::new(place(now), line.max.y));
         painter.rect_filled(done, 3.0, ui.visuals().selection.bg_fill);
-        for sight in sights.iter_mut() {
-            for mark in &sight.subject.standing().marks {
+        for subject_view in subject_views.iter_mut() {
+            for mark in &subject_view.subject.state().marks {
                 let color = if mark.bad { BAD } else { Color32::from_gray(190) };
                 painter.vline(place(mark.time), rect.y_range(), Stroke::new(1.5, color));
             }
@@ -49,13 +52,13 @@ pub(super) fn show(ui: &mut Ui, sights: &mut [Sight], wishes: &mut Wishes) {
         let Some(at) = response.hover_pos().or(response.interact_pointer_pos()) else { return };
         let share = f64::from(((at.x - rect.left()) / rect.width()).clamp(0.0, 1.0));
         let pointed = SimTime::from_secs_f64(share * seconds);
-        if (response.dragged() || response.clicked() || response.drag_started()) && standing.abilities.seek {
-            ask_all(sights, &Ask::Seek(pointed));
+        if (response.dragged() || response.clicked() || response.drag_started()) && state.abilities.seek {
+            request_all(subject_views, &Request::Seek(pointed));
         }
         let close = |time: SimTime| (place(time) - at.x).abs() < 5.0;
         let mut text = clock(pointed.as_secs_f64());
-        for sight in sights.iter_mut() {
-            for mark in sight.subject.standing().marks.iter().filter(|mark| close(mark.time)).take(6) {
+        for subject_view in subject_views.iter_mut() {
+            for mark in subject_view.subject.state().marks.iter().filter(|mark| close(mark.time)).take(6) {
                 text.push_str(&format!("\n{}  {}", clock(mark.time.as_secs_f64()), mark.what));
             }
         }

@@ -7,8 +7,8 @@ use egui::{RichText, Ui};
 use serde_json::Value;
 use trocar_scene::{Name, Snapshot};
 
-use super::super::subject::{Ask, Tune};
-use super::super::view_state::Sight;
+use super::super::subject::{Request, Tune};
+use super::super::view_state::SubjectView;
 use super::value;
 
 /// Most search results.
@@ -31,9 +31,9 @@ pub(in super::super) struct TuningPanel {
 }
 
 impl TuningPanel {
-    pub(super) fn show(&mut self, ui: &mut Ui, sight: &mut Sight) {
-        let standing = sight.subject.standing();
-        if !standing.abilities.tune {
+    pub(super) fn show(&mut self, ui: &mut Ui, subject_view: &mut SubjectView) {
+        let state = subject_view.subject.state();
+        if !state.abilities.tune {
             return;
         }
         ui.strong("tune");
@@ -42,16 +42,16 @@ impl TuningPanel {
             let hint = "stiffness, ring.1 mass, …";
             ui.add(egui::TextEdit::singleline(&mut self.find).hint_text(hint).desired_width(FIELD));
         });
-        let mut asked: Option<Tune> = None;
+        let mut requested: Option<Tune> = None;
         if !self.find.trim().is_empty() {
-            self.search(&sight.scene);
+            self.search(&subject_view.scene);
             egui::ScrollArea::vertical().id_salt("found").max_height(180.0).auto_shrink([false, true]).show(
                 ui,
                 |ui| {
                     for (field, found) in &mut self.found {
                         ui.horizontal(|ui| {
                             if value::single(ui, found, true) {
-                                asked = Some(Tune::Set(vec![(field.clone(), found.clone())]));
+                                requested = Some(Tune::Set(vec![(field.clone(), found.clone())]));
                             }
                             ui.add(egui::Label::new(field.as_str()).truncate()).on_hover_text(field.as_str());
                         });
@@ -59,19 +59,19 @@ impl TuningPanel {
                 },
             );
         }
-        if !standing.tuning.changed.is_empty() {
+        if !state.tuning.changed.is_empty() {
             ui.label(RichText::new("not as in the scenario:").weak());
-            for (field, before, after) in standing.tuning.changed.iter().take(FOUND_MAX) {
+            for (field, before, after) in state.tuning.changed.iter().take(FOUND_MAX) {
                 let text = |value: &Value| value.as_f64().map_or(value.to_string(), value::readable);
                 ui.label(format!("{field}  {} → {}", text(before), text(after)));
             }
         }
         ui.horizontal_wrapped(|ui| {
-            let sets = standing.tuning.sets.iter().map(String::as_str).filter(|set| *set != "base");
+            let sets = state.tuning.sets.iter().map(String::as_str).filter(|set| *set != "base");
             for set in std::iter::once("base").chain(sets) {
-                let used = standing.tuning.in_use.as_deref() == Some(set);
+                let used = state.tuning.in_use.as_deref() == Some(set);
                 if ui.selectable_label(used, set).clicked() {
-                    asked = Some(Tune::Use(set.to_owned()));
+                    requested = Some(Tune::Use(set.to_owned()));
                 }
             }
         });
@@ -79,7 +79,7 @@ impl TuningPanel {
             ui.add(egui::TextEdit::singleline(&mut self.keep_as).hint_text("A").desired_width(60.0));
             if ui.button("keep as a set").clicked() {
                 let name = if self.keep_as.is_empty() { "A" } else { self.keep_as.as_str() };
-                asked = Some(Tune::Keep(name.to_owned()));
+                requested = Some(Tune::Keep(name.to_owned()));
             }
         });
         ui.horizontal(|ui| {
@@ -87,11 +87,11 @@ impl TuningPanel {
             ui.add(egui::TextEdit::singleline(&mut self.save_to).hint_text(hint).desired_width(140.0));
             if ui.button("save").clicked() {
                 let file = (!self.save_to.is_empty()).then(|| PathBuf::from(&self.save_to));
-                asked = Some(Tune::Save(file));
+                requested = Some(Tune::Save(file));
             }
         });
-        if let Some(tune) = asked {
-            sight.subject.ask(Ask::Tune(tune));
+        if let Some(tune) = requested {
+            subject_view.subject.request(Request::Tune(tune));
         }
     }
 

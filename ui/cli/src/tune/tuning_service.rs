@@ -18,7 +18,7 @@ use crate::output;
 const FIELDS_MAX: usize = 10_000;
 
 /// Tunes a session on request.
-pub struct Desk<'a> {
+pub struct TuningService<'a> {
     app: &'a App,
     scenario: &'a Scenario,
     /// The scenario's own file, if it came from one.
@@ -27,7 +27,7 @@ pub struct Desk<'a> {
     server: Option<Server>,
 }
 
-impl<'a> Desk<'a> {
+impl<'a> TuningService<'a> {
     /// For a session of this scenario; its socket is not open yet.
     pub fn new(app: &'a App, scenario: &'a Scenario, tuner: Tuner) -> Self {
         // An absolute path, since the working folder may change.

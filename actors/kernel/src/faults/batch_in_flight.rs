@@ -5,7 +5,7 @@ use trocar_scene::{Batch, Commands, SimTime};
 use super::link_faults::Message;
 
 /// A sealed batch.
-pub(crate) struct Parcel {
+pub(crate) struct BatchInFlight {
     /// When it was sealed.
     pub(crate) sealed_at: SimTime,
     pub(crate) batch: Box<Batch>,
@@ -32,7 +32,7 @@ fn read_back(batch: &Batch, bytes: &[u8], mut empty: Commands) -> Option<Box<Bat
     Some(Box::new(Batch { provenance: batch.provenance, commands: empty }))
 }
 
-impl Message for Parcel {
+impl Message for BatchInFlight {
     fn duplicate(&self) -> Option<Self> {
         // Its buffers return to the writer, which allocates entities from them.
         let batch = second_of(&self.batch, self.batch.commands.another())?;
@@ -62,7 +62,7 @@ mod tests {
     use crate::testing::{Count, Level, registry};
     use trocar_scene::{EntityAllocator, Provenance, Revision, WriterId};
 
-    fn parcel() -> Parcel {
+    fn batch_in_flight() -> BatchInFlight {
         let mut commands = Commands::new(registry(), EntityAllocator::new(2, 5));
         let entity = commands.spawn();
         commands.put(entity, Count(7));
@@ -76,24 +76,24 @@ mod tests {
             time: SimTime(9),
             based_on: Revision::ZERO,
         };
-        Parcel { sealed_at: SimTime(10), batch: Box::new(Batch { provenance, commands }) }
+        BatchInFlight { sealed_at: SimTime(10), batch: Box::new(Batch { provenance, commands }) }
     }
 
     #[test]
     fn a_duplicate_says_the_same_to_the_byte() {
-        let first = parcel();
+        let first = batch_in_flight();
         let second = first.duplicate().expect("can be copied");
         assert_eq!(encoded(&first.batch), encoded(&second.batch));
         assert_eq!(first.batch.provenance, second.batch.provenance);
         assert_eq!(first.batch.commands.me(), second.batch.commands.me());
         let (mut first, mut second) = (first, second);
-        let spawned = [&mut first, &mut second].map(|parcel| parcel.batch.commands.spawn());
+        let spawned = [&mut first, &mut second].map(|batch_in_flight| batch_in_flight.batch.commands.spawn());
         assert_ne!(spawned[0], spawned[1], "one writer, one counter");
     }
 
     #[test]
     fn one_with_preconditions_is_not_doubled() {
-        let mut conditional = parcel();
+        let mut conditional = batch_in_flight();
         let me = conditional.batch.commands.me();
         conditional.batch.commands.require_unchanged::<Count>(me, Revision::ZERO);
         assert!(conditional.duplicate().is_none());
@@ -101,15 +101,15 @@ mod tests {
 
     #[test]
     fn any_three_flipped_bits_are_seen() {
-        let length = encoded(&parcel().batch).expect("encodes").len();
+        let length = encoded(&batch_in_flight().batch).expect("encodes").len();
         for bit in 0..8 * length {
-            let garbled = parcel().through(&mut |bytes| {
+            let garbled = batch_in_flight().through(&mut |bytes| {
                 for flip in [bit, (bit * 7 + 3) % (8 * length), (bit * 13 + 5) % (8 * length)] {
                     bytes[flip / 8] ^= 1 << (flip % 8);
                 }
             });
             assert!(garbled.is_none(), "bit {bit}");
         }
-        assert!(parcel().through(&mut |_| ()).is_some(), "silence harms nothing");
+        assert!(batch_in_flight().through(&mut |_| ()).is_some(), "silence harms nothing");
     }
 }

@@ -4,10 +4,7 @@
 
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
-
-use crate::components::{Hand, Motion, RigidBody, Shape, Side};
-use crate::entity::Entity;
-use crate::snapshot::Snapshot;
+use trocar_scene::{Entity, Hand, Motion, RigidBody, Shape, Side, Snapshot};
 
 /// Why a scene is not a valid bench.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]

@@ -1,8 +1,8 @@
 //! The parts of a peg-transfer bench are found, and what a scene lacks is named.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_scene::peg_bench::{BenchError, find_hand, find_pegs, find_rings};
 use trocar_scene::*;
+use trocar_tasks::peg_bench::{BenchError, find_hand, find_pegs, find_rings};
 
 fn scene(fill: impl FnOnce(&mut Commands)) -> Snapshot {
     let registry = Registry::of_the_field();

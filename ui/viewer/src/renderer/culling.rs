@@ -16,7 +16,7 @@ pub(super) fn order(draws: &[Draw], view: &View) -> Vec<(usize, f64)> {
     let mut seen: Vec<(bool, f64, usize)> = Vec::with_capacity(draws.len());
     for (index, draw) in draws.iter().enumerate() {
         let centre = eye_from_world * draw.centre_in_world;
-        if is_in_sight(&clip_from_eye, &centre, draw.radius, view) {
+        if is_in_frustum(&clip_from_eye, &centre, draw.radius, view) {
             let key = if draw.blended { -centre.z } else { centre.z - draw.radius };
             seen.push((draw.blended, key, index));
         }
@@ -46,7 +46,7 @@ pub(super) fn focus(draws: &[Draw], view: &View) -> Point3<f64> {
 }
 
 /// Whether a bounding sphere intersects the frustum.
-fn is_in_sight(clip_from_eye: &Matrix4<f64>, centre: &Point3<f64>, radius: f64, view: &View) -> bool {
+fn is_in_frustum(clip_from_eye: &Matrix4<f64>, centre: &Point3<f64>, radius: f64, view: &View) -> bool {
     let lens = &view.lens;
     if centre.z + radius < lens.near || centre.z - radius > lens.far {
         return false;

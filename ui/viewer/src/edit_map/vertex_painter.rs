@@ -9,7 +9,7 @@ const STEPS: f32 = 1020.0;
 
 /// `N` values per vertex, as last painted.
 #[derive(Clone, Debug)]
-pub(super) struct Painter<const N: usize> {
+pub(super) struct VertexPainter<const N: usize> {
     atlas: Atlas,
     triangles: Vec<[u32; 3]>,
     painted: Vec<[u16; N]>,
@@ -19,7 +19,7 @@ pub(super) struct Painter<const N: usize> {
     fresh: bool,
 }
 
-impl<const N: usize> Painter<N> {
+impl<const N: usize> VertexPainter<N> {
     pub fn new(width: u32, height: u32) -> Self {
         Self {
             atlas: Atlas::new(width, height),

@@ -1,0 +1,211 @@
+//! The TOML format of fault plans: reading and checking a file.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use trocar_scene::SimTime;
+
+use super::plan::{
+    During, Expect, FaultPlan, FaultPlanError, FaultSpec, MAX_FAULTS, MAX_FILE_BYTES, SCHEMA, seed_of,
+    unit_of,
+};
+use crate::spec::FaultKind;
+
+/// Latest time of a fault, in seconds: well beyond any session, well within the clock.
+const MAX_SECS: f64 = 1e6;
+/// Fastest slow disk, in bytes per second: beyond any disk.
+const MAX_BYTES_PER_SEC: f64 = 1e12;
+
+/// Whether a fault of this kind can heal, and so may have `for_secs`.
+const fn can_heal(kind: FaultKind) -> bool {
+    !matches!(kind, FaultKind::Kill)
+}
+const fn takes_probability(kind: FaultKind) -> bool {
+    matches!(kind, FaultKind::Drop | FaultKind::Duplicate | FaultKind::Reorder | FaultKind::Corrupt)
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    schema: u32,
+    #[serde(default)]
+    seed: u64,
+    #[serde(default)]
+    fault: Vec<FileFault>,
+    #[serde(default)]
+    expect: Expect,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileFault {
+    id: Option<String>,
+    at_secs: Option<f64>,
+    between_secs: Option<[f64; 2]>,
+    during: Option<During>,
+    for_secs: Option<f64>,
+    target: String,
+    kind: FaultKind,
+    step_secs: Option<f64>,
+    probability: Option<f64>,
+    delay_secs: Option<f64>,
+    jitter_secs: Option<f64>,
+    bytes_per_sec: Option<f64>,
+}
+
+impl FaultPlan {
+    /// Reads a plan file.
+    ///
+    /// # Errors
+    /// [`FaultPlanError`], naming the file, the place and what is valid.
+    pub fn read(path: &Path) -> Result<Self, FaultPlanError> {
+        let file = path.display().to_string();
+        let io = |source| FaultPlanError::Io { file: file.clone(), source };
+        let bytes = std::fs::metadata(path).map_err(io)?.len();
+        if bytes > MAX_FILE_BYTES {
+            return Err(FaultPlanError::TooLarge { file, bytes });
+        }
+        let text = std::fs::read_to_string(path).map_err(io)?;
+        Self::parse(&text, &file)
+    }
+
+    /// Parses the text of a plan; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`FaultPlanError`], naming the place and what is valid.
+    pub fn parse(text: &str, file: &str) -> Result<Self, FaultPlanError> {
+        let parsed: File = toml::from_str(text).map_err(|error| {
+            // An error without a place, such as nesting beyond TOML's limit, is about the whole document.
+            let place = if error.span().is_none() { "line 1 and below: " } else { "" };
+            FaultPlanError::Syntax { file: file.to_owned(), message: format!("{place}{error}") }
+        })?;
+        if parsed.schema != SCHEMA {
+            return Err(FaultPlanError::Schema { file: file.to_owned(), found: parsed.schema });
+        }
+        if parsed.fault.len() > MAX_FAULTS {
+            return Err(FaultPlanError::TooMany { file: file.to_owned(), found: parsed.fault.len() });
+        }
+        let mut plan = Self { seed: parsed.seed, faults: Vec::new(), expect: parsed.expect };
+        plan.check_expect(file)?;
+        for (index, fault) in parsed.fault.into_iter().enumerate() {
+            let id = fault.id.clone().unwrap_or_else(|| format!("fault {}", index + 1));
+            if plan.faults.iter().any(|other| other.id == id) {
+                return Err(value_error(file, &id, "id", "another fault has the same id"));
+            }
+            let unit = unit_of(seed_of(plan.seed, index));
+            plan.faults.push(fault.into_spec(id, file, unit)?);
+        }
+        Ok(plan)
+    }
+
+    fn check_expect(&self, file: &str) -> Result<(), FaultPlanError> {
+        let figures = [
+            ("recovery_secs_max", self.expect.recovery_secs_max),
+            ("force_newtons_max", self.expect.force_newtons_max),
+        ];
+        for (key, figure) in figures {
+            if figure.is_some_and(|figure| !figure.is_finite() || figure < 0.0) {
+                return Err(value_error(file, "[expect]", key, "must be a number of at least 0"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl FileFault {
+    /// A fault of the plan; `unit` in [0, 1) chooses within `between_secs`.
+    fn into_spec(self, id: String, file: &str, unit: f64) -> Result<FaultSpec, FaultPlanError> {
+        let time = |key, value: f64| {
+            if (0.0..=MAX_SECS).contains(&value) {
+                Ok(SimTime::from_secs_f64(value))
+            } else {
+                Err(value_error(file, &id, key, &format!("{value} is not between 0 and {MAX_SECS} seconds")))
+            }
+        };
+        let only = |key, given: bool, taken: bool| {
+            if given && !taken {
+                Err(value_error(file, &id, key, &format!("means nothing for kind '{}'", self.kind)))
+            } else {
+                Ok(())
+            }
+        };
+        let needed = |key, missing: bool, taken: bool| {
+            if missing && taken {
+                Err(value_error(file, &id, key, &format!("kind '{}' needs it", self.kind)))
+            } else {
+                Ok(())
+            }
+        };
+        let kind = self.kind;
+        only("for_secs", self.for_secs.is_some(), can_heal(kind))?;
+        only("step_secs", self.step_secs.is_some(), kind == FaultKind::Slow)?;
+        needed("step_secs", self.step_secs.is_none(), kind == FaultKind::Slow)?;
+        only("delay_secs", self.delay_secs.is_some(), kind == FaultKind::Delay)?;
+        needed("delay_secs", self.delay_secs.is_none(), kind == FaultKind::Delay)?;
+        only("jitter_secs", self.jitter_secs.is_some(), kind == FaultKind::Delay)?;
+        only("bytes_per_sec", self.bytes_per_sec.is_some(), kind == FaultKind::DiskSlow)?;
+        needed("bytes_per_sec", self.bytes_per_sec.is_none(), kind == FaultKind::DiskSlow)?;
+        only("probability", self.probability.is_some(), takes_probability(kind))?;
+        needed("probability", self.probability.is_none(), takes_probability(kind))?;
+        let probability = self.probability.unwrap_or(1.0);
+        if !(0.0..=1.0).contains(&probability) {
+            let problem = format!("{probability} is not between 0 and 1");
+            return Err(value_error(file, &id, "probability", &problem));
+        }
+        let bytes_per_sec = self.bytes_per_sec.unwrap_or(0.0);
+        if !(0.0..=MAX_BYTES_PER_SEC).contains(&bytes_per_sec) {
+            let problem =
+                format!("{bytes_per_sec} is not between 0 and {MAX_BYTES_PER_SEC} bytes per second");
+            return Err(value_error(file, &id, "bytes_per_sec", &problem));
+        }
+        let (delay, jitter) = (self.delay_secs.unwrap_or(0.0), self.jitter_secs.unwrap_or(0.0));
+        if jitter > delay {
+            let problem =
+                format!("{jitter} is more than delay_secs = {delay}: nothing arrives before it is sent");
+            return Err(value_error(file, &id, "jitter_secs", &problem));
+        }
+        let at = match (self.at_secs, self.between_secs) {
+            (Some(at), None) => time("at_secs", at)?,
+            (None, Some([from, to])) => {
+                let (from, to) = (time("between_secs", from)?, time("between_secs", to)?);
+                if to < from {
+                    return Err(value_error(
+                        file,
+                        &id,
+                        "between_secs",
+                        "the second time is before the first",
+                    ));
+                }
+                from + SimTime::from_secs_f64(to.since(from).as_secs_f64() * unit)
+            }
+            (Some(_), Some(_)) => {
+                return Err(value_error(file, &id, "at_secs", "say either this or between_secs, not both"));
+            }
+            (None, None) => {
+                return Err(value_error(
+                    file,
+                    &id,
+                    "at_secs",
+                    "say when: this, or between_secs = [from, to]",
+                ));
+            }
+        };
+        Ok(FaultSpec {
+            at,
+            during: self.during,
+            lasting: self.for_secs.map(|secs| time("for_secs", secs)).transpose()?,
+            step: time("step_secs", self.step_secs.unwrap_or(0.0))?,
+            delay: time("delay_secs", delay)?,
+            jitter: time("jitter_secs", jitter)?,
+            bytes_per_sec,
+            target: self.target,
+            kind,
+            probability,
+            id,
+        })
+    }
+}
+
+fn value_error(file: &str, id: &str, key: &'static str, problem: &str) -> FaultPlanError {
+    FaultPlanError::Value { file: file.to_owned(), id: id.to_owned(), key, problem: problem.to_owned() }
+}
