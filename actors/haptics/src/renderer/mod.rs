@@ -76,6 +76,7 @@ pub trait ForceRenderer: Send {
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum RendererConfig {
     /// The simulation's last force, held (the paper's method).
+    #[serde(rename = "held")]
     ZeroOrderHold,
     /// A spring and damper to the simulated instrument.
     VirtualCoupling(VirtualCouplingConfig),
