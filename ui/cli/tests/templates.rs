@@ -74,11 +74,8 @@ fn written() -> tempfile::TempDir {
     let profiles = section("[profile.release]\n");
     let members: Vec<String> = PROJECTS.iter().map(|(name, ..)| format!("{name:?}")).collect();
     let members = members.join(", ");
-    // Cargo builds the crates of this repository once more for another workspace. What is shown here needs them to work,
-    // not to be fast.
-    let light = OURS.map(|name| format!("[profile.release.package.{name}]\nopt-level = 1\n")).concat();
     let manifest = format!(
-        "[workspace]\nresolver = \"3\"\nmembers = [\"libraries\", {members}]\n\n[profile.release]\n{profiles}\n{light}"
+        "[workspace]\nresolver = \"3\"\nmembers = [\"libraries\", {members}]\n\n[profile.release]\n{profiles}"
     );
     // Asks for every library as this workspace does. Cargo unites what is asked for, and so takes the libraries that
     // are built already instead of building some of them, and all that depends on them, once more.
@@ -107,6 +104,11 @@ fn cargo(folder: &Path, arguments: &[&str]) -> Output {
     }
     // Told so, some libraries would be built once more.
     command.env_remove("RUSTC_BOOTSTRAP");
+    // Cargo builds the crates of this repository once more for another workspace. What is shown here needs them to work,
+    // not to be fast.
+    for name in OURS {
+        command.args(["--config", &format!("profile.release.package.{name}.opt-level = 1")]);
+    }
     command
         .args(arguments)
         .args(["--release", "--offline"])
