@@ -192,7 +192,7 @@ impl GhostNodes {
     }
 
     /// Marks a fraction of the position error as corrected within a step of the faster body, apart from the results
-    /// passed to [`met`](Self::met).
+    /// passed to [`end_step`](Self::end_step).
     pub fn caught_up(&mut self, share: f64) {
         self.behind.iter_mut().for_each(|behind| *behind *= 1.0 - share);
     }
