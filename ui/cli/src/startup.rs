@@ -45,7 +45,7 @@ impl Startup {
             if console::Term::stderr().is_term() {
                 spin(&received, first);
             } else {
-                announce(&received, first, LINE_AFTER, &mut |line| eprintln!("{line}"));
+                announce(&received, first);
             }
         });
         // Without a thread the start goes on and shows nothing.
@@ -109,27 +109,57 @@ fn spin(stages: &Receiver<String>, first: String) {
     bar.finish_and_clear();
 }
 
-/// Prints the present stage after `after`, and a later one each time that nothing was printed for twice as long as
-/// before, so that a long start is not a long list. No stage is printed twice.
-fn announce(stages: &Receiver<String>, first: String, mut after: Duration, print: &mut dyn FnMut(&str)) {
-    let mut waiting = Some(first);
-    let mut due = Instant::now() + after;
+/// Prints the lines of a start that are due.
+fn announce(stages: &Receiver<String>, first: String) {
+    let begun = Instant::now();
+    let mut lines = Lines::new(first, LINE_AFTER);
     loop {
-        let received = match &waiting {
-            Some(_) => stages.recv_timeout(due.saturating_duration_since(Instant::now())),
+        let received = match lines.due() {
+            Some(due) => stages.recv_timeout(due.saturating_sub(begun.elapsed())),
             None => stages.recv().map_err(|_| RecvTimeoutError::Disconnected),
         };
         match received {
-            Ok(next) => waiting = Some(next),
+            Ok(next) => lines.stage(next),
             Err(RecvTimeoutError::Timeout) => {
-                if let Some(stage) = waiting.take() {
-                    print(&stage);
+                if let Some(line) = lines.print(begun.elapsed()) {
+                    eprintln!("{line}");
                 }
-                after *= 2;
-                due = Instant::now() + after;
             }
             Err(RecvTimeoutError::Disconnected) => return,
         }
+    }
+}
+
+/// Which stages of a start are printed, and when: the present one after a silence, a later one after a silence of twice
+/// the length, so that a long start is not a long list. No stage is printed twice. Times count from the start.
+struct Lines {
+    /// The present stage, unless it is printed.
+    waiting: Option<String>,
+    silence: Duration,
+    due: Duration,
+}
+
+impl Lines {
+    fn new(first: String, silence: Duration) -> Self {
+        Self { waiting: Some(first), silence, due: silence }
+    }
+
+    /// Another stage begins.
+    fn stage(&mut self, stage: String) {
+        self.waiting = Some(stage);
+    }
+
+    /// When the present stage is to be printed; never if it has been.
+    fn due(&self) -> Option<Duration> {
+        self.waiting.as_ref().map(|_| self.due)
+    }
+
+    /// The line to print now, if one is due.
+    fn print(&mut self, now: Duration) -> Option<String> {
+        let line = self.waiting.take_if(|_| now >= self.due)?;
+        self.silence *= 2;
+        self.due = now + self.silence;
+        Some(line)
     }
 }
 
@@ -137,36 +167,38 @@ fn announce(stages: &Receiver<String>, first: String, mut after: Duration, print
 mod tests {
     use super::*;
 
-    /// Lines of a start whose stages come at these times [ms], announced after 100 ms.
+    /// Lines of a start whose stages come at these times [ms], with a first silence of 100 ms.
     fn lines(stages: &[(u64, &str)], end: u64) -> Vec<String> {
-        let (sender, received) = sync_channel(STAGES_MAX);
+        let mut lines = Lines::new("first".to_owned(), Duration::from_millis(100));
         let mut printed = Vec::new();
-        std::thread::scope(|scope| {
-            scope.spawn(move || {
-                let begun = Instant::now();
-                let wait = |ms| {
-                    let at = begun + Duration::from_millis(ms);
-                    std::thread::sleep(at.saturating_duration_since(Instant::now()));
-                };
-                for (at, stage) in stages {
-                    wait(*at);
-                    let _ = sender.try_send((*stage).to_owned());
-                }
-                wait(end);
-            });
-            announce(&received, "first".to_owned(), Duration::from_millis(100), &mut |line| {
-                printed.push(line.to_owned());
-            });
-        });
+        let mut now = Duration::ZERO;
+        for (at, stage) in stages.iter().map(|(at, stage)| (*at, Some(*stage))).chain([(end, None)]) {
+            let until = Duration::from_millis(at);
+            while let Some(due) = lines.due().filter(|due| *due <= until) {
+                now = now.max(due);
+                printed.extend(lines.print(now));
+            }
+            now = until;
+            if let Some(stage) = stage {
+                lines.stage(stage.to_owned());
+            }
+        }
         printed
     }
 
     #[test]
     fn a_slow_start_names_its_stages_once_each_and_a_quick_one_prints_nothing() {
-        assert_eq!(lines(&[], 1), [] as [&str; 0]);
-        assert_eq!(lines(&[], 1_000), ["first"]);
-        assert_eq!(lines(&[(1, "second")], 1_000), ["second"], "what is over is not worth a line");
-        assert_eq!(lines(&[(500, "second")], 1_500), ["first", "second"]);
+        assert_eq!(lines(&[], 99), [] as [&str; 0]);
+        assert_eq!(lines(&[], 10_000), ["first"]);
+        assert_eq!(lines(&[(99, "second")], 1_000), ["second"], "what is over is not worth a line");
+        assert_eq!(lines(&[(150, "second")], 299), ["first"]);
+        assert_eq!(lines(&[(150, "second")], 300), ["first", "second"]);
+        assert_eq!(lines(&[(150, "second"), (200, "third")], 1_000), ["first", "third"]);
+        assert_eq!(
+            lines(&[(500, "second")], 501),
+            ["first", "second"],
+            "a stage after the silence is printed at once"
+        );
         assert_eq!(line("liver", "the window"), "Preparing liver: the window …");
     }
 }
