@@ -47,8 +47,8 @@ pub struct Picks {
 pub struct Jaws<'a> {
     /// The instrument.
     pub instrument: u64,
-    /// Its pose: world from instrument.
-    pub pose_in_world: Isometry3<f64>,
+    /// Its pose in the frame of the surface's vertices.
+    pub body_from_instrument: Isometry3<f64>,
     /// Whether the jaws are nearly closed.
     pub closed: bool,
     /// Whether the jaws are closing.
@@ -62,8 +62,8 @@ pub struct Jaws<'a> {
 pub struct DrivenVertex {
     /// The vertex.
     pub vertex: u32,
-    /// The prescribed position, in world \[m\].
-    pub position_in_world: Point3<f64>,
+    /// The prescribed position, in the frame of the surface's vertices \[m\].
+    pub position_in_body: Point3<f64>,
 }
 
 /// Why an instrument was rejected.
@@ -102,7 +102,7 @@ impl Picks {
         jaws: &[Jaws<'_>],
     ) -> Result<(), PickError> {
         for jaw in jaws {
-            let pose = &jaw.pose_in_world;
+            let pose = &jaw.body_from_instrument;
             let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
             if !numbers.copied().all(f64::is_finite) {
                 return Err(PickError::Pose(jaw.instrument));
@@ -147,7 +147,7 @@ impl Picks {
             let held = |vertex: &u32| self.picks.iter().any(|pick| pick.held(*vertex).is_some());
             let vertices = vertices.into_iter().filter(|vertex| !held(vertex)).map(|vertex| HeldVertex {
                 vertex,
-                in_instrument: jaw.pose_in_world.inverse_transform_point(&positions[vertex as usize]),
+                in_instrument: jaw.body_from_instrument.inverse_transform_point(&positions[vertex as usize]),
             });
             self.picks.push(Pick {
                 instrument: jaw.instrument,
@@ -180,7 +180,7 @@ impl Picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
             driven.extend(pick.vertices.iter().map(|held| DrivenVertex {
                 vertex: held.vertex,
-                position_in_world: jaw.pose_in_world * held.in_instrument,
+                position_in_body: jaw.body_from_instrument * held.in_instrument,
             }));
         }
         driven.sort_by_key(|driven| driven.vertex);
@@ -228,7 +228,7 @@ impl Picks {
                 .filter_map(|vertex| {
                     let fresh = || {
                         let position = positions.get(vertex as usize)?;
-                        Some(jaw.pose_in_world.inverse_transform_point(position))
+                        Some(jaw.body_from_instrument.inverse_transform_point(position))
                     };
                     let in_instrument = known.get(&vertex).copied().or_else(fresh)?;
                     Some(HeldVertex { vertex, in_instrument })

@@ -96,12 +96,12 @@ impl Holder {
             .collect()
     }
 
-    /// In the form that [`Picks`] takes; "world" is the frame of the body.
+    /// In the form that [`Picks`] takes.
     #[must_use]
     pub fn jaws(&self) -> Jaws<'_> {
         Jaws {
             instrument: self.instrument,
-            pose_in_world: self.body_from_instrument,
+            body_from_instrument: self.body_from_instrument,
             closed: self.closed,
             closing: self.closing,
             touched: [&self.touched[0], &self.touched[1]],

@@ -18,8 +18,8 @@ fn strip(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     (points, triangles)
 }
 
-fn jaws<'a>(instrument: u64, pose_in_world: Isometry3<f64>, touched: [&'a [u32]; 2]) -> Jaws<'a> {
-    Jaws { instrument, pose_in_world, closed: true, closing: false, touched }
+fn jaws<'a>(instrument: u64, body_from_instrument: Isometry3<f64>, touched: [&'a [u32]; 2]) -> Jaws<'a> {
+    Jaws { instrument, body_from_instrument, closed: true, closing: false, touched }
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn what_is_picked_follows_the_instrument_as_a_rigid_body() {
     assert_eq!(driven.iter().map(|driven| driven.vertex).collect::<Vec<_>>(), [4, 5, 6, 7]);
     for driven in driven {
         let wanted = after * before.inverse_transform_point(&points[driven.vertex as usize]);
-        assert!((driven.position_in_world - wanted).norm() < 1e-15);
+        assert!((driven.position_in_body - wanted).norm() < 1e-15);
     }
 }
 
@@ -95,11 +95,11 @@ fn of_two_instruments_the_first_keeps_what_both_want() {
     assert_eq!(picks.of(1).expect("a pick").triangles, [2, 3, 4]);
     assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
     // Each vertex is prescribed once, shared ones by the first instrument.
-    let moved = [left, Jaws { pose_in_world: Isometry3::translation(0.0, 0.0, 0.1), ..right }];
+    let moved = [left, Jaws { body_from_instrument: Isometry3::translation(0.0, 0.0, 0.1), ..right }];
     let driven = picks.driven(&moved);
     assert!(driven.windows(2).all(|pair| pair[0].vertex < pair[1].vertex));
     assert!(
-        driven.iter().all(|driven| (driven.position_in_world.z > 0.05) == (driven.vertex > 6)),
+        driven.iter().all(|driven| (driven.position_in_body.z > 0.05) == (driven.vertex > 6)),
         "{driven:?}"
     );
     // When the first releases, the other keeps its own; closed again, the first finds those taken.
@@ -149,11 +149,11 @@ fn a_held_sheet_follows_through_a_solver_and_a_cut() {
         let driven = picks.driven(&[now]);
         let prescribed: Vec<_> = driven
             .iter()
-            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world })
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_body })
             .collect();
         solver.step(1e-3, &Input { prescribed: &prescribed, ..Input::default() }).expect("a step");
         for driven in driven {
-            assert_eq!(solver.state().positions[driven.vertex as usize], driven.position_in_world);
+            assert_eq!(solver.state().positions[driven.vertex as usize], driven.position_in_body);
         }
     }
     let held = picks.of(9).expect("a pick").vertices[0].vertex as usize;

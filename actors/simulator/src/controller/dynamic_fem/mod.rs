@@ -304,7 +304,7 @@ impl SoftMethod for DynamicFemMethod {
         self.contacts.clear();
         self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.of.kind)));
         self.prescribed.clear();
-        self.prescribed.extend(site.driven.iter().map(|driven| (driven.vertex, driven.position_in_world)));
+        self.prescribed.extend(site.driven.iter().map(|driven| (driven.vertex, driven.position_in_body)));
         let inputs = inputs(&self.contacts, &self.prescribed, site);
         let report = self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
         self.report = Some(report);

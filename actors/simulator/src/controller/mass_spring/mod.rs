@@ -364,7 +364,7 @@ impl SoftMethod for MassSpringMethod {
         let driven = site
             .driven
             .iter()
-            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world });
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_body });
         self.prescribed.extend(driven);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));

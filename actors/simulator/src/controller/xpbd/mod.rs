@@ -352,7 +352,7 @@ impl XpbdMethod {
         let driven = site
             .driven
             .iter()
-            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_world });
+            .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_body });
         self.prescribed.extend(driven);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
