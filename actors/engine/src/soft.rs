@@ -321,7 +321,7 @@ impl SoftMethod for EngineSoftMethod {
             }
             let share = f64::from(part + 1) / f64::from(parts);
             for (driven, from) in site.driven.iter().zip(&from) {
-                let target = from + (driven.position_in_world - from) * share;
+                let target = from + (driven.position_in_body - from) * share;
                 body.set_particle_kinematic_target(driven.vertex as usize, vector_to_rapier(&target.coords));
             }
             self.part()?;
