@@ -4,6 +4,7 @@ use trocar::run::{RunOptions, start};
 use trocar::session::Session;
 use trocar_kernel::faults::FaultPlan;
 use trocar_scene::{DeviceForce, Entity, Grasp, Pose, SimTime, Snapshot};
+use trocar_test_support::thorough;
 use trocar_tests::{Names, app, for_seeds, lockstep, names, peg_transfer};
 
 const TICK: SimTime = SimTime::from_millis(2);
@@ -37,12 +38,12 @@ fn first_hand_over(session: &mut Session) -> Vec<SimTime> {
 
 #[test]
 fn the_ring_stays_in_both_hands_when_the_engine_dies_during_a_hand_over() {
-    survives(&[], 50);
+    survives(&[], if thorough() { 50 } else { 12 });
 }
 
 #[test]
 fn so_it_does_with_rigid_bodies_of_our_own() {
-    survives(&[(r#"kind = "rapier""#, r#"kind = "rigid-bodies""#)], 20);
+    survives(&[(r#"kind = "rapier""#, r#"kind = "rigid-bodies""#)], if thorough() { 20 } else { 6 });
 }
 
 fn survives(replacements: &[(&str, &str)], seeds: u64) {

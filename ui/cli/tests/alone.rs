@@ -4,7 +4,6 @@
 
 mod signals;
 mod support;
-mod templates;
 mod tune;
 #[cfg(target_os = "linux")]
 mod unprivileged;

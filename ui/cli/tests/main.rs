@@ -6,3 +6,4 @@ mod cli;
 mod docs_commands;
 mod pictures;
 mod support;
+mod templates;

@@ -1,7 +1,8 @@
 //! Project templates: complete small crates with a program, a scenario and tests, as `trocar new` writes them.
 //!
-//! They are in `ui/sdk/templates`, each a crate that is built and tested as it is; only its name and the path of Trocar
-//! are substituted.
+//! They are in `ui/sdk/templates`, each a member of this workspace that is linted and tested with the rest. A written
+//! project has another name and the path of Trocar in its manifest, and a profile, which only the root of a workspace
+//! may have.
 
 use std::fs;
 use std::io;
@@ -47,7 +48,13 @@ macro_rules! template {
             name: $name,
             about: $about,
             files: &[
-                ("Cargo.toml", include_str!(concat!("../templates/", $name, "/Cargo.toml"))),
+                (
+                    "Cargo.toml",
+                    concat!(
+                        include_str!(concat!("../templates/", $name, "/Cargo.toml")),
+                        include_str!("../templates/profile.toml")
+                    ),
+                ),
                 (".gitignore", include_str!("../templates/gitignore")),
                 $(($file, include_str!(concat!("../templates/", $name, "/", $file))),)*
             ],

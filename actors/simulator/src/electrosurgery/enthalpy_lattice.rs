@@ -430,12 +430,34 @@ impl ThermalGrid {
     /// The cell at a vertex: the nearest tissue cell, else the nearest removed one; near cuts, preferably on the
     /// vertex's side. Block and cell.
     pub(super) fn cell_near(&self, point: &nalgebra::Point3<f64>, vertex: u32) -> Option<(usize, usize)> {
-        let at = point.coords / self.spacing;
-        let number = [at.x, at.y, at.z].map(|x| x.floor() as i32);
+        /// Distance from a cell's side within which the cell beyond it is as near \[cells\].
+        const ON_SIDE: f64 = 1e-9;
+        let at = (point.coords / self.spacing).into();
+        // Nothing is nearer than the cell that contains the vertex, and those that share a side on which it lies.
+        let around = |x: f64| {
+            let within = x - x.floor();
+            [if within <= ON_SIDE { -1 } else { 0 }, if within >= 1.0 - ON_SIDE { 1 } else { 0 }]
+        };
+        match self.best_cell(at, at.map(around), vertex) {
+            Some(((false, false), place)) => Some(place),
+            _ => self.best_cell(at, [[-1, 1]; 3], vertex).map(|(_, place)| place),
+        }
+    }
+
+    /// The best cell for a vertex at `at` (in cells) among those from the first to the second offset along each axis:
+    /// whether it is removed and whether a cut separates it from the vertex, and its block and cell.
+    fn best_cell(
+        &self,
+        at: [f64; 3],
+        [xs, ys, zs]: [[i32; 2]; 3],
+        vertex: u32,
+    ) -> Option<((bool, bool), (usize, usize))> {
+        let number = at.map(|x| x.floor() as i32);
         let mut best: Option<((bool, bool), f64, usize, usize)> = None;
-        for offset in 0..27_i32 {
-            let near = [offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1];
-            let near: [i32; 3] = std::array::from_fn(|axis| number[axis] + near[axis]);
+        let offsets = (zs[0]..=zs[1])
+            .flat_map(|z| (ys[0]..=ys[1]).flat_map(move |y| (xs[0]..=xs[1]).map(move |x| [x, y, z])));
+        for offset in offsets {
+            let near: [i32; 3] = std::array::from_fn(|axis| number[axis] + offset[axis]);
             let Ok(index) = self.find(near.map(|cell| cell.div_euclid(EDGE as i32))) else { continue };
             let within = near.map(|cell| cell.rem_euclid(EDGE as i32) as usize);
             let cell = within[0] + EDGE * (within[1] + EDGE * within[2]);
@@ -451,7 +473,7 @@ impl ThermalGrid {
                 best = Some(now);
             }
         }
-        best.map(|(_, _, index, cell)| (index, cell))
+        best.map(|(state, _, index, cell)| (state, (index, cell)))
     }
 
     /// Number of a cell's sides without tissue beyond.

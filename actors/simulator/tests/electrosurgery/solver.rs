@@ -1,83 +1,11 @@
 //! Electrosurgery as a whole: energy balance, removed volume, the two cases of the framework's paper, and restarts.
 
+use crate::support::heated_tissue::{TIP, assert_balanced, block, liver_block, membrane, rest, stroke};
 use nalgebra::Point3;
 use proptest::prelude::*;
 use trocar_simulator::electrosurgery::{
     BODY, Electrode, Electrosurgery, HeatStepError, LatticeConfig, Mode, ThermalMaterial, Tissue,
 };
-
-/// A tip of 1 mm² and 30 W.
-const TIP: Electrode =
-    Electrode { tip_in_rest: Point3::new(0.0, 0.0, 0.0), power: 30.0, mode: Mode::Cut, contact_area: 1e-6 };
-
-/// A block of cubes, each of six tetrahedra, with the middle of its upper side at the origin.
-fn block(cells: [u32; 3], spacing: f64) -> (Vec<Point3<f64>>, Vec<[u32; 4]>) {
-    let [nx, ny, nz] = cells;
-    let mut positions = Vec::new();
-    for (i, j, k) in triples([nx + 1, ny + 1, nz + 1]) {
-        let x = (f64::from(i) - f64::from(nx) / 2.0) * spacing;
-        let y = (f64::from(j) - f64::from(ny) / 2.0) * spacing;
-        positions.push(Point3::new(x, y, (f64::from(k) - f64::from(nz)) * spacing));
-    }
-    let mut tets = Vec::new();
-    for (i, j, k) in triples(cells) {
-        let corner = |index: u32| ((i + index / 4) * (ny + 1) + j + index / 2 % 2) * (nz + 1) + k + index % 2;
-        let six = [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]];
-        tets.extend(six.map(|tet: [u32; 4]| tet.map(corner)));
-    }
-    (positions, tets)
-}
-
-/// A square membrane about the origin.
-fn membrane(n: u32, spacing: f64) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    let half = f64::from(n) / 2.0;
-    let at = |i: u32, j: u32| i * (n + 1) + j;
-    let positions = triples([n + 1, n + 1, 1])
-        .map(|(i, j, _)| Point3::new((f64::from(i) - half) * spacing, (f64::from(j) - half) * spacing, 0.0))
-        .collect();
-    let triangles = triples([n, n, 1])
-        .flat_map(|(i, j, _)| {
-            [[at(i, j), at(i + 1, j), at(i + 1, j + 1)], [at(i, j), at(i + 1, j + 1), at(i, j + 1)]]
-        })
-        .collect();
-    (positions, triangles)
-}
-
-fn triples([x, y, z]: [u32; 3]) -> impl Iterator<Item = (u32, u32, u32)> {
-    (0..x).flat_map(move |i| (0..y).flat_map(move |j| (0..z).map(move |k| (i, j, k))))
-}
-
-fn liver_block(spacing: f64, material: ThermalMaterial) -> Electrosurgery {
-    let (positions, tets) = block([6, 6, 4], 3e-3);
-    let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
-    Electrosurgery::new(&Tissue::Volume { positions: &positions, tets: &tets }, material, lattice)
-        .expect("tissue")
-}
-
-/// Draws the tip along x at 4 mm/s over the block; returns the removed volume \[m³\].
-fn stroke(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f64 {
-    let steps = (seconds / dt).round() as u32;
-    let mut volume = 0.0;
-    for step in 0..steps {
-        let x = -2e-3 + 4e-3 * (f64::from(step) + 0.5) * dt;
-        let tip = Electrode { tip_in_rest: Point3::new(x, 0.1e-3, 0.0), ..tip };
-        volume += heat.step(dt, &[tip]).expect("a step").removed_volume;
-    }
-    volume
-}
-
-/// Keeps the tip in place; returns the removed volume \[m³\].
-fn rest(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f64 {
-    let steps = (seconds / dt).round() as u32;
-    let tip = Electrode { tip_in_rest: Point3::new(0.1e-3, 0.1e-3, 0.0), ..tip };
-    (0..steps).map(|_| heat.step(dt, &[tip]).expect("a step").removed_volume).sum()
-}
-
-fn assert_balanced(heat: &Electrosurgery, tolerance: f64) {
-    let ledger = heat.ledger();
-    let missing = ledger.missing(heat.stored());
-    assert!(missing.abs() <= tolerance * ledger.supplied, "{missing} J missing of {ledger:?}");
-}
 
 #[test]
 fn thirty_watts_remove_at_most_fifteen_cubic_millimetres_a_second_and_about_half_of_that() {
@@ -130,38 +58,6 @@ fn what_goes_depends_neither_on_the_step_nor_on_the_lattice() {
     }
 }
 
-/// Volume ablated by a coagulating tip: the mean over positions within a cell \[mm³\].
-fn ablated(places: usize, [power, seconds, depth]: [f64; 3], spacing: f64, dt: f64) -> f64 {
-    // Evenly over a quarter of a cell of 0.5 mm; the other quarters are mirror images.
-    const PLACES: [[f64; 2]; 4] = [[0.03, 0.16], [0.22, 0.09], [0.09, 0.03], [0.16, 0.22]];
-    let volumes = PLACES[..places].iter().map(|[x, y]| {
-        let mut heat = liver_block(spacing, ThermalMaterial::default());
-        let tip_in_rest = Point3::new(x * 1e-3, y * 1e-3, -depth);
-        let tip = Electrode { tip_in_rest, power, mode: Mode::Coagulate, ..TIP };
-        let steps = (seconds / dt).round() as u32;
-        let volume: f64 = (0..steps).map(|_| heat.step(dt, &[tip]).expect("a step").removed_volume).sum();
-        assert_balanced(&heat, 1e-9);
-        volume * 1e9
-    });
-    volumes.sum::<f64>() / places as f64
-}
-
-/// Craters of two to four cells' depth. Of 40 W in 2 s cells of 0.125 mm give 2.5 mm³.
-#[test]
-fn what_a_coagulating_tip_ablates_depends_neither_on_the_step_nor_on_the_lattice_however_deep_the_crater() {
-    for tip in [[20.0, 4.0, 0.0], [40.0, 2.0, 0.0], [40.0, 2.0, 0.6e-3], [60.0, 3.0, 0.0]] {
-        let alike = |other: f64, reference: f64, what: &str| {
-            assert!(reference > 1.5, "{tip:?}: {reference} mm³");
-            assert!((other / reference - 1.0).abs() < 0.1, "{tip:?}, {what}: {other}, not {reference} mm³");
-        };
-        // On a finer lattice the position within a cell matters less.
-        alike(ablated(2, tip, 0.25e-3, 0.01), ablated(4, tip, 0.5e-3, 0.01), "cells of 0.25 mm");
-        let reference = ablated(1, tip, 0.5e-3, 0.01);
-        alike(ablated(1, tip, 0.5e-3, 0.1), reference, "steps of 0.1 s");
-        alike(ablated(1, tip, 0.5e-3, 0.001), reference, "steps of 1 ms");
-    }
-}
-
 #[test]
 fn the_deeper_a_tip_is_pressed_the_more_of_it_is_in_contact_and_the_wider_its_heat_is_spread() {
     let pressed = |z: f64| {
@@ -201,71 +97,6 @@ fn parts(triangles: &[[u32; 3]], removed: &[bool]) -> Vec<usize> {
         sizes.extend((size > 0).then_some(size));
     }
     sizes
-}
-
-/// Removed volume of the lattice and of the mesh \[mm³\].
-#[derive(Clone, Copy, Debug)]
-struct Gone {
-    cells: f64,
-    elements: f64,
-}
-
-fn gone(heat: &Electrosurgery, volume_of: impl Fn(usize) -> f64, cells: f64) -> Gone {
-    assert_balanced(heat, 1e-9);
-    let removed = heat.removed().iter().enumerate().filter(|(_, removed)| **removed);
-    Gone { cells: cells * 1e9, elements: removed.map(|(element, _)| volume_of(element)).sum::<f64>() * 1e9 }
-}
-
-fn of_organ(mesh: f64, spacing: f64, dt: f64, mode: Mode) -> Gone {
-    let cells = [18e-3, 18e-3, 9e-3].map(|size: f64| (size / mesh).round() as u32);
-    let (positions, tets) = block(cells, mesh);
-    let tissue = Tissue::Volume { positions: &positions, tets: &tets };
-    let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
-    let mut heat = Electrosurgery::new(&tissue, ThermalMaterial::default(), lattice).expect("tissue");
-    let volume = match mode {
-        Mode::Cut => stroke(&mut heat, dt, 1.0, TIP),
-        Mode::Coagulate => rest(&mut heat, dt, 3.0, Electrode { mode, power: 60.0, ..TIP }),
-    };
-    gone(&heat, |_| mesh.powi(3) / 6.0, volume)
-}
-
-fn of_fold(mesh: f64, spacing: f64, dt: f64, mode: Mode) -> Gone {
-    let thickness = 1e-3;
-    let (positions, triangles) = membrane((12e-3 / mesh).round() as u32, mesh);
-    let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness };
-    let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
-    let mut heat = Electrosurgery::new(&tissue, ThermalMaterial::default(), lattice).expect("tissue");
-    let volume = match mode {
-        Mode::Cut => stroke(&mut heat, dt, 1.0, TIP),
-        Mode::Coagulate => rest(&mut heat, dt, 2.0, Electrode { mode, power: 40.0, ..TIP }),
-    };
-    gone(&heat, |_| mesh * mesh / 2.0 * thickness, volume)
-}
-
-#[test]
-fn what_goes_does_not_depend_on_the_mesh() {
-    type Of = fn(f64, f64, f64, Mode) -> Gone;
-    for (what, of, mesh) in [("an organ", of_organ as Of, 1e-3), ("a membrane", of_fold as Of, 0.5e-3)] {
-        for mode in [Mode::Cut, Mode::Coagulate] {
-            let reference = of(mesh, 0.5e-3, 0.01, mode);
-            assert!(reference.cells > 1.0, "{what} {mode:?}: {reference:?}");
-            for (other, spacing, dt) in [
-                (mesh / 2.0, 0.5e-3, 0.01),
-                (mesh, 0.5e-3, 0.001),
-                (mesh, 0.5e-3, 0.1),
-                (mesh, 0.25e-3, 0.01),
-            ] {
-                let now = of(other, spacing, dt, mode);
-                for (now, reference) in [(now.cells, reference.cells), (now.elements, reference.elements)] {
-                    let off = (now / reference - 1.0).abs();
-                    assert!(
-                        off < 0.1,
-                        "{what} {mode:?}, edges of {other} m, cells of {spacing} m, {dt} s: {now}, not {reference} mm³"
-                    );
-                }
-            }
-        }
-    }
 }
 
 #[test]

@@ -116,7 +116,8 @@ impl Body {
         for pick in &self.grips.picks.picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
             for held in pick.vertices.iter().filter(|held| !self.is_pinned[held.vertex as usize]) {
-                let target = jaw.body_from_instrument * held.in_instrument - self.body.rest[held.vertex as usize];
+                let target =
+                    jaw.body_from_instrument * held.in_instrument - self.body.rest[held.vertex as usize];
                 answers.push(ConstraintReaction {
                     attachment: Attachment::node(held.vertex, Hold::Point),
                     target,

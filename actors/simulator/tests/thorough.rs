@@ -1,0 +1,9 @@
+//! Solvers on finer meshes, lattices and steps.
+//!
+//! What takes minutes: `tests/run --thorough` runs it before a release.
+
+#[path = "suture_thread/knot_refinement.rs"]
+mod knot_refinement;
+#[path = "electrosurgery/refinement.rs"]
+mod lattice_refinement;
+mod support;

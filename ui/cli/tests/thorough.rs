@@ -1,0 +1,6 @@
+//! The program from outside.
+//!
+//! What takes minutes: `tests/run --thorough` runs it before a release.
+
+mod projects;
+mod support;
