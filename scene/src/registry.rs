@@ -11,8 +11,8 @@ use thiserror::Error;
 use crate::column::{Column, ErasedColumn, take};
 use crate::commands::Commands;
 use crate::component::{Component, ComponentError, RecordPolicy};
+use crate::document_value::DocumentValue;
 use crate::entity::Entity;
-use crate::json_document;
 use crate::puts::{ErasedPuts, Puts};
 use crate::soft_body::SoftAbilities;
 
@@ -20,12 +20,9 @@ use crate::soft_body::SoftAbilities;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ComponentId(pub u16);
 
-/// Decodes a value of a TOML document; errors keep their position.
-type PutDocument = fn(
-    &mut Commands,
-    Entity,
-    toml::de::ValueDeserializer<'_>,
-) -> Result<(), (Option<Range<usize>>, ComponentError)>;
+/// Decodes a value of a document; errors keep their position.
+type PutDocument =
+    fn(&mut Commands, Entity, &DocumentValue) -> Result<(), (Option<Range<usize>>, ComponentError)>;
 
 /// Decodes a value from the front of some bytes and returns the rest.
 type PutPostcard = for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>;
@@ -211,11 +208,11 @@ fn named_by<T: Component>(column: &dyn ErasedColumn, name: &str) -> Vec<Entity> 
 fn put_document<T: Component>(
     commands: &mut Commands,
     entity: Entity,
-    value: toml::de::ValueDeserializer<'_>,
+    value: &DocumentValue,
 ) -> Result<(), (Option<Range<usize>>, ComponentError)> {
     match T::deserialize(value) {
         Ok(value) => put_checked(commands, entity, value).map_err(|error| (None, error)),
-        Err(error) => Err((error.span(), malformed(error.message()))),
+        Err(error) => Err((error.place(), malformed(error.message()))),
     }
 }
 
@@ -322,7 +319,7 @@ impl Registry {
     pub(crate) fn named_by(&self, id: ComponentId, column: &dyn ErasedColumn, name: &str) -> Vec<Entity> {
         self.entry(id).named_by.map_or_else(Vec::new, |named_by| named_by(column, name))
     }
-    /// Decodes a value of a TOML document as the named component and puts it.
+    /// Decodes a value of a document as the named component and puts it.
     ///
     /// # Errors
     /// When the value is malformed (with its place in the document, as a range of bytes) or refused by the
@@ -332,7 +329,7 @@ impl Registry {
         id: ComponentId,
         commands: &mut Commands,
         entity: Entity,
-        value: toml::de::ValueDeserializer<'_>,
+        value: &DocumentValue,
     ) -> Result<(), (Option<Range<usize>>, ComponentError)> {
         (self.entry(id).put_document)(commands, entity, value)
     }
@@ -347,11 +344,7 @@ impl Registry {
         entity: Entity,
         value: &serde_json::Value,
     ) -> Result<(), ComponentError> {
-        let text = json_document::document(value).map_err(malformed)?;
-        let document = toml::de::DeTable::parse(&text).map_err(|error| malformed(error.message()))?;
-        let value =
-            document.get_ref().get(json_document::KEY).ok_or_else(|| malformed("there is no value"))?;
-        self.put_document(id, commands, entity, value.clone().into()).map_err(|(_, error)| error)
+        self.put_document(id, commands, entity, &value.into()).map_err(|(_, error)| error)
     }
     /// Decodes a value from the front of `bytes`, puts it, and returns the rest.
     ///

@@ -29,8 +29,8 @@ fn put_document(
     text: &str,
 ) -> Result<(), ComponentError> {
     let document = toml::de::DeTable::parse(text).expect("a document");
-    let value = document.get_ref()["value"].clone();
-    registry.put_document(id, commands, entity, value.into()).map_err(|(_, error)| error)
+    let value = DocumentValue::from(&document.get_ref()["value"]);
+    registry.put_document(id, commands, entity, &value).map_err(|(_, error)| error)
 }
 
 struct Formats {

@@ -7,9 +7,10 @@ use std::sync::Arc;
 
 use serde::de::DeserializeOwned;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue, ValueDeserializer};
+use toml::de::{DeTable, DeValue};
 
 use super::error::ScenarioError;
+use crate::document_value::DocumentValue;
 use crate::entity::{Entity, with_entity_names};
 
 /// The text of a scenario and its origin.
@@ -108,9 +109,9 @@ impl<'a> Table<'a> {
     /// The value of a key as any type that can be deserialised; `None` when the key is absent.
     pub fn value<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, ScenarioError> {
         let Some(value) = self.get(key) else { return Ok(None) };
-        T::deserialize(ValueDeserializer::from(value.clone()))
+        T::deserialize(&DocumentValue::from(value))
             .map(Some)
-            .map_err(|error| self.error(error.span().unwrap_or(value.span()), key, error.message().trim()))
+            .map_err(|error| self.error(error.place().unwrap_or(value.span()), key, error.message().trim()))
     }
 
     /// A number in a range, whose text goes into the message.
@@ -208,8 +209,8 @@ impl Params {
         };
         let value = value.unwrap_or_else(|| Spanned::new(0..0, DeValue::Table(DeTable::new())));
         let span = value.span();
-        with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
-            .map_err(|error| match (&self.source, error.span()) {
+        with_entity_names(self.names.as_ref().clone(), || T::deserialize(&DocumentValue::from(&value)))
+            .map_err(|error| match (&self.source, error.place()) {
                 // An absent table has no position: the owner's is used.
                 (Some(source), Some(at)) if span != (0..0) => {
                     source.error(at, self.owner.clone(), error.message().trim())

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue, ValueDeserializer};
+use toml::de::{DeTable, DeValue};
 
 use super::document::{Params, Source, Step, Table, join, shown};
 use super::error::ScenarioError;
@@ -21,6 +21,7 @@ use crate::commands::Commands;
 use crate::component::Component;
 use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue};
 use crate::confined_path;
+use crate::document_value::DocumentValue;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 use crate::registry::Registry;
 use crate::time::SimTime;
@@ -304,7 +305,7 @@ fn put_entity(
         if let Some(reason) = of_tissue.or(of_source) {
             commands.put(entity, OutOfValidity { reason, since: SimTime::ZERO });
         }
-        registry.put_document(id, commands, entity, ValueDeserializer::from(completed)).map_err(
+        registry.put_document(id, commands, entity, &DocumentValue::from(&completed)).map_err(
             |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),
         )?;
     }

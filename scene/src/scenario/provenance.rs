@@ -4,9 +4,10 @@
 use serde::Deserialize;
 use serde_json::Value;
 use toml::Spanned;
-use toml::de::{DeValue, ValueDeserializer};
+use toml::de::DeValue;
 
 use crate::components::{Source, Sources};
+use crate::document_value::DocumentValue;
 
 /// Values of a component outside their sources' ranges, in one sentence.
 ///
@@ -18,7 +19,7 @@ pub(super) fn doubt(
     value: &Spanned<DeValue<'_>>,
 ) -> Result<Option<String>, String> {
     let Some(known) = sources.0.get(component) else { return Ok(None) };
-    let value = Value::deserialize(ValueDeserializer::from(value.clone())).unwrap_or_default();
+    let value = Value::deserialize(&DocumentValue::from(value)).unwrap_or_default();
     let mut doubt = None;
     for (name, Source { from, range }) in known {
         let mut found = Vec::new();

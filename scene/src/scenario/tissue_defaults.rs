@@ -4,8 +4,9 @@
 use serde::Deserialize;
 use serde_json::Value;
 use toml::Spanned;
-use toml::de::{DeTable, DeValue, ValueDeserializer};
+use toml::de::{DeTable, DeValue};
 
+use crate::document_value::DocumentValue;
 use crate::tissue::{TissueEntry, TissueParameter};
 
 /// Table of components with the material of a volume; its parameters are not listed in their schema. Sheets and lines
@@ -49,7 +50,7 @@ fn fill<'a>(table: &mut DeTable<'a>, known: &DeTable<'a>, has: &dyn Fn(&str) -> 
 
 /// Values of a component outside the measured ranges, in one sentence.
 pub(super) fn doubt(tissue: &TissueEntry, component: &str, value: &Spanned<DeValue<'_>>) -> Option<String> {
-    let value = Value::deserialize(ValueDeserializer::from(value.clone())).ok()?;
+    let value = Value::deserialize(&DocumentValue::from(value)).ok()?;
     let volumes = || value.as_object().into_iter().flatten().flat_map(|(_, inner)| inner.get(VOLUME));
     let (parameter, found) = outside(tissue, &value)
         .or_else(|| value.get(VOLUME).and_then(|of| outside(tissue, of)))

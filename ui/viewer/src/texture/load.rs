@@ -1,17 +1,24 @@
 //! Reads image files, with limits on path and size.
 
 use std::fs::File;
-use std::io::{BufReader, ErrorKind};
+use std::io::{Cursor, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
-use image::{ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
+use png::{BitDepth, ColorType, Transformations};
 use trocar_scene::confined_path;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
 use super::error::TextureError;
 use super::image8::Image8;
 
 /// Longest image file \[bytes\].
 pub const FILE_BYTES_MAX: u64 = 64 << 20;
+/// First bytes of the two formats.
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+const JPEG: &[u8] = b"\xff\xd8\xff";
 
 /// The path of a material's file, below the scenario's folder `base`.
 ///
@@ -38,28 +45,91 @@ pub fn load(file: &Path, size_max: u32) -> Result<Image8, TextureError> {
     if facts.len() > FILE_BYTES_MAX {
         return Err(too_large("a length in bytes of", facts.len(), FILE_BYTES_MAX));
     }
-    let mut reader = ImageReader::new(BufReader::new(opened)).with_guessed_format().map_err(io)?;
-    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
+    let mut bytes = Vec::with_capacity(facts.len() as usize);
+    opened.take(FILE_BYTES_MAX).read_to_end(&mut bytes).map_err(io)?;
+    let image = if bytes.starts_with(PNG) {
+        read_png(&bytes, size_max)
+    } else if bytes.starts_with(JPEG) {
+        read_jpeg(&bytes, size_max)
+    } else {
         return Err(TextureError::Kind { file: file.into() });
-    }
-    let mut limits = Limits::default();
-    // Four channels of sixteen bits, decoded and converted, and the decoder's own tables.
-    limits.max_alloc = Some(u64::from(size_max).pow(2).saturating_mul(16).saturating_add(1 << 20));
-    reader.limits(limits);
-    let malformed = |error: ImageError| match error {
-        ImageError::IoError(source) if source.kind() != ErrorKind::UnexpectedEof => io(source),
-        other => TextureError::Malformed { file: file.into(), reason: other.to_string() },
     };
-    let decoder = reader.into_decoder().map_err(malformed)?;
-    let (width, height) = decoder.dimensions();
+    image.map_err(|refused| match refused {
+        Refused::TooLarge(size) => too_large("a size in texels of", u64::from(size), u64::from(size_max)),
+        Refused::Malformed(reason) => TextureError::Malformed { file: file.into(), reason },
+    })
+}
+
+/// Why an image is not decoded.
+enum Refused {
+    /// The larger of its sizes exceeds the limit \[texels\].
+    TooLarge(u32),
+    Malformed(String),
+}
+
+fn malformed(error: impl ToString) -> Refused {
+    Refused::Malformed(error.to_string())
+}
+
+fn check_size([width, height]: [u32; 2], size_max: u32) -> Result<(), Refused> {
     if width == 0 || height == 0 {
-        return Err(TextureError::Malformed { file: file.into(), reason: "it has no texels".to_owned() });
+        return Err(malformed("it has no texels"));
     }
-    if width.max(height) > size_max {
-        return Err(too_large("a size in texels of", u64::from(width.max(height)), u64::from(size_max)));
+    let larger = width.max(height);
+    if larger > size_max { Err(Refused::TooLarge(larger)) } else { Ok(()) }
+}
+
+fn read_png(bytes: &[u8], size_max: u32) -> Result<Image8, Refused> {
+    // The decoder's own tables: the texels' buffer is ours.
+    let limits = png::Limits { bytes: 1 << 20 };
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
+    // Palettes become colours, fewer bits than eight become eight.
+    decoder.set_transformations(Transformations::EXPAND);
+    let header = decoder.read_header_info().map_err(malformed)?;
+    let (width, height) = (header.width, header.height);
+    check_size([width, height], size_max)?;
+    let mut reader = decoder.read_info().map_err(malformed)?;
+    let mut samples =
+        vec![0; reader.output_buffer_size().ok_or_else(|| malformed("it is too large for this machine"))?];
+    let frame = reader.next_frame(&mut samples).map_err(malformed)?;
+    if frame.bit_depth == BitDepth::Sixteen {
+        samples = samples.chunks_exact(2).map(|pair| eight_bits([pair[0], pair[1]])).collect();
     }
-    let rgba = image::DynamicImage::from_decoder(decoder).map_err(malformed)?.into_rgba8();
-    let pixels = rgba.pixels().map(|pixel| pixel.0).collect();
+    let pixels: Vec<[u8; 4]> = match frame.color_type {
+        ColorType::Grayscale => samples.iter().map(|&grey| [grey, grey, grey, 255]).collect(),
+        ColorType::GrayscaleAlpha => samples.chunks_exact(2).map(|s| [s[0], s[0], s[0], s[1]]).collect(),
+        ColorType::Rgb => samples.chunks_exact(3).map(|s| [s[0], s[1], s[2], 255]).collect(),
+        ColorType::Rgba => samples.chunks_exact(4).map(|s| [s[0], s[1], s[2], s[3]]).collect(),
+        ColorType::Indexed => return Err(malformed("its palette is missing")),
+    };
+    if pixels.len() != width as usize * height as usize {
+        return Err(malformed("it has another size than it declares"));
+    }
+    Ok(Image8 { width, height, pixels })
+}
+
+/// A sample of sixteen bits, big-endian, as the nearest one of eight.
+fn eight_bits(sample: [u8; 2]) -> u8 {
+    ((u32::from(u16::from_be_bytes(sample)) * 255 + 32_767) / 65_535) as u8
+}
+
+fn read_jpeg(bytes: &[u8], size_max: u32) -> Result<Image8, Refused> {
+    // Sizes are checked here, with an error of our own. As other programs do, go on over small faults.
+    let options = DecoderOptions::default()
+        .set_strict_mode(false)
+        .set_max_width(usize::MAX)
+        .set_max_height(usize::MAX)
+        .jpeg_set_out_colorspace(ColorSpace::RGBA);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(malformed)?;
+    let info = decoder.info().ok_or_else(|| malformed("it has no header"))?;
+    let (width, height) = (u32::from(info.width), u32::from(info.height));
+    check_size([width, height], size_max)?;
+    let pixels: Vec<[u8; 4]> =
+        decoder.decode().map_err(malformed)?.chunks_exact(4).map(|s| [s[0], s[1], s[2], s[3]]).collect();
+    if pixels.len() != width as usize * height as usize {
+        return Err(malformed("it has another size than it declares"));
+    }
     Ok(Image8 { width, height, pixels })
 }
 
@@ -91,6 +161,59 @@ mod tests {
         let misnamed = folder.path().join("photo.png");
         std::fs::rename(jpeg, &misnamed).expect("the file moves");
         assert_eq!(load(&misnamed, 64).expect("a sound file").pixels.len(), 64);
+    }
+
+    /// Every kind of PNG that the format allows, and grey JPEG, as the library `image` reads them.
+    #[test]
+    fn every_kind_of_image_gives_the_texels_that_another_reader_gives() {
+        use png::BitDepth::{Eight, Four, One, Sixteen, Two};
+        let folder = folder();
+        let file = folder.path().join("kind.png");
+        let [width, height] = [13, 7];
+        let mut random = trocar_scene::random::SplitMix64::new(5);
+        let kinds = [
+            (ColorType::Grayscale, 1, &[One, Two, Four, Eight, Sixteen][..]),
+            (ColorType::GrayscaleAlpha, 2, &[Eight, Sixteen]),
+            (ColorType::Rgb, 3, &[Eight, Sixteen]),
+            (ColorType::Rgba, 4, &[Eight, Sixteen]),
+            (ColorType::Indexed, 1, &[One, Two, Four, Eight]),
+        ];
+        for (color, channels, depths) in kinds {
+            for &depth in depths {
+                for transparent in [false, true] {
+                    let mut encoder = png::Encoder::new(File::create(&file).expect("a file"), width, height);
+                    encoder.set_color(color);
+                    encoder.set_depth(depth);
+                    if color == ColorType::Indexed {
+                        let colors = 3 << depth as usize;
+                        encoder.set_palette((0..colors).map(|_| random.next_u64() as u8).collect::<Vec<_>>());
+                        if transparent {
+                            encoder.set_trns(vec![0, 100]);
+                        }
+                    } else if transparent && channels % 2 == 1 {
+                        encoder.set_trns([0, 1].repeat(channels));
+                    }
+                    let line = (width as usize * channels * depth as usize).div_ceil(8);
+                    let samples: Vec<u8> =
+                        (0..line * height as usize).map(|_| random.next_u64() as u8).collect();
+                    let mut writer = encoder.write_header().expect("a header");
+                    writer.write_image_data(&samples).expect("texels");
+                    writer.finish().expect("an image");
+                    let wanted = image::open(&file).expect("a sound file").into_rgba8();
+                    let found = load(&file, 64).expect("a sound file");
+                    assert!(
+                        wanted.pixels().map(|pixel| pixel.0).eq(found.pixels.iter().copied()),
+                        "{color:?} {depth:?} {transparent}"
+                    );
+                }
+            }
+        }
+        let file = folder.path().join("grey.jpg");
+        let grey = image::GrayImage::from_fn(20, 9, |x, y| image::Luma([(x * 11 + y * 3) as u8]));
+        grey.save(&file).expect("the picture is written");
+        let wanted = image::open(&file).expect("a sound file").into_rgba8();
+        let found = load(&file, 64).expect("a sound file");
+        assert!(wanted.pixels().map(|pixel| pixel.0).eq(found.pixels.iter().copied()));
     }
 
     #[test]
