@@ -338,7 +338,8 @@ impl<'de> SeqAccess<'de> for &mut ItemAccess<'de> {
         &mut self,
         seed: T,
     ) -> Result<Option<T::Value>, DocumentError> {
-        self.0.next().map(|item| seed.deserialize(item)).transpose()
+        let Some(item) = self.0.next() else { return Ok(None) };
+        seed.deserialize(item).map(Some).map_err(|error| error.at(&item.place))
     }
 
     fn size_hint(&self) -> Option<usize> {
@@ -362,7 +363,7 @@ impl<'de> MapAccess<'de> for EntryAccess<'de> {
 
     fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, DocumentError> {
         match self.value.take() {
-            Some(value) => seed.deserialize(value),
+            Some(value) => seed.deserialize(value).map_err(|error| error.at(&value.place)),
             None => Err(de::Error::custom("a value is asked for before its key")),
         }
     }

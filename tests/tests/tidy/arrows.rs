@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
+use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package};
 
 use super::{ROOMS, refuse, root};
 
@@ -79,6 +79,16 @@ const RESERVED: [(&str, &[&str]); 10] = [
     ("indicatif", &["trocar-cli"]),
 ];
 
+/// Projects that `trocar new` writes: whoever copies one lives outside of the house.
+fn is_template(package: &Package) -> bool {
+    package.name.starts_with("template-")
+}
+
+/// The crates of the house.
+fn crates() -> Vec<Package> {
+    metadata().packages.into_iter().filter(|package| !is_template(package)).collect()
+}
+
 fn metadata() -> Metadata {
     let manifest = root().join("Cargo.toml");
     MetadataCommand::new()
@@ -92,10 +102,10 @@ fn metadata() -> Metadata {
 #[test]
 fn dependencies_point_only_where_the_house_allows() {
     let allowed: BTreeMap<&str, &[&str]> = ARROWS.into_iter().collect();
-    let metadata = metadata();
-    let ours: BTreeSet<&str> = metadata.packages.iter().map(|package| package.name.as_str()).collect();
+    let crates = crates();
+    let ours: BTreeSet<&str> = crates.iter().map(|package| package.name.as_str()).collect();
     let mut wrong = Vec::new();
-    for package in &metadata.packages {
+    for package in &crates {
         let Some(arrows) = allowed.get(package.name.as_str()) else {
             wrong.push(format!("{} has no place in the house", package.name));
             continue;
@@ -119,7 +129,7 @@ fn some_libraries_are_known_to_one_crate_only() {
         None => name == pattern,
     };
     let mut wrong = Vec::new();
-    for package in metadata().packages {
+    for package in crates() {
         for dependency in &package.dependencies {
             for (pattern, owners) in RESERVED {
                 if matches(pattern, &dependency.name) && !owners.contains(&package.name.as_str()) {
@@ -135,13 +145,34 @@ fn some_libraries_are_known_to_one_crate_only() {
 fn every_crate_lies_in_its_room_and_takes_the_lints_of_the_workspace() {
     let root = root();
     let rooms: BTreeMap<&str, &str> = ROOMS.into_iter().collect();
-    for package in metadata().packages {
+    for package in crates() {
         let folder = package.manifest_path.parent().expect("a manifest lies somewhere");
         let folder = folder.strip_prefix(&root).expect("below the root").as_str().to_owned();
         assert_eq!(rooms.get(package.name.as_str()).copied(), Some(folder.as_str()), "{}", package.name);
         let manifest = std::fs::read_to_string(&package.manifest_path).expect("a readable manifest");
         assert!(manifest.contains("[lints]\nworkspace = true"), "{} has lints of its own", package.name);
     }
+}
+
+#[test]
+fn a_template_knows_no_crate_beside_the_two_that_a_project_is_written_for() {
+    let metadata = metadata();
+    let templates: Vec<&Package> = metadata.packages.iter().filter(|package| is_template(package)).collect();
+    assert!(templates.len() >= 5, "{} templates", templates.len());
+    let mut wrong = Vec::new();
+    for package in templates {
+        for dependency in &package.dependencies {
+            let name = dependency.name.as_str();
+            if name.starts_with("trocar") && !["trocar", "trocar-cli"].contains(&name) {
+                wrong.push(format!("{} → {name}", package.name));
+            }
+        }
+        let manifest = std::fs::read_to_string(&package.manifest_path).expect("a readable manifest");
+        if manifest.contains("workspace = true") {
+            wrong.push(format!("{} takes something from this workspace, which no project has", package.name));
+        }
+    }
+    refuse("what a project outside of the repository does not have", wrong);
 }
 
 /// The drawing leaves out arrows that follow from others.

@@ -79,7 +79,7 @@ fn what_is_no_number_never_reaches_the_scene() {
             out: &mut Commands,
         ) -> Result<(), ControllerError> {
             for (vessel, bleeding) in scene.iter::<Bleeding>() {
-                out.put(vessel, Bleeding { flow: 0.0 / 0.0, ..*bleeding });
+                out.put(vessel, Bleeding { flow: f64::NAN, ..*bleeding });
             }
             Ok(())
         }
