@@ -13,14 +13,18 @@ use crate::escape::escape;
 use crate::failure::Failure;
 use crate::live_table::Display;
 use crate::report::short;
+use crate::startup::{READING, Startup};
 use crate::{output, run, tune};
 
 /// Draws a scenario.
 pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
+    let startup = Startup::new(&args.session.scenario, READING, false);
     let (scenario, _) = tune::scenario(app, &args.session)?;
     let options = run::options(&args.session)?;
+    startup.stage("the controllers");
     let mut graph = match args.after {
         Some(seconds) => {
+            drop(startup);
             let options = RunOptions { seconds: Some(seconds), ..options };
             let mut display = Display::new(&scenario, &options, false);
             let outcome =
@@ -28,7 +32,11 @@ pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
             display.clear();
             outcome?.graph
         }
-        None => declared(app, &scenario, &options)?,
+        None => {
+            let graph = declared(app, &scenario, &options)?;
+            drop(startup);
+            graph
+        }
     };
     add_devices(&mut graph, &scenario);
     match args.format {

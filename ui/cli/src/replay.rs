@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
+use indicatif::{ProgressBar, ProgressStyle};
 use trocar::app::App;
 use trocar::run::task_summary;
 use trocar::summary::{Exit, Mode, RunSummary, TaskErrorSummary};
@@ -15,6 +16,7 @@ use crate::args::ReplayArgs;
 use crate::failure::Failure;
 use crate::pictures::Photographer;
 use crate::report::{self, Report};
+use crate::startup::Startup;
 use crate::window::{self, Findings};
 use crate::{output, run};
 
@@ -73,17 +75,31 @@ fn findings(summary: &RunSummary, result: &Result<Exit, Failure>) -> Findings {
     Findings { marks: summary.task.errors.iter().map(error).collect(), note }
 }
 
+/// How much of the recording has been replayed, where stderr is a terminal.
+fn progress_bar(recording: &Recording, silent: bool) -> ProgressBar {
+    if silent {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(recording.duration().as_nanos());
+    let style = ProgressStyle::with_template("{spinner} {bar:32} {percent} % of the recording  {elapsed}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar
+}
+
 fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exit, Failure> {
     if let Some(report) = &args.report {
         output::check_writable(report)?;
     }
     let begun = Instant::now();
+    let startup = Startup::new(&args.file.display().to_string(), "reading the recording", args.json);
     let recording = Recording::open(&args.file).map_err(Failure::invalid)?;
     summary.scenario = recording.metadata().scenario.clone();
     summary.seed = recording.metadata().seed;
     let mut trace = RunTrace::new();
     let mut replay = Replay::new(&recording, app.registry()).map_err(Failure::invalid)?;
     let mut photographer = Photographer::new(&args.pictures, args.folder.as_deref(), replay.view())?;
+    drop(startup);
+    let bar = progress_bar(&recording, args.json);
     let mut next = SimTime::ZERO;
     let mut force_newtons_max = 0.0_f64;
     let diverged = loop {
@@ -91,6 +107,7 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
             Ok(Some(time)) => {
                 if time >= next {
                     trace.sample(replay.view());
+                    bar.set_position(time.as_nanos());
                     next = time + SAMPLE_EVERY;
                 }
                 if let Some(photographer) = &mut photographer {
@@ -104,6 +121,7 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
             Err(error) => return Err(Failure::invalid(error)),
         }
     };
+    bar.finish_and_clear();
     trace.sample(replay.view());
     if let Some(photographer) = photographer {
         photographer.finish(replay.view(), summary);

@@ -22,12 +22,9 @@ use crate::live_table::{Display, waiting};
 use crate::output;
 use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
-use crate::startup::{self, Startup};
+use crate::startup::{self, READING, Startup};
 use crate::tune::{self, TuningService};
 use crate::window::{self, Next, SessionHost, Show};
-
-/// First stage of a start.
-const READING: &str = "reading the scenario and its meshes";
 
 /// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {

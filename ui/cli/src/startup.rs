@@ -13,6 +13,8 @@ use trocar_scene::{Snapshot, TetMesh, VertexPositions};
 
 use crate::escape::printable;
 
+/// The first stage of whatever starts from a scenario.
+pub const READING: &str = "reading the scenario and its meshes";
 /// Delay of the spinner: a quick start shows none.
 const SPINNER_AFTER: Duration = Duration::from_millis(300);
 /// Redraw interval of the spinner.

@@ -25,6 +25,7 @@ pub(crate) mod enthalpy_lattice;
 mod error;
 pub(crate) mod heat_source;
 pub(crate) mod lattice_block;
+mod lattice_geometry;
 mod material;
 mod state;
 #[cfg(test)]
