@@ -2,7 +2,7 @@
 //! repository. The test program `thorough` builds them there.
 
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
@@ -18,14 +18,23 @@ fn targets(package: &Value) -> BTreeSet<(String, String)> {
     targets.map(|target| (word(&target["kind"][0]), word(&target["name"]))).collect()
 }
 
-/// What `cargo metadata` tells of the package at this folder.
-fn metadata(folder: &Path, arguments: &[&str]) -> Value {
+/// What `cargo metadata` tells of the packages at this folder. Their dependencies are not looked up: only those that
+/// this platform needs are on every machine.
+fn metadata(folder: &Path) -> Value {
     let mut command = cargo(folder);
-    let output = command.args(["metadata", "--offline", "--format-version", "1"]).args(arguments).output();
+    let output = command.args(["metadata", "--no-deps", "--offline", "--format-version", "1"]).output();
     let output = output.expect("cargo runs");
     assert_ok(&folder.display().to_string(), &output);
     assert!(!text(&output.stderr).contains("warning"), "{}", text(&output.stderr));
     serde_json::from_slice(&output.stdout).expect("one object")
+}
+
+/// The name and the requirement of each dependency of a package; of one that has a path its path.
+fn dependencies(package: &Value) -> BTreeSet<(String, PathBuf)> {
+    let dependencies = package["dependencies"].as_array().expect("a list").iter();
+    let word = |value: &Value| value.as_str().map(str::to_owned);
+    let place = |of: &Value| PathBuf::from(word(&of["path"]).or_else(|| word(&of["req"])).expect("either"));
+    dependencies.map(|of| (word(&of["name"]).expect("text"), place(of))).collect()
 }
 
 fn package<'a>(metadata: &'a Value, name: &str) -> &'a Value {
@@ -45,27 +54,23 @@ fn every_template_runs() {
 fn every_project_is_complete_outside_of_the_repository() {
     let folder = here();
     assert!(!folder.path().starts_with(repository()), "the projects must lie outside of the repository");
-    let members = metadata(&repository(), &["--no-deps"]);
+    let members = metadata(&repository());
     for (name, template, ..) in PROJECTS {
         write_project(folder.path(), name, template);
-        let project = folder.path().join(name);
-        // The versions that this workspace has locked are on this machine already.
-        std::fs::copy(repository().join("Cargo.lock"), project.join("Cargo.lock")).expect("a lock file");
-        let found = metadata(&project, &[]);
-        for (ours, manifest) in [("trocar", "ui/sdk/Cargo.toml"), ("trocar-cli", "ui/cli/Cargo.toml")] {
-            let wanted = repository().join(manifest);
-            assert_eq!(
-                package(&found, ours)["manifest_path"].as_str().map(Path::new),
-                Some(&*wanted),
-                "{name}"
-            );
-        }
+        let project = metadata(&folder.path().join(name));
         let old = format!("template-{template}");
-        let renamed = targets(package(&members, &old)).into_iter().map(|(kind, target)| {
+        // As a member of this workspace the template is built with the libraries that it asks for.
+        let (project, member) = (package(&project, name), package(&members, &old));
+        let wanted = dependencies(member);
+        assert_eq!(dependencies(project), wanted, "{name}");
+        for (ours, room) in [("trocar", "ui/sdk"), ("trocar-cli", "ui/cli")] {
+            assert!(wanted.contains(&(ours.to_owned(), repository().join(room))), "{name}: {wanted:?}");
+        }
+        let renamed = targets(member).into_iter().map(|(kind, target)| {
             let snake = old.replace('-', "_");
             (kind, target.replace(&old, name).replace(&snake, &name.replace('-', "_")))
         });
-        assert_eq!(targets(package(&found, name)), renamed.collect(), "{name}");
+        assert_eq!(targets(project), renamed.collect(), "{name}");
     }
 }
 
