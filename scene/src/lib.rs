@@ -19,6 +19,7 @@ pub mod components;
 pub mod confined_path;
 pub mod controller;
 pub mod disjoint_sets;
+mod document_decoder;
 pub mod document_value;
 pub mod entity;
 pub mod event;

@@ -21,7 +21,6 @@ pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
     let startup = Startup::new(&args.session.scenario, READING, false);
     let (scenario, _) = tune::scenario(app, &args.session)?;
     let options = run::options(&args.session)?;
-    startup.stage("the controllers");
     let mut graph = match args.after {
         Some(seconds) => {
             drop(startup);
@@ -33,6 +32,7 @@ pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
             outcome?.graph
         }
         None => {
+            startup.stage("the controllers");
             let graph = declared(app, &scenario, &options)?;
             drop(startup);
             graph
