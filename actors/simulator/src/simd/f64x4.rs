@@ -12,7 +12,8 @@ pub(crate) struct Quad(pub [f64; 4]);
 impl Quad {
     #[inline(always)]
     pub fn times(self, other: Self) -> Self {
-        Self(std::array::from_fn(|k| self.0[k] * other.0[k]))
+        let ([a, b, c, d], [e, f, g, h]) = (self.0, other.0);
+        Self([a * e, b * f, c * g, d * h])
     }
 
     #[inline(always)]
@@ -40,7 +41,8 @@ impl Mul<f64> for Quad {
     type Output = Self;
     #[inline(always)]
     fn mul(self, factor: f64) -> Self {
-        Self(self.0.map(|value| value * factor))
+        let [a, b, c, d] = self.0;
+        Self([a * factor, b * factor, c * factor, d * factor])
     }
 }
 

@@ -150,8 +150,13 @@ impl Operator {
             product[a] -= force;
             product[b] += force;
         }
-        self.hinges.iter().for_each(|joint| joint.add_product(vector, product));
-        self.contacts.iter().for_each(|joint| joint.add_product(vector, product));
+        // Plain loops: `for_each` is not always inlined, and would then run in registers of two numbers.
+        for joint in &self.hinges {
+            joint.add_product(vector, product);
+        }
+        for joint in &self.contacts {
+            joint.add_product(vector, product);
+        }
     }
 }
 
