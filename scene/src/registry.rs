@@ -249,13 +249,13 @@ pub struct Registry {
 }
 
 impl Registry {
-    /// All components of the field, and no others.
+    /// The standard components, and no others.
     ///
     /// # Panics
-    /// Never: the field's names are distinct, which a test holds.
-    pub fn of_the_field() -> Arc<Self> {
+    /// Never: their names are distinct, which a test holds.
+    pub fn standard() -> Arc<Self> {
         let mut builder = RegistryBuilder::new();
-        crate::components::register(&mut builder).expect("the field's component names are distinct");
+        crate::components::register(&mut builder).expect("the names of this crate's components are distinct");
         builder.build()
     }
     /// How many components there are.

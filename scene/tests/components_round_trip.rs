@@ -1,4 +1,4 @@
-//! Every component of the field, with values that differ from the default, goes through every format unchanged.
+//! Every standard component, with values that differ from the default, goes through every format unchanged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Debug;
@@ -96,7 +96,7 @@ impl Formats {
 
 #[test]
 fn every_component_goes_through_every_format_unchanged() {
-    let mut formats = Formats { registry: Registry::of_the_field(), seen: BTreeSet::new() };
+    let mut formats = Formats { registry: Registry::standard(), seen: BTreeSet::new() };
     graph_and_meshes(&mut formats);
     matter_and_looks(&mut formats);
     instruments(&mut formats);
@@ -427,7 +427,7 @@ fn hands_and_tasks(formats: &mut Formats) {
 
 #[test]
 fn numbers_that_are_not_finite_are_refused_by_every_format() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let id = registry.by_name("pose").expect("registered");
     let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
     let mut bad = pose();
@@ -449,7 +449,7 @@ fn numbers_that_are_not_finite_are_refused_by_every_format() {
 
 #[test]
 fn truncated_bytes_are_refused() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
     let id = registry.by_name("collision_list").expect("registered");
     // A list that claims 2³² − 1 entries.

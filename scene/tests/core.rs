@@ -3,7 +3,7 @@
 use trocar_scene::*;
 
 fn scene() -> (std::sync::Arc<Registry>, Store, Commands, WriterRules) {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let allocator = EntityAllocator::new(0, 3);
     let commands = Commands::new(registry.clone(), allocator.clone());
     let access = Access::new().spawns().writes::<Pose>(EntitySet::Own).contributes::<CollisionList>();

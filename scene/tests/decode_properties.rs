@@ -20,15 +20,15 @@ fn allowed(bytes: &[u8]) -> usize {
     BYTES_PER_BYTE * bytes.len() + BYTES_ALWAYS
 }
 
-fn field() -> Arc<Registry> {
+fn registry() -> Arc<Registry> {
     thread_local! {
-        static FIELD: Arc<Registry> = Registry::of_the_field();
+        static REGISTRY: Arc<Registry> = Registry::standard();
     }
-    FIELD.with(Clone::clone)
+    REGISTRY.with(Clone::clone)
 }
 
 fn writer() -> Commands {
-    Commands::new(field(), EntityAllocator::new(3, 7))
+    Commands::new(registry(), EntityAllocator::new(3, 7))
 }
 
 /// A few rows of very different components, with an event and a removal.
@@ -60,7 +60,7 @@ fn batch() -> Vec<u8> {
 }
 
 fn keyframe() -> Vec<u8> {
-    let mut store = Store::new(field());
+    let mut store = Store::new(registry());
     store.apply(&mut commands(), SimTime::from_millis(5));
     let mut bytes = Vec::new();
     store.view().encode(&mut bytes).expect("encodes");
@@ -68,7 +68,7 @@ fn keyframe() -> Vec<u8> {
 }
 
 fn check_keyframe(bytes: &[u8]) -> Result<(), TestCaseError> {
-    let registry = field();
+    let registry = registry();
     let (loaded, peak) = peak_of(|| Store::load(&registry, bytes));
     prop_assert!(peak <= allowed(bytes), "{peak} bytes for an input of {}", bytes.len());
     match loaded {
@@ -100,7 +100,7 @@ fn check_batch(bytes: &[u8]) -> Result<(), TestCaseError> {
             prop_assert!(puts.check().is_ok());
         }
         prop_assert!(commands.events().iter().all(|event| event.value.is_finite()));
-        let mut store = Store::new(field());
+        let mut store = Store::new(registry());
         if store.check_room(&commands).is_ok() {
             let (_, peak) = peak_of(|| store.apply(&mut commands, SimTime::ZERO));
             prop_assert!(peak <= allowed(bytes), "{peak} bytes to apply an input of {}", bytes.len());
@@ -122,7 +122,7 @@ fn scattered_keyframe(alive: &[Entity], named: &[Entity]) -> Vec<u8> {
     fn put(out: &mut Vec<u8>, value: &impl serde::Serialize) {
         out.extend(postcard::to_stdvec(value).expect("encodes"));
     }
-    let registry = field();
+    let registry = registry();
     let key = |name| registry.entry(registry.by_name(name).expect("registered")).key;
     let mut out = Vec::new();
     put(&mut out, &(1u64, 0u64, alive.len() as u32));
@@ -155,14 +155,14 @@ proptest! {
 
     #[test]
     fn random_bytes_as_a_component_never_harm(
-        name in select(field().iter().map(|(_, entry)| entry.name).collect::<Vec<_>>()),
+        name in select(registry().iter().map(|(_, entry)| entry.name).collect::<Vec<_>>()),
         bytes in prop_oneof![
             prop::collection::vec(any::<u8>(), 0..200),
             // Lengths that promise much, and short values.
             prop::collection::vec(select(vec![0u8, 1, 2, 0x7f, 0x80, 0xff]), 0..60),
         ],
     ) {
-        let registry = field();
+        let registry = registry();
         let id = registry.by_name(name).expect("registered");
         let mut commands = writer();
         let (decoded, peak) = peak_of(|| {
@@ -178,7 +178,7 @@ proptest! {
     #[test]
     fn entity_numbers_cost_nothing(alive in entities(60), named in entities(60)) {
         let bytes = scattered_keyframe(&alive, &named);
-        let registry = field();
+        let registry = registry();
         let (loaded, peak) = peak_of(|| Store::load(&registry, &bytes));
         prop_assert!(peak <= allowed(&bytes), "{peak} bytes for an input of {}", bytes.len());
         let (store, rest) = loaded.expect("well-formed");
@@ -193,7 +193,7 @@ fn a_hundred_bytes_cannot_reserve_gigabytes() {
     let far = [Entity::new(0, 0, u32::MAX), Entity::new(u16::MAX, u16::MAX, u32::MAX)];
     let bytes = scattered_keyframe(&far, &far);
     assert!(bytes.len() < 100);
-    let (loaded, peak) = peak_of(|| Store::load(&field(), &bytes).map(|(store, _)| store));
+    let (loaded, peak) = peak_of(|| Store::load(&registry(), &bytes).map(|(store, _)| store));
     assert!(peak < 64 << 10, "{peak}");
     assert_eq!(loaded.expect("well-formed").view().iter::<Name>().count(), 2);
 }
@@ -202,7 +202,7 @@ fn a_hundred_bytes_cannot_reserve_gigabytes() {
 fn a_scene_scattered_over_more_pages_than_a_column_takes_is_refused() {
     let pages = |count: u32| (0..count).map(|page| Entity::new(0, 1, page << 12)).collect::<Vec<_>>();
     let loads = |alive: &[Entity], named: &[Entity]| {
-        Store::load(&field(), &scattered_keyframe(alive, named)).map(|_| ()).map_err(|e| e.to_string())
+        Store::load(&registry(), &scattered_keyframe(alive, named)).map(|_| ()).map_err(|e| e.to_string())
     };
     assert_eq!(loads(&pages(16_384), &pages(16_384)), Ok(()));
     let refused = loads(&pages(16_385), &[]).expect_err("too many");
@@ -211,7 +211,7 @@ fn a_scene_scattered_over_more_pages_than_a_column_takes_is_refused() {
     assert!(refused.contains("name") && refused.contains("16384"), "{refused}");
 
     // Batches add up: what each of them could have alone is too much together.
-    let mut store = Store::new(field());
+    let mut store = Store::new(registry());
     for half in 0..2u32 {
         let mut commands = writer();
         for entity in pages(10_000) {
@@ -230,19 +230,19 @@ fn a_scene_scattered_over_more_pages_than_a_column_takes_is_refused() {
 fn what_is_out_of_order_or_beyond_counting_is_refused() {
     let [low, high] = [Entity::new(0, 0, 1), Entity::new(0, 0, 2)];
     for (alive, named) in [(vec![high, low], vec![]), (vec![low, low], vec![]), (vec![], vec![high, low])] {
-        let error = Store::load(&field(), &scattered_keyframe(&alive, &named)).err().expect("refused");
+        let error = Store::load(&registry(), &scattered_keyframe(&alive, &named)).err().expect("refused");
         assert!(error.to_string().contains("comes after"), "{error}");
     }
     let mut late = Vec::new();
     for number in [u64::MAX, 0, 0, 0, 0, 0] {
         late.extend(postcard::to_stdvec(&number).expect("encodes"));
     }
-    let error = Store::load(&field(), &late).err().expect("refused");
+    let error = Store::load(&registry(), &late).err().expect("refused");
     assert!(error.to_string().contains("revision"), "{error}");
     let mut events = Vec::new();
     for number in [1, 0, 0, 0, u64::MAX, 0] {
         events.extend(postcard::to_stdvec(&number).expect("encodes"));
     }
-    let error = Store::load(&field(), &events).err().expect("refused");
+    let error = Store::load(&registry(), &events).err().expect("refused");
     assert!(error.to_string().contains("event number"), "{error}");
 }

@@ -8,7 +8,7 @@ const HEAD: &str = "schema = 1\nname = \"meshes\"\n";
 
 /// What a scenario makes of a volume in a file; `options` follow the file's name.
 fn loaded(volume: &TetData, options: &str) -> Result<(TetData, Option<String>), String> {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("x.vtk"), common::write_vtk(volume, true, 5)).expect("a file");
     let file = folder.path().join("s.toml");

@@ -9,19 +9,19 @@ use trocar_scene::scenario::{self, Scenario, ScenarioError};
 use trocar_scene::*;
 
 fn peg_transfer() -> (Arc<Registry>, Scenario) {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/peg-transfer.toml");
     let scenario = Scenario::load(&file, &registry).unwrap_or_else(|error| panic!("{error}"));
     (registry, scenario)
 }
 
 fn parse(text: &str) -> Result<Scenario, ScenarioError> {
-    Scenario::parse(Path::new("folder/test.toml"), text, &Registry::of_the_field())
+    Scenario::parse(Path::new("folder/test.toml"), text, &Registry::standard())
 }
 
 #[test]
 fn the_published_schema_is_valid_and_no_rubber_stamp() {
-    let schema = scenario::json_schema(&Registry::of_the_field());
+    let schema = scenario::json_schema(&Registry::standard());
     jsonschema::draft202012::meta::validate(&schema).unwrap_or_else(|error| panic!("{error}"));
     let validator = jsonschema::draft202012::new(&schema).expect("a schema");
     let valid = serde_json::json!({ "schema": 1, "name": "x", "entity": [{ "name": "a", "pose": {} }] });
@@ -58,7 +58,7 @@ pose = {}
 particles = { kind = "smoke", positions = [[0.0, 0.0, 0.01], [0.0, 0.001, 0.02]], radius = 0.004, ages = [0.0, 0.5] }
 "#;
     let scenario = parse(text).unwrap_or_else(|error| panic!("{error}"));
-    let store = scenario.spawn(&Registry::of_the_field()).expect("valid");
+    let store = scenario.spawn(&Registry::standard()).expect("valid");
     let (_, plume) = store.view().iter::<Particles>().next().expect("a plume");
     assert_eq!((plume.kind, plume.positions.len(), plume.ages[1]), (ParticleKind::Smoke, 2, 0.5));
     let refused = parse(&text.replace("ages = [0.0, 0.5]", "ages = [0.0]")).expect_err("refused").to_string();
@@ -287,7 +287,7 @@ fn mistakes_are_named_with_their_place() {
 
 #[test]
 fn a_file_that_cannot_be_read_is_named() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let folder = tempfile::tempdir().expect("a folder");
     let missing = folder.path().join("missing.toml");
     let error = Scenario::load(&missing, &registry).expect_err("missing");
@@ -303,7 +303,7 @@ fn a_file_that_cannot_be_read_is_named() {
 
 #[test]
 fn mesh_files_become_components() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::create_dir(folder.path().join("meshes")).expect("a folder");
     let mut volume = common::tet_box(2);
@@ -365,7 +365,7 @@ fn mesh_files_become_components() {
 
 #[test]
 fn shapes_become_surfaces_divided_as_finely_as_asked_for() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let scene = |mesh: &str| {
         let text = format!("{HEAD}[[entity]]\nname = \"stone\"\nmesh = {{ {mesh} }}\n");
         let scenario = parse(&text)?;
@@ -394,7 +394,7 @@ fn shapes_become_surfaces_divided_as_finely_as_asked_for() {
 
 #[test]
 fn organs_sheets_tubes_blocks_and_threads_are_made_without_files() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let scene = |mesh: &str| {
         let text = format!("{HEAD}[[entity]]\nname = \"thing\"\nmesh = {{ {mesh} }}\n");
         let store = parse(&text)?.spawn(&registry).expect("valid");

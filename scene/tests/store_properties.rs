@@ -132,7 +132,7 @@ impl Writer {
 
 #[test]
 fn a_precondition_that_no_longer_holds_is_a_conflict_and_nothing_is_applied() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut store = Store::new(registry.clone());
     let mut surgeon = writer(
         &registry,
@@ -164,7 +164,7 @@ fn a_precondition_that_no_longer_holds_is_a_conflict_and_nothing_is_applied() {
 
 #[test]
 fn a_batch_is_applied_as_a_whole_or_not_at_all() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut store = Store::new(registry.clone());
     let mut mine = writer(&registry, 1, Access::new().spawns().writes::<Pose>(EntitySet::Own));
     let first = mine.commands.spawn();
@@ -188,7 +188,7 @@ fn a_batch_is_applied_as_a_whole_or_not_at_all() {
 
 #[test]
 fn what_is_despawned_is_gone_with_all_its_rows_and_its_name_does_not_return() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut store = Store::new(registry.clone());
     let access = || Access::new().spawns().writes::<Pose>(EntitySet::Own).writes::<Name>(EntitySet::Own);
     let mut mine = writer(&registry, 1, access());
@@ -215,7 +215,7 @@ fn what_is_despawned_is_gone_with_all_its_rows_and_its_name_does_not_return() {
 
 #[test]
 fn contributions_of_several_writers_coexist_and_go_with_their_writer() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut store = Store::new(registry.clone());
     let list = |penetration_max| CollisionList { collisions: Vec::new(), penetration_max };
     let mut writers: Vec<Writer> =
@@ -232,7 +232,7 @@ fn contributions_of_several_writers_coexist_and_go_with_their_writer() {
 
 #[test]
 fn a_transferred_row_has_one_writer_at_any_time() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let id = registry.id::<Pose>().expect("registered");
     let ring = Entity::new(0, 1, 1);
     let mut left = writer(&registry, 1, Access::new().writes::<Pose>(EntitySet::Of(vec![ring])));
@@ -248,7 +248,7 @@ fn a_transferred_row_has_one_writer_at_any_time() {
 
 #[test]
 fn a_chain_of_parents_composes_poses_and_a_cycle_ends() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut store = Store::new(registry.clone());
     let mut commands = Commands::new(registry, EntityAllocator::new(0, SCENARIO_SPAWNER));
     let [a, b, c] = [commands.spawn(), commands.spawn(), commands.spawn()];
@@ -273,7 +273,7 @@ fn a_chain_of_parents_composes_poses_and_a_cycle_ends() {
 
 #[test]
 fn of_two_puts_of_one_row_the_later_counts_whatever_the_order_of_entities() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut store = Store::new(registry.clone());
     let mut commands = Commands::new(registry, EntityAllocator::new(0, SCENARIO_SPAWNER));
     let entities: Vec<Entity> = (0..5).map(|_| commands.spawn()).collect();

@@ -2,7 +2,7 @@
 //! tests, and that the programs shown are the examples, are checked in `tidy/`; command lines are parsed in
 //! `ui/cli/tests/docs_commands.rs`.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use trocar::play::Bindings;
@@ -148,18 +148,44 @@ fn every_toml_of_the_docs_is_read() {
     assert!(read_toml("[[controller]]\nname = \"x\"\nkind = \"rapeir\"\nrate_hz = 10").is_err());
 }
 
+/// The cells of the tables of figures, by the figure's name.
+fn figures(page: &str) -> BTreeMap<&str, Vec<&str>> {
+    let rows = page.lines().filter_map(|line| line.strip_prefix("| `")?.split_once("` | "));
+    rows.map(|(name, cells)| (name, cells.trim_end_matches(" |").split(" | ").collect())).collect()
+}
+
 #[test]
 fn the_figures_of_every_suite_have_one_place() {
     let page = read("docs/figures.md");
     for suite in SUITES {
-        let mark = format!("<!-- figures: bench {suite} -->\n");
+        let mark = format!("<!-- figures: bench {suite} -->\n`trocar bench {suite}` on ");
         assert_eq!(page.matches(&mark).count(), 1, "{suite}");
         let (_, rest) = page.split_once(&mark).expect("it is there");
         let (table, _) = rest.split_once("<!-- end -->").expect("a table ends");
-        assert!(table.lines().count() > 2 && table.lines().all(|line| line.starts_with('|')), "{suite}");
+        let rows = figures(table);
+        assert!(rows.len() > 3 && rows.values().all(|cells| cells.len() == 7), "{suite}: {rows:?}");
     }
     assert_eq!(page.matches("<!-- figures:").count(), SUITES.len());
     assert_eq!(page.matches("<!-- end -->").count(), SUITES.len());
+}
+
+#[test]
+fn the_figures_of_the_readme_are_those_of_the_page_of_figures() {
+    let (readme, page) = (read("README.md"), read("docs/figures.md"));
+    let measured = figures(&page);
+    let mut shown = 0;
+    for line in readme.lines().filter(|line| line.starts_with("| ") && line.contains("<!-- ")) {
+        let (_, rest) = line.split_once("<!-- ").expect("it names its figure");
+        let (name, cells) = rest.split_once(" --> | ").expect("and then shows it");
+        let [value, unit, _, _, _, bar, _] = measured[name][..] else { panic!("{name}") };
+        let wanted = match bar {
+            "–" => format!("{value} {unit} | – |"),
+            bar => format!("{value} {unit} | {bar}"),
+        };
+        assert!(cells.starts_with(&wanted), "{name}: README says {cells}, docs/figures.md {wanted}");
+        shown += 1;
+    }
+    assert!(shown >= 8, "{shown} figures are in the README");
 }
 
 #[test]

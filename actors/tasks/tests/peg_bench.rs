@@ -5,7 +5,7 @@ use trocar_scene::*;
 use trocar_tasks::peg_bench::{BenchError, find_hand, find_pegs, find_rings};
 
 fn scene(fill: impl FnOnce(&mut Commands)) -> Snapshot {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
     fill(&mut commands);
     commands.seal();

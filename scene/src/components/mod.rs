@@ -1,4 +1,4 @@
-//! The components of the field.
+//! The standard components: those of surgical scenes.
 
 pub mod contact;
 pub mod deformation;
@@ -38,7 +38,7 @@ pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 
 use crate::registry::{RegistryBuilder, RegistryError};
 
-/// Registers every component of the field.
+/// Registers every standard component.
 ///
 /// # Errors
 /// When a name is already taken by another type.

@@ -129,7 +129,7 @@ mod tests {
     const PORT: Entity = Entity::new(0, 1, 3);
 
     fn scene(port: Option<Entity>, shaft_length: f64) -> Snapshot {
-        let registry = Registry::of_the_field();
+        let registry = Registry::standard();
         let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, 1));
         assert_eq!([commands.spawn(), commands.spawn(), commands.spawn()], [HAND, INSTRUMENT, PORT]);
         let hand = Hand {

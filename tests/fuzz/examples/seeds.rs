@@ -88,7 +88,7 @@ fn clear_checksums(bytes: &mut [u8]) {
 }
 
 fn main() {
-    let registry = Registry::of_the_field();
+    let registry = Registry::standard();
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
     let save = |target: &str, name: &str, bytes: &[u8]| {
         let folder = corpus.join(target);

@@ -10,7 +10,7 @@ use trocar_scene::{Commands, EntityAllocator, Registry, SimTime, Store};
 /// The dearest bytes are those of a lone row: one byte of an entity that has a page to itself.
 const ROWS: Bound = Bound { per_byte: 384, always: 64 << 10 };
 
-static REGISTRY: LazyLock<Arc<Registry>> = LazyLock::new(Registry::of_the_field);
+static REGISTRY: LazyLock<Arc<Registry>> = LazyLock::new(Registry::standard);
 
 fn keyframe(bytes: &[u8]) {
     let registry = &*REGISTRY;

@@ -12,7 +12,7 @@ use trocar_scene::{DeviceState, Entity, Registry};
 /// A chunk is held as bytes, as the pieces cut out of it, and as the scene that they make.
 const RECORDING: Bound = Bound { per_byte: 384, always: 1 << 20 };
 
-static REGISTRY: LazyLock<Arc<Registry>> = LazyLock::new(Registry::of_the_field);
+static REGISTRY: LazyLock<Arc<Registry>> = LazyLock::new(Registry::standard);
 /// The reader takes files; one per process, in memory where the system offers that.
 static FILE: LazyLock<PathBuf> = LazyLock::new(|| {
     let memory = PathBuf::from("/dev/shm");

@@ -13,7 +13,7 @@ use trocar_scene::scenario::Scenario;
 /// A value of one character ("a=0\n" is four) becomes a table entry with the places of key and value, twice.
 const TOML: Bound = Bound { per_byte: 1_024, always: 256 << 10 };
 
-static REGISTRY: LazyLock<Arc<Registry>> = LazyLock::new(Registry::of_the_field);
+static REGISTRY: LazyLock<Arc<Registry>> = LazyLock::new(Registry::standard);
 
 fuzz_target!(|bytes: &[u8]| -> Corpus {
     let Ok(text) = std::str::from_utf8(bytes) else { return Corpus::Reject };

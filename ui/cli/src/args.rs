@@ -246,9 +246,12 @@ pub struct BenchArgs {
     /// Also draw how costs grow, as SVG (suites `collision` and `simulator`)
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
-    /// Print the figures as a Markdown table, as docs/figures.md has them
+    /// Print the figures as a Markdown table, without those of growth
     #[arg(long, conflicts_with = "json")]
     pub markdown: bool,
+    /// Also write that table into a Markdown file with a place for it, such as docs/figures.md
+    #[arg(long, value_name = "FILE")]
+    pub into: Option<PathBuf>,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
     #[arg(long)]
     pub json: bool,

@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_board_is_drawn_where_it_lies_with_its_pegs() {
-        let registry = Registry::of_the_field();
+        let registry = Registry::standard();
         let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, 0));
         let board = commands.spawn();
         commands.put(board, Name("board.left".to_owned()));

@@ -200,7 +200,7 @@ mod tests {
     };
 
     fn scene() -> (Store, Commands, Entity, Entity) {
-        let registry = Registry::of_the_field();
+        let registry = Registry::standard();
         let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, 0));
         let (hand, grasper) = (commands.spawn(), commands.spawn());
         commands.put(

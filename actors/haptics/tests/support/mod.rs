@@ -107,7 +107,7 @@ impl Wall {
 
 impl Bench {
     pub fn new(hand: VirtualHandConfig, config: HapticsConfig, mount: Mount, wall: Wall) -> Self {
-        let registry = Registry::of_the_field();
+        let registry = Registry::standard();
         let mut setup = Commands::new(registry.clone(), EntityAllocator::new(0, 0));
         assert_eq!([setup.spawn(), setup.spawn(), setup.spawn()], [HAND, INSTRUMENT, PORT]);
         let port_height = 0.17;

@@ -6,6 +6,7 @@ mod collision;
 pub mod counting;
 mod exercise;
 mod idle;
+mod markdown;
 mod memory;
 mod peer;
 mod plot;
@@ -104,8 +105,13 @@ pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
             )));
         }
     }
+    // Read before they are measured, too.
+    let page = args.into.as_deref().map(|file| markdown::Page::read(file, &args.suite)).transpose()?;
     let mut summary = BenchSummary::new(machine());
     let result = measure(args, &mut summary);
+    if let (Ok(()), Some(page)) = (&result, page) {
+        page.write(&markdown::table(&args.suite, &summary))?;
+    }
     if let (Ok(()), Some(file)) = (&result, &args.plot)
         && let Some((_, of)) = GROWING.iter().find(|(suite, _)| *suite == args.suite)
         && let Some(svg) = plot::growth(&summary.results, of)
@@ -119,7 +125,7 @@ pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
     if args.json {
         output::print_json(&summary)?;
     } else if result.is_ok() && args.markdown {
-        output::print_text(&markdown(&args.suite, &summary))?;
+        output::print_text(&markdown::table(&args.suite, &summary))?;
     } else if result.is_ok() {
         output::print_text(&text(&summary))?;
     }
@@ -219,32 +225,4 @@ fn cells(row: &BenchResult) -> [String; 7] {
         number(row.ratio),
         row.bar.map_or("–".to_owned(), |bar| format!("{sign} {}", short(bar))),
     ]
-}
-
-/// A table for `docs/figures.md`, between the comments that mark its place there.
-fn markdown(suite: &str, summary: &BenchSummary) -> String {
-    let machine = &summary.machine;
-    let mut lines = vec![
-        format!(
-            "`trocar bench {suite}` on {} × {}, real-time priority {}:",
-            machine.cores,
-            machine.cpu,
-            if machine.fifo { "granted" } else { "refused" }
-        ),
-        String::new(),
-        format!("<!-- figures: bench {suite} -->"),
-        format!("| {} |", HEAD.join(" | ")),
-        format!("|{}", "---|".repeat(HEAD.len())),
-    ];
-    for row in &summary.results {
-        let [name, rest @ ..] = cells(row);
-        let holds = match row.bar {
-            None => "–",
-            Some(_) if row.holds => "yes",
-            Some(_) => "**no**",
-        };
-        lines.push(format!("| `{name}` | {} | {holds} |", rest.join(" | ")));
-    }
-    lines.push("<!-- end -->".to_owned());
-    lines.join("\n")
 }

@@ -37,14 +37,14 @@ pub struct Scene {
 impl Scene {
     pub fn new() -> Self {
         let mut builder = RegistryBuilder::default();
-        trocar_scene::register(&mut builder).expect("the field's components");
+        trocar_scene::register(&mut builder).expect("the standard components");
         let registry: Arc<Registry> = builder.build();
         let commands = Commands::new(Arc::clone(&registry), EntityAllocator::new(0, SCENARIO_SPAWNER));
         Self { store: Store::new(registry), commands, time: SimTime::ZERO }
     }
     /// What a scenario file says.
     pub fn of_scenario(text: &str) -> (Self, Scenario) {
-        let registry = Registry::of_the_field();
+        let registry = Registry::standard();
         let scenario = Scenario::parse(Path::new("test.toml"), text, &registry).expect("a scenario");
         let store = scenario.spawn(&registry).expect("its entities");
         let commands = Commands::new(registry, EntityAllocator::new(0, SCENARIO_SPAWNER + 1));
