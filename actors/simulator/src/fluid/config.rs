@@ -16,6 +16,9 @@ pub struct FluidConfig {
     pub viscosity: f64,
     /// Acceleration of gravity \[m/s²\].
     pub gravity: Vector3<f64>,
+    /// Ends at which the liquid goes on, if any.
+    #[serde(default)]
+    pub ends: Option<Ends>,
     /// Lower corner of its box \[m\]; particles that leave it are removed.
     pub min: Point3<f64>,
     /// Upper corner of the box \[m\].
@@ -33,6 +36,16 @@ pub struct FluidConfig {
     pub iterations_max: u32,
 }
 
+/// Two opposite sides of the box between which the liquid goes on: what leaves at one end enters at the other, as in a
+/// piece of a long pipe. Walls have to reach beyond the ends by twice the spacing.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ends {
+    /// The axis along which it goes on: 0, 1 or 2.
+    pub axis: usize,
+    /// Pressure at the lower end above that at the upper end \[Pa\], which drives the liquid.
+    pub pressure_drop: f64,
+}
+
 impl Default for FluidConfig {
     /// Blood at 37 °C: 1060 kg/m³, 3.3e-6 m²/s.
     fn default() -> Self {
@@ -41,12 +54,13 @@ impl Default for FluidConfig {
             density: 1060.0,
             viscosity: 3.3e-6,
             gravity: Vector3::new(0.0, 0.0, -9.81),
+            ends: None,
             min: Point3::new(-0.1, -0.1, -0.1),
             max: Point3::new(0.1, 0.1, 0.1),
             particles_max: 20_000,
             cfl: 0.4,
             parts_max: 128,
-            compression: 1e-3,
+            compression: 3e-4,
             iterations_max: 100,
         }
     }

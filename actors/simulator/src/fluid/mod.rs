@@ -2,12 +2,12 @@
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Liquid: incompressible SPH | `sph.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
+//! | Liquid: incompressible SPH | `sph.rs`, `viscosity.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
 //! | Smoke puffs | `smoke.rs` |
 //! | Bleeding vessels | `bleeding.rs` |
 //! | Clamping and cutting of vessels | `clamp.rs`, `vessel_cut.rs` |
 //! | Outflow of a hole as particles | `emitter.rs` |
-//! | Surfaces as walls of a liquid | `boundary_samples.rs` |
+//! | Surfaces as walls of a liquid | `boundary_samples.rs`, `mirror_walls.rs` |
 //! | Vital signs | `vital_signs.rs` |
 
 pub mod bleeding;
@@ -18,6 +18,7 @@ mod config;
 pub(crate) mod emitter;
 mod error;
 mod kernel;
+mod mirror_walls;
 pub(crate) mod neighbour_clusters;
 pub(crate) mod neighbour_lists;
 pub(crate) mod neighbour_search;
@@ -25,11 +26,12 @@ mod pressure;
 pub mod smoke;
 mod sph;
 pub mod vessel_cut;
+mod viscosity;
 pub mod vital_signs;
 
 use nalgebra::Vector3;
 
-pub use config::{FluidConfig, FluidReport, FluidState};
+pub use config::{Ends, FluidConfig, FluidReport, FluidState};
 pub use emitter::{Emitter, Hole};
 pub use error::{FluidError, FluidStepError};
 pub use sph::Fluid;

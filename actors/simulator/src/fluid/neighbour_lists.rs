@@ -37,6 +37,8 @@ pub(super) struct Walls<'a> {
     pub cells: &'a CellStarts,
     /// Positions relative to the corner of the box \[m\], and volumes represented \[m³\].
     pub places: &'a [[f32; 4]],
+    /// Whether each is a sample of a smooth wall, which has no row.
+    pub smooth: &'a [bool],
 }
 
 /// A particle and a nearby wall sample.
@@ -64,6 +66,11 @@ pub(super) struct Rows {
     unit: f32,
     /// Wall samples near a particle, in the order of their cells.
     pub wet: Vec<u32>,
+    /// Images of particles beyond the ends of a liquid that goes on there, in the order of their cells: the particle, and
+    /// its shifted position relative to the corner of the box \[m\] and volume \[m³\].
+    pub images: Vec<(u32, [f32; 4])>,
+    /// The first row of images, which come last.
+    first_image: usize,
     /// Row of each wall sample, if any.
     pub row_of_wall: Vec<u32>,
     /// Pairs of nearby particles and wall samples.
@@ -109,6 +116,8 @@ struct RowInputs<'a> {
     kernel: &'a Kernel,
     liquid: Sorted<'a>,
     walls: Sorted<'a>,
+    images: Option<Sorted<'a>>,
+    first_image: usize,
     owner: &'a [u32],
     cells: &'a [(u32, u32)],
     axes: &'a [[Lanes; 3]],
@@ -150,8 +159,11 @@ impl RowInputs<'_> {
             let (first, last) = self.cells[cluster];
             let cells = (self.grid, first as usize, last as usize);
             let begin = factors.len();
-            if row < self.particles {
-                near.find(eight, axes, square, cells, self.liquid, Some(self.walls));
+            if row >= self.first_image {
+                near.clear();
+                sums.push(Sums::default());
+            } else if row < self.particles {
+                near.find(eight, axes, square, cells, [Some(self.liquid), self.images], Some(self.walls));
                 let mut found = near.weigh(eight, axes, (self.kernel, self.unit), None, factors);
                 let [px, py, pz] = &found.pull;
                 for k in 0..LANES {
@@ -170,7 +182,7 @@ impl RowInputs<'_> {
                 }
             } else {
                 let volumes = Lanes(std::array::from_fn(|k| self.places[row + k][3]));
-                near.find(eight, axes, square, cells, self.liquid, None);
+                near.find(eight, axes, square, cells, [Some(self.liquid), self.images], None);
                 let mut found = near.weigh(eight, axes, (self.kernel, self.unit), Some(&volumes), factors);
                 for k in 0..LANES {
                     found.value.0[k] += 1.0 - self.beside * volumes.0[k] / self.volume;
@@ -195,15 +207,19 @@ impl Rows {
     pub(super) fn build(
         &mut self,
         grid: &CellGrid,
-        cells: &CellStarts,
+        [cells, image_cells]: [&CellStarts; 2],
         walls: &Walls<'_>,
         kernel: &Kernel,
         volume: f32,
         beside: f32,
     ) {
-        self.find_wet(grid, cells, walls, (kernel.support * kernel.support) as f32);
+        self.find_wet(grid, [cells, image_cells], walls, (kernel.support * kernel.support) as f32);
         self.arrange(grid, walls, (APART * kernel.support) as f32);
         let clusters = self.cells.len();
+        let image_places: Vec<[f32; 4]> = self.images.iter().map(|(_, place)| *place).collect();
+        let image_rows: Vec<u32> =
+            (0..self.images.len()).map(|image| (self.first_image + image) as u32).collect();
+        let images = Sorted { cells: image_cells, places: &image_places, rows: &image_rows };
         // From the largest possible factor.
         let largest = walls.places.iter().map(|place| place[3]).fold(volume, f32::max);
         self.unit = (kernel.steepest() / UNITS) as f32 * largest;
@@ -212,6 +228,8 @@ impl Rows {
             kernel,
             liquid: Sorted { cells, places: &self.liquid, rows: &self.row_of },
             walls: Sorted { cells: walls.cells, places: walls.places, rows: &self.row_of_wall },
+            images: (!self.images.is_empty()).then_some(images),
+            first_image: self.first_image,
             owner: &self.owner,
             cells: &self.cells,
             axes: &self.axes,
@@ -271,6 +289,16 @@ impl Rows {
             self.row_of_wall[wall as usize] = row;
         }
         self.end_cluster();
+        self.first_image = self.places.len();
+        if !self.images.is_empty() {
+            let whole = (self.first_image + self.images.len()).next_multiple_of(LANES);
+            self.places.extend(self.images.iter().map(|(_, place)| *place));
+            self.places.resize(whole, [FAR, FAR, FAR, 0.0]);
+            // No link refers to an owner of theirs, except for the position.
+            self.owner.extend(self.images.iter().map(|(particle, _)| *particle));
+            self.owner.resize(whole, DRY);
+            self.cells.resize(whole / LANES, (0, 0));
+        }
         let (mut low, mut high) = ([f32::INFINITY; 4], [f32::NEG_INFINITY; 4]);
         for place in &self.liquid {
             for axis in 0..4 {
@@ -321,19 +349,62 @@ impl Rows {
     }
 
     /// Finds the wall samples with a particle within the support.
-    fn find_wet(&mut self, grid: &CellGrid, cells: &CellStarts, walls: &Walls<'_>, square: f32) {
+    fn find_wet(
+        &mut self,
+        grid: &CellGrid,
+        [cells, image_cells]: [&CellStarts; 2],
+        walls: &Walls<'_>,
+        square: f32,
+    ) {
         self.wet.clear();
         self.row_of_wall.clear();
         self.row_of_wall.resize(walls.places.len(), DRY);
-        for (wall, place) in walls.places.iter().enumerate() {
-            let is_near = |particle: usize| {
-                let [dx, dy, dz] = std::array::from_fn(|axis| self.liquid[particle][axis] - place[axis]);
+        for (wall, place) in walls.places.iter().enumerate().filter(|(wall, _)| !walls.smooth[*wall]) {
+            let is_within = |other: &[f32; 4]| {
+                let [dx, dy, dz] = std::array::from_fn(|axis| other[axis] - place[axis]);
                 dx * dx + dy * dy + dz * dz < square
             };
+            let is_near = |particle: usize| is_within(&self.liquid[particle]);
+            let is_image_near = |image: usize| is_within(&self.images[image].1);
             let mut about = grid.rows_about(grid.cell_of(place));
-            if about.any(|(from, to)| cells.range(from, to).any(is_near)) {
+            if about.any(|(from, to)| {
+                cells.range(from, to).any(is_near)
+                    || (!self.images.is_empty() && image_cells.range(from, to).any(is_image_near))
+            }) {
                 self.wet.push(wall as u32);
             }
+        }
+    }
+
+    /// Copies the values of particles to the rows of their images.
+    pub(super) fn copy_to_images<T: Copy>(&self, list: &mut [T]) {
+        for (image, (particle, _)) in self.images.iter().enumerate() {
+            list[self.first_image + image] = list[self.row_of[*particle as usize] as usize];
+        }
+    }
+
+    /// The same for sums over positions: the fourth number is a value times the position, or, where `is_pressure`, the
+    /// first three are the fourth times the position.
+    pub(super) fn lift_images(&self, list: &mut [[f32; 4]], is_pressure: bool) {
+        for (image, (particle, _)) in self.images.iter().enumerate() {
+            let row = self.first_image + image;
+            let own = list[self.row_of[*particle as usize] as usize];
+            let at = std::array::from_fn::<f32, 3, _>(|axis| self.centred[row / LANES][axis].0[row % LANES]);
+            list[row] = if is_pressure {
+                [at[0] * own[3], at[1] * own[3], at[2] * own[3], own[3]]
+            } else {
+                [own[0], own[1], own[2], own[0] * at[0] + own[1] * at[1] + own[2] * at[2]]
+            };
+        }
+    }
+
+    /// Adds to the gradient of a row \[1/m\].
+    pub(super) fn pull(&mut self, row: usize, by: [f32; 3]) {
+        let pull = &mut self.pulls[row / LANES];
+        for (axis, by) in by.into_iter().enumerate() {
+            let own = &mut pull[axis].0[row % LANES];
+            self.diagonal[row] += by * (by + 2.0 * *own);
+            *own += by;
         }
     }
 

@@ -65,6 +65,11 @@ impl NeighbourRows {
         self.liquid
     }
 
+    /// Forgets all.
+    pub(super) fn clear(&mut self) {
+        (self.found, self.liquid) = (0, 0);
+    }
+
     /// Finds everything within a distance of any of the positions, whose cells form a row from `first` to `last`.
     #[inline(always)]
     pub(super) fn find<E: Eight>(
@@ -73,11 +78,13 @@ impl NeighbourRows {
         axes: &[Lanes; 3],
         square: f32,
         (grid, first, last): (&CellGrid, usize, usize),
-        liquid: Sorted<'_>,
+        liquid: [Option<Sorted<'_>>; 2],
         walls: Option<Sorted<'_>>,
     ) {
-        self.found = 0;
-        self.find_among(eight, axes, square, (grid, first, last), liquid);
+        self.clear();
+        for liquid in liquid.into_iter().flatten() {
+            self.find_among(eight, axes, square, (grid, first, last), liquid);
+        }
         self.liquid = self.found;
         if let Some(walls) = walls {
             self.find_among(eight, axes, square, (grid, first, last), walls);

@@ -337,8 +337,8 @@ mod tests {
         let mut rows = Rows::default();
         let sorted = cells.order.iter().map(|index| points[*index as usize]);
         rows.liquid = sorted.map(|p| [p.x as f32, p.y as f32, p.z as f32, 1e-3]).collect();
-        let walls = Walls { cells: &none, places: &[] };
-        rows.build(&grid, &cells, &walls, &Kernel::new(0.2), 1e-3, 0.15);
+        let walls = Walls { cells: &none, places: &[], smooth: &[] };
+        rows.build(&grid, [&cells, &none], &walls, &Kernel::new(0.2), 1e-3, 0.15);
         rows
     }
 

@@ -6,9 +6,9 @@
 //! for incompressible SPH*, 2012), scaled so that a flat wall continues the particle lattice next to it, with pressures
 //! of their own, also solved for (Shao and Lo, *Incompressible SPH method for simulating Newtonian and non-Newtonian
 //! flows with a free surface*, 2003): with mirrored particle pressures, the pressure on a floor would not equal the
-//! weight of the column over its area. Walls push but do not hold. Liquid sliding along samples would meet them as
-//! bumps half a spacing high, and be dragged; where sample normals are given, only the normal component acts, and the
-//! wall is smooth.
+//! weight of the column over its area. Walls push but do not hold. They are rough, and drag what slides along them as
+//! viscosity has it (`viscosity.rs`), half a spacing from the samples, where the liquid ends; where sample normals are
+//! given, they are smooth (`mirror_walls.rs`).
 //!
 //! Runs on the rayon pool, bit-identical for any number of threads. The interaction of two particles is computed
 //! identically from both sides, so that momentum is conserved to rounding.
@@ -16,12 +16,14 @@
 use nalgebra::{Point3, Vector3};
 
 use super::cell_grid::{CellGrid, CellStarts};
-use super::config::{FluidConfig, FluidReport, FluidState};
+use super::config::{Ends, FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
-use super::neighbour_clusters::{PressureForces, ViscousForces};
+use super::mirror_walls::{MirrorPlane, SmoothSamples};
+use super::neighbour_clusters::{PressureForces, WALL_DRAG};
 use super::neighbour_lists::{Rows, WallLink, Walls};
 use super::pressure::Solver;
+use super::viscosity::{ViscositySolver, ViscousStep};
 
 /// Support radius of the kernel in particle spacings.
 const SUPPORT: f64 = 2.0;
@@ -30,14 +32,20 @@ const NEIGHBOURS_MIN: f32 = 8.0;
 /// Least distance of a particle from a wall sample, in spacings: in the middle of a square of samples, 0.71 from each,
 /// a particle would have passed through.
 const NEAREST: f64 = 0.9;
-/// Least distance from the plane of a smooth wall, which has no gaps; a sample covers this radius of its plane.
+/// Least distance from the plane of a smooth wall, which has no gaps.
 const NEAREST_PLANE: f64 = 0.7;
-const BESIDE: f64 = 0.75;
 /// Sum of kernels times volumes over one lattice layer, and the next one: a flat wall's sum over its own samples, and
 /// over the adjacent particles.
 const LAYER: f64 = 0.7006;
 const NEXT_LAYER: f32 = 0.1499;
-/// Compression is released in this fraction of the time in which a particle falls its own size,
+/// Longest substep in terms of the time in which a wave of the pressure passes a particle. Under pressure, particles
+/// repel each other like springs: in longer substeps, these springs gain energy, and the liquid never comes to rest.
+/// Rough walls, which drag, bear a longer one; measured, it is 1.1 and 0.8.
+const STIFF: f64 = 0.9;
+const STIFF_SMOOTH: f64 = 0.7;
+/// How far particles are added beside their positions, in spacings.
+const OFF_LATTICE: f64 = 0.1;
+/// Compression is released in this many times the time in which a particle falls its own size,
 const RELIEF: f64 = 2.0;
 /// but at most this fraction of it per substep.
 const RELIEF_MAX: f64 = 0.1;
@@ -55,6 +63,8 @@ pub struct Fluid {
     state: FluidState,
     backup: FluidState,
     cells: CellStarts,
+    image_cells: CellStarts,
+    images: Vec<(u32, Point3<f64>)>,
     wall_cells: CellStarts,
     walls: Vec<Point3<f64>>,
     wall_velocities: Vec<Vector3<f64>>,
@@ -64,8 +74,14 @@ pub struct Fluid {
     wall_forces: Vec<Vector3<f64>>,
     /// Positions relative to the corner of the box \[m\], and volumes represented \[m³\], in the order of their cells.
     wall_places: Vec<[f32; 4]>,
+    /// Whether each is smooth, in that order.
+    wall_smooth: Vec<bool>,
+    /// Smooth walls near particles, and a buffer.
+    mirrors: Vec<MirrorPlane>,
+    near: Vec<(u32, f64)>,
     rows: Rows,
     solver: Solver,
+    viscosity: ViscositySolver,
     /// Velocity change of each row.
     change: Vec<Vector3<f64>>,
     pressure: Vec<f64>,
@@ -93,6 +109,12 @@ impl Fluid {
         parameter("parts_max", f64::from(config.parts_max), 1.0..=1e4, "1 to 10,000")?;
         parameter("compression", config.compression, 1e-8..=0.1, "1e-8 to 0.1")?;
         parameter("iterations_max", f64::from(config.iterations_max), 1.0..=1e4, "1 to 10,000")?;
+        if let Some(ends) = config.ends {
+            parameter("axis of the ends", ends.axis as f64, 0.0..=2.0, "0, 1 or 2")?;
+            parameter("pressure_drop", ends.pressure_drop, -1e7..=1e7, "-1e7 to 1e7 Pa")?;
+            let length = (config.max[ends.axis] - config.min[ends.axis]) / config.spacing;
+            parameter("length between the ends in spacings", length, 2.0 * SUPPORT..=1e5, "4 to 100,000")?;
+        }
         let kernel = Kernel::new(SUPPORT * config.spacing);
         let cells: f64 =
             (0..3).map(|axis| ((config.max[axis] - config.min[axis]) / kernel.support).ceil()).product();
@@ -109,14 +131,20 @@ impl Fluid {
             state: FluidState::default(),
             backup: FluidState::default(),
             cells: CellStarts::default(),
+            image_cells: CellStarts::default(),
+            images: Vec::new(),
             wall_cells,
             walls: Vec::new(),
             wall_velocities: Vec::new(),
             wall_normals: Vec::new(),
             wall_forces: Vec::new(),
             wall_places: Vec::new(),
+            wall_smooth: Vec::new(),
+            mirrors: Vec::new(),
+            near: Vec::new(),
             rows: Rows::default(),
             solver: Solver::default(),
+            viscosity: ViscositySolver::default(),
             change: Vec::new(),
             pressure: Vec::new(),
             speeds: Vec::new(),
@@ -180,7 +208,7 @@ impl Fluid {
         &self.pressure
     }
 
-    /// Replaces the wall samples: positions \[m\], at most a spacing apart, and velocities \[m/s\]. With an unchanged
+    /// Replaces the wall samples, which are half a spacing beyond the end of the liquid: positions \[m\], at most a spacing apart, and velocities \[m/s\]. With an unchanged
     /// number, they are taken to be the same samples, moved.
     ///
     /// # Errors
@@ -218,13 +246,15 @@ impl Fluid {
             });
             self.wall_places.push(seen_from(&min, sample, (LAYER / sum) as f32));
         }
+        self.wall_smooth.clear();
+        self.wall_smooth.resize(samples.len(), false);
         self.wall_forces.clear();
         self.wall_forces.resize(samples.len(), Vector3::zeros());
         Ok(())
     }
 
-    /// Sets the wall normals at the samples last given, of any length and either sign. There the wall is smooth: only
-    /// the normal component acts. A zero normal means unknown, as do all before the first call.
+    /// Sets the wall normals at the samples last given, of any length and either sign. There the wall is smooth: nothing
+    /// holds the liquid along it. A zero normal means unknown, as do all before the first call.
     ///
     /// # Errors
     /// A number of normals other than that of samples, non-finite numbers.
@@ -238,6 +268,9 @@ impl Fluid {
         for (to, from) in self.wall_normals.iter_mut().zip(&self.wall_cells.order) {
             *to = normals[*from as usize].try_normalize(0.0).unwrap_or_else(Vector3::zeros);
         }
+        for (to, normal) in self.wall_smooth.iter_mut().zip(&self.wall_normals) {
+            *to = *normal != Vector3::zeros();
+        }
         Ok(())
     }
 
@@ -247,7 +280,9 @@ impl Fluid {
         &self.wall_forces
     }
 
-    /// Adds a particle; beyond the limit, the oldest is removed. Returns its number; `None` outside of the box or for
+    /// Adds a particle, up to a tenth of a spacing beside its position along each axis, by its number: on an exact lattice,
+    /// particles lock as in a crystal, and hold a flow up until they have left it. Beyond the limit, the oldest is removed.
+    /// Returns its number; `None` outside of the box or for
     /// non-finite values.
     pub fn add(&mut self, position: Point3<f64>, velocity: Vector3<f64>) -> Option<u64> {
         if !self.is_inside(&position) || !velocity.iter().all(|v| v.is_finite()) {
@@ -260,10 +295,23 @@ impl Fluid {
         let number = self.state.next;
         self.state.next += 1;
         self.state.numbers.push(number);
-        self.state.positions.push(position);
+        self.state.positions.push(self.off_lattice(position, number));
         self.state.velocities.push(velocity);
         self.state.pushes.push(0.0);
         Some(number)
+    }
+
+    /// A position for a particle of this number.
+    fn off_lattice(&self, position: Point3<f64>, number: u64) -> Point3<f64> {
+        // The generalised golden ratio in three dimensions: evenly spread (Roberts 2018).
+        const STEPS: [f64; 3] = [0.819_172_513_396_164_4, 0.671_043_606_703_789_2, 0.549_700_477_901_970_2];
+        let by = |axis: usize| {
+            let share = ((number as f64 + 0.5) * STEPS[axis]).fract();
+            (2.0 * share - 1.0) * OFF_LATTICE * self.config.spacing
+        };
+        Point3::from(std::array::from_fn::<f64, 3, _>(|axis| {
+            (position[axis] + by(axis)).clamp(self.config.min[axis], self.config.max[axis])
+        }))
     }
 
     /// Removes at most this many particles within a ball, the nearest first, as a suction device does; returns how
@@ -342,12 +390,50 @@ impl Fluid {
                     return Err(FluidStepError::NotFinite { number: self.state.numbers[particle] });
                 }
             }
+            self.go_on_at_ends();
             self.absorb_what_left();
             left = if left - part < 1e-9 * dt { 0.0 } else { left - part };
         }
         self.wall_forces.iter_mut().for_each(|force| *force /= dt);
         report.absorbed = self.state.absorbed - before;
         Ok(report)
+    }
+
+    /// What leaves at an end enters at the other one.
+    fn go_on_at_ends(&mut self) {
+        let Some(Ends { axis, .. }) = self.config.ends else { return };
+        let (low, high) = (self.config.min[axis], self.config.max[axis]);
+        for position in &mut self.state.positions {
+            if !(low..=high).contains(&position[axis]) {
+                position[axis] = low + (position[axis] - low).rem_euclid(high - low);
+            }
+        }
+    }
+
+    /// Images of the particles near the ends, beyond the other end.
+    fn find_images(&mut self) {
+        self.rows.images.clear();
+        self.images.clear();
+        let Some(Ends { axis, .. }) = self.config.ends else { return };
+        let (low, high) = (self.config.min[axis], self.config.max[axis]);
+        for (particle, position) in self.state.positions.iter().enumerate() {
+            for (is_near, by) in [
+                (position[axis] < low + self.kernel.support, high - low),
+                (position[axis] > high - self.kernel.support, low - high),
+            ] {
+                if is_near {
+                    let mut image = *position;
+                    image[axis] += by;
+                    self.images.push((particle as u32, image));
+                }
+            }
+        }
+        let places: Vec<Point3<f64>> = self.images.iter().map(|(_, place)| *place).collect();
+        self.image_cells.sort(&self.grid, &places);
+        let volume = self.config.spacing.powi(3) as f32;
+        let min = self.config.min;
+        let sorted = self.image_cells.order.iter().map(|index| self.images[*index as usize]);
+        self.rows.images.extend(sorted.map(|(particle, place)| (particle, seen_from(&min, &place, volume))));
     }
 
     /// Removes particles that have left the box at once: a drop that flies out does not slow down the rest of the step.
@@ -378,10 +464,13 @@ impl Fluid {
         // Including the velocity that gravity adds.
         let gravity = self.config.gravity.norm();
         let more = (gravity * reach).sqrt().min(gravity * left);
-        let viscous = 0.1 * self.kernel.support.powi(2) / self.config.viscosity.max(1e-12);
+        // Under pressure the particles are stiff to each other. Twice the mean pressure is that at the bottom of a pool.
+        let sum: f64 = self.state.pushes.iter().map(|push| f64::from(*push)).sum();
+        let wave = (2.0 * sum / self.state.pushes.len().max(1) as f64).sqrt();
+        let stiff = if self.wall_smooth.contains(&true) { STIFF_SMOOTH } else { STIFF };
         let longest = (reach / (most + more).max(1e-12))
-            .min(reach.max(self.config.spacing) / (fastest + more).max(1e-12))
-            .min(viscous);
+            .min(stiff * self.config.spacing / wave.max(1e-12))
+            .min(reach.max(self.config.spacing) / (fastest + more).max(1e-12));
         if left <= longest { left } else { left / (left / longest).ceil() }
     }
 
@@ -415,42 +504,89 @@ impl Fluid {
         self.rows.liquid.clear();
         let positions = self.state.positions.iter();
         self.rows.liquid.extend(positions.map(|position| seen_from(&min, position, volume)));
-        let walls = Walls { cells: &self.wall_cells, places: &self.wall_places };
-        self.rows.build(&self.grid, &self.cells, &walls, &self.kernel, volume, NEXT_LAYER);
-    }
-
-    /// Gravity and viscosity (Monaghan, *Smoothed particle hydrodynamics*, 2005).
-    fn accelerate(&mut self, dt: f64) {
-        let Self { rows, solver, state, change, config, .. } = self;
-        let gravity = config.gravity * dt;
-        if config.viscosity > 0.0 {
-            let scale = 10.0 * config.viscosity * dt;
-            solver.resize(rows.count());
-            solver.set_velocities(rows, &state.velocities);
-            let (velocities, support) = (&solver.velocities, self.kernel.support as f32);
-            sized(change, rows.particles);
-            rows.each(change, &ViscousForces { velocities, support, scale });
-            for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
-                *velocity += gravity + change[*row as usize];
-            }
-        } else {
-            state.velocities.iter_mut().for_each(|velocity| *velocity += gravity);
+        self.find_images();
+        let walls = Walls { cells: &self.wall_cells, places: &self.wall_places, smooth: &self.wall_smooth };
+        self.rows.build(
+            &self.grid,
+            [&self.cells, &self.image_cells],
+            &walls,
+            &self.kernel,
+            volume,
+            NEXT_LAYER,
+        );
+        self.mirrors.clear();
+        if self.wall_smooth.contains(&true) {
+            let smooth = SmoothSamples {
+                grid: &self.grid,
+                cells: &self.wall_cells,
+                places: &self.walls,
+                velocities: &self.wall_velocities,
+                normals: &self.wall_normals,
+                volumes: &self.wall_places,
+                volume: self.config.spacing.powi(3),
+                spacing: self.config.spacing,
+            };
+            smooth.add_to(&mut self.rows, &self.state.positions, &mut self.near, &mut self.mirrors);
         }
     }
 
-    /// Solves for the pressures of a substep and applies them. Returns iterations, and the mean remaining compression
-    /// as a fraction.
-    fn press(&mut self, dt: f64) -> (u32, f64) {
-        let Self { rows, solver, state, change, config, .. } = self;
-        let (particles, count) = (rows.particles, rows.count());
-        solver.resize(count);
+    /// Gravity and viscosity.
+    fn accelerate(&mut self, dt: f64) {
+        let mut gravity = self.config.gravity * dt;
+        if let Some(Ends { axis, pressure_drop }) = self.config.ends {
+            let length = self.config.max[axis] - self.config.min[axis];
+            gravity[axis] += pressure_drop / (self.config.density * length) * dt;
+        }
+        self.state.velocities.iter_mut().for_each(|velocity| *velocity += gravity);
+        self.solver.resize(self.rows.count());
+        self.set_row_velocities();
+        let Self { rows, solver, state, config, .. } = self;
+        let step = ViscousStep {
+            support: self.kernel.support as f32,
+            spread: config.viscosity * dt,
+            spacing: config.spacing,
+        };
+        let change = self.viscosity.solve(rows, step, &mut solver.velocities);
+        for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
+            *velocity += change[*row as usize];
+        }
+        // What rough walls hold back drags them along.
+        let mass = config.density * config.spacing.powi(3);
+        let scale = step.scale() * mass * f64::from(WALL_DRAG);
+        for WallLink { particle, wall, factor } in &rows.wall_links {
+            let (particle, wall) = (*particle as usize, *wall as usize);
+            let [own, its] = [rows.row_of[particle], rows.row_of_wall[wall]].map(|row| {
+                Vector3::from_fn(|axis, _| f64::from(self.viscosity.velocities[row as usize][axis]))
+            });
+            self.wall_forces[self.wall_cells.order[wall] as usize] +=
+                (its - own) * (scale * f64::from(*factor));
+        }
+    }
+
+    /// Copies the velocities of particles and walls to their rows.
+    fn set_row_velocities(&mut self) {
+        let Self { rows, solver, state, .. } = self;
         solver.set_velocities(rows, &state.velocities);
         for wall in &rows.wet {
             let velocity = self.wall_velocities[*wall as usize];
             solver.velocities[rows.row_of_wall[*wall as usize] as usize] =
                 [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
         }
+        rows.copy_to_images(&mut solver.velocities);
+    }
+
+    /// Solves for the pressures of a substep and applies them. Returns iterations, and the mean remaining compression
+    /// as a fraction.
+    fn press(&mut self, dt: f64) -> (u32, f64) {
+        self.solver.resize(self.rows.count());
+        self.set_row_velocities();
+        let Self { rows, solver, state, change, config, .. } = self;
+        let (particles, count) = (rows.particles, rows.count());
         rows.compression_rate(&solver.velocities, &mut solver.wanted);
+        for MirrorPlane { particle, normal, velocity, slope, .. } in &self.mirrors {
+            let towards = normal.dot(&(state.velocities[*particle as usize] - velocity));
+            solver.wanted[rows.row_of[*particle as usize] as usize] += slope * towards as f32;
+        }
         // From here on these are changes, which are zero for walls.
         solver.velocities[particles..].fill([0.0; 4]);
         // Existing compression is released slowly: at once it would act as a spring, and explode where liquid was
@@ -483,6 +619,8 @@ impl Fluid {
             state.wall_pushes[self.wall_cells.order[*wall as usize] as usize] =
                 pressures[rows.row_of_wall[*wall as usize] as usize];
         }
+        rows.copy_to_images(&mut solver.pressures);
+        let pressures = &solver.pressures;
         sized(change, particles);
         rows.each(change, &PressureForces { pressures, scale: -dt });
         for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
@@ -497,19 +635,23 @@ impl Fluid {
             let [x, y, z] = std::array::from_fn(|axis| {
                 f64::from(times * (rows.liquid[particle][axis] - self.wall_places[wall][axis]))
             });
-            let mut push = Vector3::new(x, y, z);
-            let normal = &self.wall_normals[wall];
-            if *normal != Vector3::zeros() {
-                // Removes the tangential part caused by the unevenness of the samples.
-                let across = normal * push.dot(normal);
-                state.velocities[particle] += (push - across) * dt;
-                push = across;
-            }
             // As an impulse; divided by the time step at its end.
-            self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
+            self.wall_forces[self.wall_cells.order[wall] as usize] += Vector3::new(x, y, z) * (dt * mass);
+        }
+        for MirrorPlane { particle, wall, normal, slope, .. } in &self.mirrors {
+            let own = pressures[rows.row_of[*particle as usize] as usize];
+            let push = normal * (f64::from(own * slope) * dt);
+            state.velocities[*particle as usize] -= push;
+            self.wall_forces[self.wall_cells.order[*wall as usize] as usize] += push * mass;
         }
         self.pressure.clear();
         self.pressure.extend(state.pushes.iter().map(|push| config.density * f64::from(*push)));
+        if let Some(Ends { axis, pressure_drop }) = config.ends {
+            let (low, high) = (config.min[axis], config.max[axis]);
+            for (pressure, position) in self.pressure.iter_mut().zip(&state.positions) {
+                *pressure += pressure_drop * (high - position[axis]) / (high - low);
+            }
+        }
         (iterations, left)
     }
 
@@ -518,7 +660,6 @@ impl Fluid {
     fn contain(&mut self, dt: f64) {
         let near = NEAREST * self.config.spacing;
         let near_plane = NEAREST_PLANE * self.config.spacing;
-        let beside = (BESIDE * self.config.spacing).powi(2);
         let mass = self.config.density * self.particle_volume();
         // In a corner the second sample may push back towards the first; particles not pushed back keep their position.
         self.sent_back.clear();
@@ -529,17 +670,7 @@ impl Fluid {
                 if !is_first && !self.sent_back[a] {
                     continue;
                 }
-                let mut apart = self.state.positions[a] - self.walls[b];
-                let mut near = near;
-                let facing = &self.wall_normals[b];
-                if *facing != Vector3::zeros() {
-                    // The distance from a smooth wall is that from its plane, within the sample's area.
-                    let across = facing * apart.dot(facing);
-                    if (apart - across).norm_squared() > beside {
-                        continue;
-                    }
-                    (apart, near) = (across, near_plane);
-                }
+                let apart = self.state.positions[a] - self.walls[b];
                 // Particles too far to reach the wall are skipped: (n + w)² is at most 2 (n² + w²).
                 let way = (self.state.velocities[a] - self.wall_velocities[b]).norm_squared() * dt * dt;
                 if apart.norm_squared() > 2.0 * (near * near + way) {
@@ -557,6 +688,17 @@ impl Fluid {
                     self.state.velocities[a] -= change;
                     self.sent_back[a] = true;
                     self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
+                }
+            }
+            for MirrorPlane { particle, wall, normal, distance, velocity, .. } in &self.mirrors {
+                let a = *particle as usize;
+                let towards = (self.state.velocities[a] - velocity).dot(normal);
+                let most = ((distance - near_plane) / dt).max(0.0);
+                if towards < -most {
+                    let change = normal * (towards + most);
+                    self.state.velocities[a] -= change;
+                    self.sent_back[a] = true;
+                    self.wall_forces[self.wall_cells.order[*wall as usize] as usize] += change * mass;
                 }
             }
         }
