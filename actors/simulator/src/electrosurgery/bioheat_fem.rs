@@ -5,6 +5,8 @@
 //!
 //! The residual cannot violate the energy balance: the solution only determines the fluxes, and these move the heat.
 
+use nalgebra::{Point3, Vector3};
+
 use super::error::HeatStepError;
 use super::material::{BODY, ThermalMaterial};
 use super::voxelisation::{CellLocation, Tissue};
@@ -12,6 +14,8 @@ use super::voxelisation::{CellLocation, Tissue};
 /// Tolerance of the fluxes, as a fraction of the temperatures \[K\].
 const RESIDUAL: f64 = 1e-8;
 const ITERATIONS_MAX: u32 = 2_000;
+/// Largest share of the difference of the mass matrices that is taken back from a deposit.
+const EXCHANGED_MAX: f64 = 0.75;
 /// Fraction of its capacity that a vertex always keeps, so that the mesh has a temperature there.
 const CAPACITY_KEPT: f64 = 1e-3;
 
@@ -31,6 +35,13 @@ pub(super) struct OrganHeat {
     /// Whether a vertex has a prescribed temperature.
     pub held: Vec<bool>,
     conduction: Conduction,
+    /// Heat deposited since the last step \[J\], and whether there is any.
+    deposits: Vec<f64>,
+    has_deposits: bool,
+    /// By how much depositing has moved them, and their square of the distance from the origin, times the heat \[J·m\],
+    /// \[J·m²\].
+    scatter: (Vector3<f64>, f64),
+    positions: Vec<Point3<f64>>,
     rest: [Vec<f64>; 6],
 }
 
@@ -41,6 +52,8 @@ struct Conduction {
     rows: Vec<u32>,
     columns: Vec<u32>,
     values: Vec<f64>,
+    /// Off-diagonal capacities of linear elements \[J/K\], of the mesh without removed elements.
+    masses: Vec<f64>,
 }
 
 /// Losses of an organ in a step \[J\].
@@ -67,12 +80,32 @@ impl Conduction {
             rows[row + 1] += rows[row];
         }
         let columns: Vec<u32> = pairs.iter().map(|(_, column)| *column).collect();
-        let mut matrix =
-            Self { diagonal: vec![0.0; vertices], rows, values: vec![0.0; columns.len()], columns };
+        let entries = columns.len();
+        let mut matrix = Self {
+            diagonal: vec![0.0; vertices],
+            rows,
+            values: vec![0.0; entries],
+            masses: vec![0.0; entries],
+            columns,
+        };
         for (nodes, local) in elements {
             matrix.add(&nodes, &local, 1.0);
         }
         matrix
+    }
+
+    /// Adds the capacities of an element \[J/K\] off the diagonal.
+    fn add_mass(&mut self, nodes: &[u32], capacity: f64) {
+        let corners = nodes.len() as f64;
+        for row in nodes {
+            let from = self.rows[*row as usize] as usize;
+            let columns = &self.columns[from..self.rows[*row as usize + 1] as usize];
+            for column in nodes.iter().filter(|column| *column != row) {
+                if let Ok(at) = columns.binary_search(column) {
+                    self.masses[from + at] += capacity / (corners * (corners + 1.0));
+                }
+            }
+        }
     }
 
     fn add(&mut self, nodes: &[u32], local: &[[f64; 4]; 4], sign: f64) {
@@ -143,6 +176,10 @@ impl OrganHeat {
         let elements = (0..tissue.element_count()).map(|element| {
             (tissue.corners(element).to_vec(), element_conduction(tissue, element, material.conductivity))
         });
+        let mut conduction = Conduction::new(vertices, elements);
+        for element in 0..tissue.element_count() {
+            conduction.add_mass(tissue.corners(element), tissue.volume(element) * material.wet_capacity());
+        }
         let capacity: Vec<f64> = volume.iter().map(|volume| volume * material.wet_capacity()).collect();
         Self {
             celsius: vec![BODY; vertices],
@@ -151,7 +188,11 @@ impl OrganHeat {
             perfusion: volume.iter().map(|volume| volume * material.perfusion_loss()).collect(),
             arterial: material.arterial,
             held: vec![false; vertices],
-            conduction: Conduction::new(vertices, elements),
+            conduction,
+            deposits: vec![0.0; vertices],
+            has_deposits: false,
+            scatter: (Vector3::zeros(), 0.0),
+            positions: tissue.positions().to_vec(),
             whole: volume,
             rest: std::array::from_fn(|_| vec![0.0; vertices]),
         }
@@ -179,6 +220,71 @@ impl OrganHeat {
             }
         }
         lost
+    }
+
+    /// The same, taken by the mesh all at once ([`Self::take_deposits`]).
+    pub(super) fn deposit_later(&mut self, site: &CellLocation, place: &Point3<f64>, joules: f64) -> f64 {
+        let mut lost = 0.0;
+        for (node, weight) in site.nodes.iter().zip(site.weights()) {
+            let node = *node as usize;
+            if self.held[node] {
+                lost += joules * weight;
+            } else {
+                self.deposits[node] += joules * weight;
+                self.scatter.0 += (self.positions[node] - place) * (joules * weight);
+                self.scatter.1 += joules
+                    * weight
+                    * (self.positions[node].coords.norm_squared() - place.coords.norm_squared());
+                self.has_deposits = true;
+            }
+        }
+        lost
+    }
+
+    /// Takes the heat that was deposited. Shared among the vertices around it, heat is spread by the size of an element;
+    /// so as much is taken back from between neighbours, along the difference between the elements' mass matrix and the
+    /// lumped one: its mean square distance is that of the heat that was deposited. What one vertex gives, another gets.
+    pub(super) fn take_deposits(&mut self) {
+        if !self.has_deposits {
+            return;
+        }
+        self.has_deposits = false;
+        let [rise, ..] = &mut self.rest;
+        for node in 0..rise.len() {
+            rise[node] = self.deposits[node] / self.capacity[node];
+        }
+        // Where tissue is gone, less is exchanged.
+        let left = |node: usize| CAPACITY_KEPT * self.capacity[node] / self.capacity_least[node];
+        let exchanged = |node: usize, rise: &[f64]| -> f64 {
+            let entries = self.conduction.rows[node] as usize..self.conduction.rows[node + 1] as usize;
+            let mut joules = 0.0;
+            for entry in entries {
+                let other = self.conduction.columns[entry] as usize;
+                if !self.held[other] && rise[node] != rise[other] {
+                    let mass = self.conduction.masses[entry] * left(node).min(left(other)).min(1.0);
+                    joules += mass * (rise[node] - rise[other]);
+                }
+            }
+            joules
+        };
+        let deposits = self.deposits.iter().zip(&self.positions);
+        let (whole, middle) = deposits.fold((0.0, Vector3::zeros()), |(whole, middle), (joules, place)| {
+            (whole + joules, middle + place.coords * *joules)
+        });
+        let middle = if whole == 0.0 { Vector3::zeros() } else { middle / whole };
+        let mut gathered = 0.0;
+        for node in (0..rise.len()).filter(|node| !self.held[*node]) {
+            gathered -= exchanged(node, rise) * (self.positions[node].coords - middle).norm_squared();
+        }
+        let scattered = self.scatter.1 - 2.0 * self.scatter.0.dot(&middle);
+        let share = if gathered > 0.0 { (scattered / gathered).clamp(0.0, EXCHANGED_MAX) } else { 0.0 };
+        self.scatter = (Vector3::zeros(), 0.0);
+        for node in 0..rise.len() {
+            let joules = std::mem::take(&mut self.deposits[node]);
+            if !self.held[node] {
+                self.celsius[node] += (joules + share * exchanged(node, rise)) / self.capacity[node];
+            }
+        }
     }
 
     /// Removes heat capacity \[J/K\] together with its heat, which is returned \[J\].
@@ -284,7 +390,6 @@ impl OrganHeat {
 mod tests {
     use super::*;
     use crate::electrosurgery::testing::{bar, grid_of_triangles};
-    use nalgebra::Point3;
 
     fn liver() -> ThermalMaterial {
         ThermalMaterial::default()

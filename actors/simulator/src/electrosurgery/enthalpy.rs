@@ -7,10 +7,17 @@
 
 use super::material::{BODY, ThermalMaterial};
 
-/// Conductance factor between a dry cell and a boiling neighbour. A boiling cell has uniform temperature, so that heat
-/// crosses only half of the dry cell. Measured from centre to centre, a dried layer of one cell would count as up to
-/// twice as thick, and vaporise too early.
-pub(super) const BOILING_NEARER: f64 = 2.0;
+/// Largest conductance factor between a dry cell and a boiling neighbour ([`boiling_nearer`]).
+const BOILING_NEARER: f64 = 2.0;
+
+/// Conductance factor between a dry cell and a boiling neighbour with this water fraction. Heat crosses half of the dry
+/// cell, and then the part of the boiling one that has dried, which is on its near side: 2 where it is wet, 2/3 just
+/// before it is dry. In the mean of the resistance over the time that it takes to dry this is 1: a front advances by
+/// Stefan's law, and not by jumps of a cell.
+#[inline]
+pub(super) fn boiling_nearer(water: f64) -> f64 {
+    1.0 / (1.0 / BOILING_NEARER + (1.0 - water))
+}
 
 /// Derived material constants used by every cell.
 #[derive(Clone, Copy, Debug)]

@@ -9,12 +9,13 @@
 use super::bioheat_fem::OrganHeat;
 use super::damage::{CellEvent, ElementBurns, cell_number};
 use super::energy_balance::{HeatLedger, HeatReport};
-use super::enthalpy::{BOILING_NEARER, Enthalpy};
+use super::enthalpy::{Enthalpy, boiling_nearer};
 use super::lattice_block::{
-    BOILING, BURST, Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, beside, padded, side_cells,
+    BOILING, BURST, Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, TISSUE, beside, padded, side_cells,
+    xyz,
 };
 use super::material::ThermalMaterial;
-use super::voxelisation::{CellLocation, PADDED, TissueLattice};
+use super::voxelisation::{CellLocation, EDGE, PADDED, TissueLattice};
 
 /// Excess at a side that activates the neighbouring block \[K\].
 const ARRIVES: f64 = 1.0;
@@ -27,6 +28,32 @@ const SAFETY: f64 = 0.9;
 /// A cell that has lost water boils within this margin below the boiling point \[K\].
 const BOILS: f64 = 1.0;
 
+/// Excess at a side from which the cells beyond are known \[K\].
+const KNOWS: f64 = 1e-3;
+/// Least distance from what is held, and tolerance of a plane at the face of a cell \[cells\].
+const ON_FACE: f64 = 0.05;
+
+/// A plane through tissue that is held at a temperature, like the face of a cooled or heated plate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldPlane {
+    /// The axis that it is across: 0, 1 or 2.
+    pub axis: usize,
+    /// Its place along that axis, in the tissue's rest frame \[m\].
+    pub at: f64,
+    /// Its temperature \[°C\].
+    pub celsius: f64,
+}
+
+/// A cell next to what is held.
+#[derive(Clone, Copy, Debug)]
+struct HeldCell {
+    cell: usize,
+    /// The inverse of its distance \[1/cells\].
+    nearness: f64,
+    /// The temperature there, above the mesh \[K\].
+    excess: f64,
+}
+
 /// Blocks used so far, sorted by key.
 #[derive(Clone, Debug)]
 pub(super) struct ThermalGrid {
@@ -38,6 +65,9 @@ pub(super) struct ThermalGrid {
     /// Requested blocks without tissue, sorted: rasterising them again would be slow.
     empty: Vec<[i32; 3]>,
     next: Vec<Box<[f64; CELLS]>>,
+    /// Planes held at a temperature.
+    pub planes: Vec<HeldPlane>,
+    held_cells: Vec<HeldCell>,
     wanted: Vec<[i32; 3]>,
     kept: Vec<[i32; 3]>,
     padded_excess: Box<[f64; PADDED * PADDED * PADDED]>,
@@ -75,6 +105,8 @@ impl ThermalGrid {
             lattice,
             empty: Vec::new(),
             next: Vec::new(),
+            planes: Vec::new(),
+            held_cells: Vec::new(),
             wanted: Vec::new(),
             kept: Vec::new(),
             padded_excess: Box::new([0.0; PADDED * PADDED * PADDED]),
@@ -168,6 +200,7 @@ impl ThermalGrid {
     pub(super) fn diffuse(&mut self, dt: f64, outputs: &mut LatticeOutputs<'_>) {
         let volume = self.cell_volume();
         let blood = dt * outputs.material.perfusion_loss();
+        let holds = outputs.organ.held.contains(&true);
         let mut used = 0;
         for index in 0..self.blocks.len() {
             if !self.blocks[index].is_active {
@@ -177,6 +210,7 @@ impl ThermalGrid {
                 self.next.push(Box::new([0.0; CELLS]));
             }
             let is_rim = self.gather(index);
+            self.find_held(index, outputs.organ, holds);
             let (block, next) = (&self.blocks[index], &mut self.next[used]);
             used += 1;
             let (excess, conduction) = (&self.padded_excess, &self.padded_conduction);
@@ -189,7 +223,8 @@ impl ThermalGrid {
                 let (own, through) = (excess[at], conduction[at]);
                 let flow = |beyond: usize| {
                     let to_boiling = (dry[at] * boiling[beyond]).max(dry[beyond] * boiling[at]);
-                    through.min(conduction[beyond]).max(to_boiling) * (excess[beyond] - own)
+                    let between = if to_boiling > 0.0 { to_boiling } else { through.min(conduction[beyond]) };
+                    between * (excess[beyond] - own)
                 };
                 let flows = if is_whole {
                     flow(at - 1)
@@ -216,13 +251,27 @@ impl ThermalGrid {
                 next[cell] = own + gain / capacity;
             }
             outputs.ledger.perfusion += lost * volume;
-            // Heat that leaves the active blocks enters the mesh.
+            // What is held has its temperature at the end of the step, so that any step is stable.
+            for HeldCell { cell, nearness, excess: held } in &self.held_cells {
+                let (cell, water) = (*cell, block.water[*cell]);
+                let conducts = if block.flags[cell] & BOILING != 0 { 0.0 } else { water };
+                let capacity = self.enthalpy.capacity(water);
+                let pull = scale * self.enthalpy.conductivity(conducts) * nearness / capacity;
+                let before = next[cell];
+                next[cell] = (before + pull * held) / (1.0 + pull);
+                outputs.ledger.held -= capacity * block.share(cell) * volume * (next[cell] - before);
+            }
+            // Heat that leaves the active blocks enters the mesh, in the cells beyond: in those that it has left, it would have
+            // gone less far than it has.
             for (side, _) in SIDES.iter().zip(is_rim).filter(|(_, is_rim)| *is_rim) {
-                for (cell, halo, _) in side_cells(*side).filter(|at| !block.is_cut_off(at.0, *side)) {
+                let beyond = self.find(block.beyond(*side)).ok().map(|index| &self.blocks[index]);
+                for (cell, halo, other) in side_cells(*side).filter(|at| !block.is_cut_off(at.0, *side)) {
                     let flow = conduction[padded(cell)].min(conduction[halo]) * excess[padded(cell)];
                     if flow != 0.0 {
                         let joules = scale * flow * volume;
-                        outputs.ledger.held += outputs.organ.deposit(block.site(cell), joules);
+                        let site = beyond.filter(|beyond| beyond.flags[other] & TISSUE != 0);
+                        let site = site.map_or(block.site(cell), |beyond| beyond.site(other));
+                        outputs.ledger.held += outputs.organ.deposit(site, joules);
                     }
                 }
             }
@@ -249,7 +298,7 @@ impl ThermalGrid {
             if block.water[cell] == 0.0 {
                 (through, 0.0)
             } else if block.flags[cell] & BOILING != 0 {
-                (0.0, BOILING_NEARER * block.share(cell))
+                (0.0, boiling_nearer(block.water[cell]) * block.share(cell))
             } else {
                 (0.0, 0.0)
             }
@@ -305,9 +354,96 @@ impl ThermalGrid {
                 }
                 peak = peak.max(self.blocks[index].excess[cell].abs());
             }
+            // What is held stays on the lattice.
+            if self.planes.iter().any(|plane| self.touches(index, plane)) {
+                peak = peak.max(ARRIVES);
+            }
             self.blocks[index].peak = peak;
         }
         self.spread(outputs);
+        self.know_beyond(outputs.report);
+    }
+
+    /// Whether a plane passes a block, or along its side.
+    fn touches(&self, index: usize, HeldPlane { axis, at, .. }: &HeldPlane) -> bool {
+        let from = at / (EDGE as f64 * self.spacing) - f64::from(self.blocks[index].key[*axis]);
+        (-ON_FACE..1.0 + ON_FACE).contains(&from)
+    }
+
+    /// Makes known, but not active, the blocks that heat is about to enter, so that it enters the mesh where it is.
+    fn know_beyond(&mut self, report: &mut HeatReport) {
+        let mut wanted = std::mem::take(&mut self.wanted);
+        wanted.clear();
+        for block in self.blocks.iter().filter(|block| block.is_active && block.peak > KNOWS) {
+            for side in SIDES.into_iter().filter(|side| self.find(block.beyond(*side)).is_err()) {
+                let is_near = |(cell, halo, _): (usize, usize, usize)| {
+                    block.excess[cell].abs() > KNOWS && block.raster.share[halo] > 0.0
+                };
+                if side_cells(side).any(is_near) {
+                    wanted.push(block.beyond(side));
+                }
+            }
+        }
+        for key in &wanted {
+            if self.find(*key).is_err()
+                && self.blocks.len() < self.blocks_max
+                && self.activate(*key, report)
+                && let Ok(at) = self.find(*key)
+            {
+                self.blocks[at].is_active = false;
+            }
+        }
+        self.wanted = wanted;
+    }
+
+    /// Finds the cells of a block that are next to what is held: to a plane, or to the part of the mesh between vertices
+    /// that are held.
+    fn find_held(&mut self, index: usize, organ: &OrganHeat, holds: bool) {
+        let mut found = std::mem::take(&mut self.held_cells);
+        found.clear();
+        let block = &self.blocks[index];
+        for plane in self.planes.iter().filter(|plane| self.touches(index, plane)) {
+            let HeldPlane { axis, at, celsius } = plane;
+            for cell in (0..CELLS).filter(|cell| block.is_tissue(*cell)) {
+                let distance = (self.centre(block, cell)[*axis] - at).abs() / self.spacing;
+                if distance < 0.5 + ON_FACE {
+                    let below = block.site(cell).interpolate(&organ.celsius);
+                    // Of a boiling cell the part next to the plane has dried.
+                    let boils = block.flags[cell] & BOILING != 0;
+                    let distance = if boils { 1.0 - block.water[cell] } else { distance };
+                    let nearness = 1.0 / distance.max(ON_FACE);
+                    found.push(HeldCell { cell, nearness, excess: celsius - below });
+                }
+            }
+        }
+        if holds {
+            let share = |cell: usize| block.site(cell).share_of(&organ.held);
+            for cell in (0..CELLS).filter(|cell| block.is_tissue(*cell)) {
+                let own = share(cell);
+                if own == 0.0 {
+                    continue;
+                }
+                // The part is where the share is 1: as far as its slope says.
+                let at = xyz(cell);
+                let mut slope: f64 = 0.0;
+                for (axis, way) in SIDES {
+                    let mut near = at.map(|x| x as i32);
+                    near[axis] += way;
+                    if (0..EDGE as i32).contains(&near[axis]) {
+                        let [x, y, z] = near.map(|x| x as usize);
+                        let near = x + EDGE * (y + EDGE * z);
+                        if block.is_tissue(near) {
+                            slope = slope.max((share(near) - own).abs());
+                        }
+                    }
+                }
+                if 1.0 - own < slope * (1.0 - ON_FACE) || own > 1.0 - 1e-9 {
+                    let distance = if slope > 0.0 { (1.0 - own) / slope } else { 0.0 };
+                    found.push(HeldCell { cell, nearness: 1.0 / distance.max(ON_FACE), excess: 0.0 });
+                }
+            }
+        }
+        self.held_cells = found;
     }
 
     /// Boils excess heat in a cell and removes it where due; returns its temperature \[°C\].
@@ -408,6 +544,7 @@ impl ThermalGrid {
         }
         kept.sort_unstable();
         let volume = self.cell_volume();
+        let spacing = self.spacing;
         for block in self.blocks.iter_mut().filter(|block| block.is_active && block.peak < LEAVES) {
             // Heat is about to reach some of them.
             if kept.binary_search(&block.key).is_ok() {
@@ -417,12 +554,14 @@ impl ThermalGrid {
                 if block.is_tissue(cell) && block.excess[cell] != 0.0 {
                     let capacity = self.enthalpy.capacity(block.water[cell]) * block.share(cell) * volume;
                     let joules = capacity * block.excess[cell];
-                    outputs.ledger.held += outputs.organ.deposit(block.site(cell), joules);
+                    outputs.ledger.held +=
+                        outputs.organ.deposit_later(block.site(cell), &block.middle(cell, spacing), joules);
                 }
                 block.excess[cell] = 0.0;
             }
             (block.is_active, block.peak) = (false, 0.0);
         }
+        outputs.organ.take_deposits();
         (self.wanted, self.kept) = (wanted, kept);
     }
 }
@@ -430,7 +569,6 @@ impl ThermalGrid {
 #[cfg(test)]
 mod tests {
     use super::super::testing::bar;
-    use super::super::voxelisation::EDGE;
     use super::super::{BODY, Electrosurgery, LatticeConfig, Tissue};
     use super::*;
 

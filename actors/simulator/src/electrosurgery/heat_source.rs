@@ -19,8 +19,10 @@ const PARTS_MAX: u32 = 4096;
 struct NearCell {
     block: usize,
     cell: usize,
-    /// Distance from the tip \[m\].
+    /// Distance of its centre from the tip \[m\].
     distance: f64,
+    /// Distance of its nearest point from the tip \[m\]: 0 where the tip is in it.
+    outside: f64,
     /// Its share of the total heat.
     share: f64,
 }
@@ -103,9 +105,11 @@ impl HeatedCells {
                 continue;
             }
             for cell in (0..CELLS).filter(|cell| block.is_tissue(*cell)) {
-                let distance = (grid.centre(block, cell) - tip).norm();
+                let from = grid.centre(block, cell) - tip;
+                let distance = from.norm();
                 if distance <= reach {
-                    self.near.push(NearCell { block: index, cell, distance, share: 0.0 });
+                    let outside = from.map(|x| (x.abs() - 0.5 * grid.spacing).max(0.0)).norm();
+                    self.near.push(NearCell { block: index, cell, distance, outside, share: 0.0 });
                 }
             }
         }
@@ -128,12 +132,15 @@ impl HeatedCells {
         let radius = electrode.radius(self.area);
         let first = self.near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
         let nearest = first.map_or(f64::INFINITY, |first| first.distance);
-        // From the metal, a sphere with the contact's radius, to about the face of the nearest cell. A burned surface
+        // From the metal, a sphere with the contact's radius, to the nearest cell: not from its centre, which is farther
+        // where the tip is at a corner of cells. A burned surface
         // recedes cell by cell, each of which vaporises when its centre reaches the temperature: the true surface
         // passes through the nearest remaining centres, and anything that protrudes is an artefact of the lattice.
         let is_bared = |near: &NearCell| grid.is_bared_by_fire(&grid.blocks[near.block], near.cell);
         let is_wall = electrode.mode == Mode::Coagulate && first.is_some_and(is_bared);
-        let gap = nearest - electrode.contact_radius() - if is_wall { 0.0 } else { grid.spacing / 2.0 };
+        let outside = self.near.iter().map(|near| near.outside).fold(f64::INFINITY, f64::min);
+        let away = if is_wall && outside > 0.0 { nearest } else { outside };
+        let gap = away - electrode.contact_radius();
         let reach = REACH * radius;
         let mut sum = 0.0;
         for near in &mut self.near {

@@ -1,5 +1,7 @@
 //! A block of the thermal lattice: 8 × 8 × 8 cells.
 
+use nalgebra::Point3;
+
 use super::voxelisation::{CellLocation, EDGE, PADDED, Raster};
 
 /// Cells of a block.
@@ -120,6 +122,14 @@ impl Block {
         !self.is_active
             && self.damage.iter().all(|damage| *damage == 0.0)
             && self.water.iter().all(|water| *water == 1.0)
+    }
+
+    /// Centre of a cell for this spacing, in the tissue's rest frame \[m\].
+    pub(super) fn middle(&self, cell: usize, spacing: f64) -> Point3<f64> {
+        let within = xyz(cell);
+        let at =
+            |axis: usize| (f64::from(self.key[axis]) * EDGE as f64 + within[axis] as f64 + 0.5) * spacing;
+        Point3::new(at(0), at(1), at(2))
     }
 
     /// Key of the neighbouring block.

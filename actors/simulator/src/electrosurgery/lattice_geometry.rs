@@ -90,11 +90,7 @@ impl ThermalGrid {
 
     /// Centre of a cell, in the tissue's rest frame \[m\].
     pub(super) fn centre(&self, block: &Block, cell: usize) -> Point3<f64> {
-        let within = xyz(cell);
-        let at = |axis: usize| {
-            (f64::from(block.key[axis]) * EDGE as f64 + within[axis] as f64 + 0.5) * self.spacing
-        };
-        Point3::new(at(0), at(1), at(2))
+        block.middle(cell, self.spacing)
     }
 
     /// Temperature of a cell \[°C\].

@@ -39,6 +39,7 @@ pub use cut_barrier::CutTissue;
 pub use electrode::{Electrode, Mode};
 pub use electrode_contact::{Contact, shares};
 pub use energy_balance::{HeatLedger, HeatReport};
+pub use enthalpy_lattice::HeldPlane;
 pub use error::{ElectrosurgeryError, HeatStepError};
 pub use material::{BODY, ThermalMaterial};
 pub use state::{BlockState, ElectrosurgeryState};
@@ -276,6 +277,9 @@ impl Electrosurgery {
     pub fn vertex(&self, vertex: u32) -> Option<(f64, f64)> {
         let at = vertex as usize;
         let (celsius, damage) = (*self.organ.celsius.get(at)?, self.organ_damage[at]);
+        if self.organ.held[at] {
+            return Some((celsius, damage));
+        }
         Some(match self.grid.cell_near(&self.positions[at], vertex) {
             Some((block, cell)) => {
                 let block = &self.grid.blocks[block];
@@ -332,6 +336,16 @@ impl Electrosurgery {
         })
     }
 
+    /// Temperatures of the lattice cells above the mesh \[K\], in the order of [`Self::cells`]: their heat is their own, that
+    /// of the mesh is at its vertices.
+    pub fn cell_excess(&self) -> impl Iterator<Item = f64> + '_ {
+        self.grid.blocks.iter().flat_map(|block| {
+            (0..CELLS)
+                .filter(|cell| block.flags[*cell] & lattice_block::TISSUE != 0)
+                .map(move |cell| block.excess[cell])
+        })
+    }
+
     /// Prescribes a vertex's temperature \[°C\], like that of a large vessel, or releases it. Returns whether vertex
     /// and temperature are valid.
     pub fn hold(&mut self, vertex: u32, celsius: Option<f64>) -> bool {
@@ -347,6 +361,66 @@ impl Electrosurgery {
         }
         self.organ.held[vertex] = celsius.is_some();
         true
+    }
+
+    /// Holds the tissue on the lattice, where that is active, at a temperature on these planes, as cooled or heated plates
+    /// would; they replace those before, and are no part of the state. Returns whether all are valid.
+    pub fn hold_planes(&mut self, planes: &[HeldPlane]) -> bool {
+        let is_valid = |plane: &HeldPlane| {
+            plane.axis < 3 && plane.at.abs() <= 1e3 && (-100.0..=1e4).contains(&plane.celsius)
+        };
+        let are_valid = planes.iter().all(is_valid);
+        if are_valid {
+            self.grid.planes = planes.to_vec();
+        }
+        are_valid
+    }
+
+    /// Computes the tissue in a box on the fine lattice, though nothing is hot there; returns the number of blocks. As
+    /// everywhere, a block is given up when it has cooled.
+    pub fn refine(&mut self, low: &Point3<f64>, high: &Point3<f64>) -> u32 {
+        let edge = voxelisation::EDGE as f64 * self.grid.spacing;
+        let [low, high] = [low, high].map(|at| [at.x, at.y, at.z].map(|x| (x / edge).floor() as i32));
+        let mut report = HeatReport::default();
+        let mut count = 0;
+        for x in low[0]..=high[0] {
+            for y in low[1]..=high[1] {
+                for z in low[2]..=high[2] {
+                    count += u32::from(self.grid.activate([x, y, z], &mut report));
+                    if report.refused_blocks > 0 {
+                        return count;
+                    }
+                }
+            }
+        }
+        count
+    }
+
+    /// Puts heat \[J\] into the tissue at a point, in the cell of the lattice there. Returns whether there is tissue.
+    pub fn warm(&mut self, place: &Point3<f64>, joules: f64) -> bool {
+        let is_place = place.iter().all(|x| x.abs() <= 1e3);
+        if !is_place || !(-1e6..=1e6).contains(&joules) || self.refine(place, place) == 0 {
+            return false;
+        }
+        let cell = [place.x, place.y, place.z].map(|x| (x / self.grid.spacing).floor() as i32);
+        let edge = voxelisation::EDGE as i32;
+        let Ok(index) = self.grid.find(cell.map(|x| x.div_euclid(edge))) else { return false };
+        let [x, y, z] = cell.map(|x| x.rem_euclid(edge));
+        let (cell, volume) = ((x + edge * (y + edge * z)) as usize, self.grid.cell_volume());
+        let block = &mut self.grid.blocks[index];
+        if !block.is_tissue(cell) {
+            return false;
+        }
+        let capacity = self.grid.enthalpy.capacity(block.water[cell]) * block.share(cell) * volume;
+        block.excess[cell] += joules / capacity;
+        block.peak = block.peak.max(block.excess[cell].abs());
+        self.ledger.supplied += joules;
+        true
+    }
+
+    /// Temperatures \[°C\] and heat capacities \[J/K\] of the mesh at the vertices, without what is on the lattice.
+    pub fn mesh_heat(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        self.organ.celsius.iter().copied().zip(self.organ.capacity.iter().copied())
     }
 
     /// Heat in the tissue above body temperature \[J\].

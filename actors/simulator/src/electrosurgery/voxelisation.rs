@@ -228,6 +228,12 @@ impl CellLocation {
         [a, b, c, 1.0 - a - b - c]
     }
 
+    /// Sum of the weights of marked vertices.
+    pub(super) fn share_of(&self, is_marked: &[bool]) -> f64 {
+        let marked = self.nodes.iter().zip(self.weights()).filter(|(node, _)| is_marked[**node as usize]);
+        marked.map(|(_, weight)| weight).sum()
+    }
+
     /// Interpolates a nodal quantity at the cell.
     #[inline]
     pub(super) fn interpolate(&self, values: &[f64]) -> f64 {

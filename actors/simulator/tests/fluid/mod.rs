@@ -3,3 +3,4 @@
 mod bleeding;
 mod liquid;
 mod reference;
+mod viscous;
