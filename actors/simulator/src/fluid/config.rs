@@ -12,7 +12,7 @@ pub struct FluidConfig {
     pub spacing: f64,
     /// Density at rest \[kg/m³\].
     pub density: f64,
-    /// Kinematic viscosity \[m²/s\].
+    /// Kinematic viscosity \[m²/s\]; see [`Fluid::viscosity_min`](super::Fluid::viscosity_min).
     pub viscosity: f64,
     /// Acceleration of gravity \[m/s²\].
     pub gravity: Vector3<f64>,

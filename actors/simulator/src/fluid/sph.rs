@@ -45,7 +45,7 @@ const STIFF: f64 = 0.9;
 const STIFF_SMOOTH: f64 = 0.7;
 /// How far particles are added beside their positions, in spacings.
 const OFF_LATTICE: f64 = 0.1;
-/// Compression is released in this many times the time in which a particle falls its own size,
+/// Compression is released in this many times the time in which a particle falls, or moves, its own size,
 const RELIEF: f64 = 2.0;
 /// but at most this fraction of it per substep.
 const RELIEF_MAX: f64 = 0.1;
@@ -200,6 +200,14 @@ impl Fluid {
     #[must_use]
     pub fn particle_volume(&self) -> f64 {
         self.config.spacing.powi(3)
+    }
+
+    /// The smallest kinematic viscosity that particles of this spacing \[m\] carry in a flow of this speed \[m/s\], to within
+    /// a factor of 1.5: as particles make way for each other, they exchange momentum as a viscosity of a third to a half of
+    /// the spacing times the speed would \[m²/s\].
+    #[must_use]
+    pub fn viscosity_min(spacing: f64, speed: f64) -> f64 {
+        spacing * speed
     }
 
     /// Pressure of each particle in the last substep of the last step \[Pa\], in the order of the state's lists.
@@ -380,6 +388,7 @@ impl Fluid {
             let (iterations, compression) = self.press(part);
             report.iterations += iterations;
             report.compression = report.compression.max(compression);
+            self.drag(part);
             self.contain(part);
             for (position, velocity) in self.state.positions.iter_mut().zip(&self.state.velocities) {
                 *position += velocity * part;
@@ -462,7 +471,7 @@ impl Fluid {
         }
         let reach = self.config.cfl * self.config.spacing;
         // Including the velocity that gravity adds.
-        let gravity = self.config.gravity.norm();
+        let gravity = self.driving().norm();
         let more = (gravity * reach).sqrt().min(gravity * left);
         // Under pressure the particles are stiff to each other. Twice the mean pressure is that at the bottom of a pool.
         let sum: f64 = self.state.pushes.iter().map(|push| f64::from(*push)).sum();
@@ -472,6 +481,16 @@ impl Fluid {
             .min(stiff * self.config.spacing / wave.max(1e-12))
             .min(reach.max(self.config.spacing) / (fastest + more).max(1e-12));
         if left <= longest { left } else { left / (left / longest).ceil() }
+    }
+
+    /// Acceleration by gravity and by the pressure drop between ends \[m/s²\].
+    fn driving(&self) -> Vector3<f64> {
+        let mut driving = self.config.gravity;
+        if let Some(Ends { axis, pressure_drop }) = self.config.ends {
+            let length = self.config.max[axis] - self.config.min[axis];
+            driving[axis] += pressure_drop / (self.config.density * length);
+        }
+        driving
     }
 
     /// Sorts the particles by cell.
@@ -530,14 +549,14 @@ impl Fluid {
         }
     }
 
-    /// Gravity and viscosity.
+    /// Gravity, and the pressure drop between ends.
     fn accelerate(&mut self, dt: f64) {
-        let mut gravity = self.config.gravity * dt;
-        if let Some(Ends { axis, pressure_drop }) = self.config.ends {
-            let length = self.config.max[axis] - self.config.min[axis];
-            gravity[axis] += pressure_drop / (self.config.density * length) * dt;
-        }
+        let gravity = self.driving() * dt;
         self.state.velocities.iter_mut().for_each(|velocity| *velocity += gravity);
+    }
+
+    /// Viscosity, after the pressures: what these leave unbalanced between neighbours does not move them.
+    fn drag(&mut self, dt: f64) {
         self.solver.resize(self.rows.count());
         self.set_row_velocities();
         let Self { rows, solver, state, config, .. } = self;
@@ -591,7 +610,9 @@ impl Fluid {
         solver.velocities[particles..].fill([0.0; 4]);
         // Existing compression is released slowly: at once it would act as a spring, and explode where liquid was
         // placed too densely.
-        let fall = (config.spacing / config.gravity.norm().max(1e-6)).sqrt();
+        let square: f64 = state.velocities.iter().map(Vector3::norm_squared).sum();
+        let square = square / state.velocities.len().max(1) as f64;
+        let fall = config.spacing / square.max(config.spacing * config.gravity.norm()).max(1e-12).sqrt();
         let relief = (dt / (RELIEF * fall)).min(RELIEF_MAX) as f32;
         let least = 1e-6 / (self.kernel.support * self.kernel.support) as f32;
         for row in 0..count {

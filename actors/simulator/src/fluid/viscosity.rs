@@ -17,12 +17,12 @@ use super::neighbour_lists::Rows;
 const FACTOR: f64 = 12.8;
 /// Fraction of the pair forces by which noise is damped, over the square of a spacing: the largest eigenvalue is then
 /// less than 1.
-const NOISE: f64 = 0.4;
+const NOISE: f64 = 0.3;
 /// Viscosity times step over the square of a spacing up to which the velocities before the step determine the forces.
 /// The largest eigenvalue of the forces is about 25 in these units: the forces are stable up to 0.08.
 const EXPLICIT: f64 = 0.01;
 /// Largest remaining error of the velocities, as a fraction of the change by viscosity in the step.
-const TOLERANCE: f64 = 1e-3;
+const TOLERANCE: f64 = 3e-5;
 const ITERATIONS_MAX: u32 = 200;
 
 /// Buffers of the solver, reused.

@@ -211,14 +211,14 @@ fn a_liquid_between_plates_starts_as_the_closed_forms_have_it() {
     for case in [[1e-3, 3.3e-6, 0.01], [2e-3, 1e-4, 0.1]] {
         let errors_of = |kind: Channel| errors(kind, case, &[0.1651, 0.4, 1.0, 2.0]).1;
         let (pressed, dragged) = (errors_of(Channel::Plates), errors_of(Channel::Couette));
-        assert!(pressed.iter().all(|error| error.abs() < 0.12), "{case:?}: {pressed:?} driven by pressure");
+        assert!(pressed.iter().all(|error| error.abs() < 0.1), "{case:?}: {pressed:?} driven by pressure");
         assert!(dragged.iter().all(|error| error.abs() < 0.08), "{case:?}: {dragged:?} dragged by a plate");
     }
 }
 
 /// Decay of a vortex that fills a closed smooth box, `across` particles wide, until it has turned once, as a viscosity
 /// \[m²/s\]; and the spacing \[m\].
-fn vortex(across: i32, width: f64, speed: f64, viscosity: f64) -> (f64, f64) {
+fn vortex(across: i32, width: f64, speed: f64, viscosity: f64, steps: i32) -> (f64, f64) {
     let (spacing, layers) = (width / f64::from(across), 4);
     let config =
         FluidConfig { viscosity, gravity: Vector3::zeros(), parts_max: 1000, ..FluidConfig::default() };
@@ -255,8 +255,8 @@ fn vortex(across: i32, width: f64, speed: f64, viscosity: f64) -> (f64, f64) {
     };
     let seconds = width / speed;
     let before = amplitude(&fluid);
-    for _ in 0..50 {
-        fluid.step(seconds / 50.0).expect("a step");
+    for _ in 0..steps {
+        fluid.step(seconds / f64::from(steps)).expect("a step");
     }
     let rate = -(amplitude(&fluid) / before).ln() / seconds;
     (rate / (2.0 * wave * wave), spacing)
@@ -267,8 +267,8 @@ fn vortex(across: i32, width: f64, speed: f64, viscosity: f64) -> (f64, f64) {
 #[test]
 fn a_vortex_decays_by_the_viscosity_where_particles_carry_it_and_by_no_more_than_their_size_elsewhere() {
     let speed = 0.1;
-    for (viscosity, across) in [(1e-4, 24), (3.3e-5, 24), (3.3e-6, 24)] {
-        let (is, spacing) = vortex(across, 0.01, speed, viscosity);
+    for (viscosity, across, steps) in [(1e-4, 16, 100), (3.3e-5, 24, 50), (3.3e-6, 24, 50)] {
+        let (is, spacing) = vortex(across, 0.01, speed, viscosity, steps);
         let excess = (is - viscosity) / (spacing * speed);
         assert!(
             (-0.1..0.5).contains(&excess),

@@ -34,7 +34,9 @@ pub struct Liquid {
     pub spacing: f64,
     /// Rest density \[kg/m³\].
     pub density: f64,
-    /// Kinematic viscosity \[m²/s\].
+    /// Kinematic viscosity \[m²/s\]. Particles carry no less than about their spacing times the speed of the flow: the
+    /// liquid then flows as one of that viscosity, which the event `viscosity_not_carried` says at the start, for the speed
+    /// at which a particle falls its own size, and the measured `viscosity_min_m2_per_s` all the time.
     pub viscosity: f64,
     /// Lower corner of the box, in the entity's frame \[m\]; particles that leave it are absorbed.
     #[schemars(with = "[f64; 3]")]
@@ -80,7 +82,7 @@ impl Liquid {
 #[component(name = "liquid_wall", schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LiquidWall {
-    /// Free slip. Otherwise the wall's sample particles cause drag, as bumps of half a particle.
+    /// Free slip. Otherwise the wall drags the liquid, which has the wall's velocity half a spacing before it.
     pub smooth: bool,
 }
 
@@ -304,6 +306,12 @@ impl FluidController {
         }
     }
 
+    /// The smallest viscosity that its particles carry at the speed at which they fall their own size \[m²/s\].
+    fn viscosity_min(&self) -> f64 {
+        let spacing = self.fluid.config().spacing;
+        Fluid::viscosity_min(spacing, (spacing * self.gravity_in_world.norm()).sqrt())
+    }
+
     /// Reports once that a wall in the scene is invalid.
     fn validity_warning(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
         let Some(wall) = self.held.first().filter(|_| scene.get::<OutOfValidity>(self.liquid).is_none())
@@ -353,6 +361,7 @@ impl FluidController {
         put("particles", state.numbers.len() as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
         put("held_walls", self.held.len() as f64);
+        put("viscosity_min_m2_per_s", self.viscosity_min());
         put("emitted_m3", emitted as f64 * volume);
         let sucked: u64 = self.suctions.values().map(|suction| suction.taken).sum();
         put("sucked_m3", sucked as f64 * volume);
@@ -403,6 +412,9 @@ impl Controller for FluidController {
             self.frozen = true;
             self.restore(scene);
             freeze(self.liquid, FrozenPart::Body, reason, tick, out);
+        }
+        if tick.number == 1 && self.fluid.config().viscosity < self.viscosity_min() {
+            out.event("viscosity_not_carried", self.liquid, None, self.viscosity_min());
         }
         if !self.frozen {
             self.validity_warning(tick, scene, out);
