@@ -32,6 +32,8 @@ pub(super) struct MirrorPlane {
     pub velocity: Vector3<f64>,
     /// Gradient of the compression along the normal \[1/m\].
     pub slope: f32,
+    /// Whether the particle is before the wall, not beside it.
+    pub is_before: bool,
 }
 
 /// Smooth wall samples, sorted by cell.
@@ -161,8 +163,11 @@ impl SmoothSamples<'_> {
                 velocity += self.velocities[wall] * weight;
                 false
             });
+            // Sharper than the weights, which are half of the whole before an edge, so that a hole is open up to its rim, and
+            // a seam between walls is closed.
+            let share = (2.5 * whole / WHOLE - 0.5).clamp(0.0, 1.0);
             // Beside the wall, or beyond it.
-            if whole <= 1e-3 || distance <= 0.0 {
+            if share == 0.0 || distance <= 0.0 {
                 continue;
             }
             return Some(MirrorPlane {
@@ -171,7 +176,8 @@ impl SmoothSamples<'_> {
                 normal: normal.normalize(),
                 distance: distance / whole,
                 velocity: velocity / whole,
-                slope: (whole / WHOLE).min(1.0) as f32,
+                slope: share as f32,
+                is_before: share >= 0.375,
             });
         }
     }

@@ -711,7 +711,8 @@ impl Fluid {
                     self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
                 }
             }
-            for MirrorPlane { particle, wall, normal, distance, velocity, .. } in &self.mirrors {
+            for plane in self.mirrors.iter().filter(|plane| plane.is_before) {
+                let MirrorPlane { particle, wall, normal, distance, velocity, .. } = plane;
                 let a = *particle as usize;
                 let towards = (self.state.velocities[a] - velocity).dot(normal);
                 let most = ((distance - near_plane) / dt).max(0.0);
