@@ -41,7 +41,7 @@ const NEXT_LAYER: f32 = 0.1499;
 /// Longest substep in terms of the time in which a wave of the pressure passes a particle. Under pressure, particles
 /// repel each other like springs: in longer substeps, these springs gain energy, and the liquid never comes to rest.
 /// Rough walls, which drag, bear a longer one; measured, it is 1.1 and 0.8.
-const STIFF: f64 = 0.9;
+const STIFF: f64 = 1.0;
 const STIFF_SMOOTH: f64 = 0.7;
 /// How far particles are added beside their positions, in spacings.
 const OFF_LATTICE: f64 = 0.1;
