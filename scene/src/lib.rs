@@ -27,6 +27,7 @@ pub mod finite;
 pub mod kinematics;
 pub mod mesh;
 pub mod organs;
+mod polygon;
 pub mod puts;
 pub mod random;
 pub mod registry;

@@ -123,6 +123,8 @@ fn graph_and_meshes(formats: &mut Formats) {
     );
     formats.check(SurfaceMesh { triangles: Arc::new(vec![[0, 1, 2], [2, 1, 4_000_000_000]]) }, true);
     formats.check(TetMesh { tets: Arc::new(vec![[0, 1, 2, 3]]) }, true);
+    let names = Arc::new(vec!["parenchyma".into(), "3".into()]);
+    formats.check(TetRegions { names, of_tet: Arc::new(vec![0, 1, 0]) }, true);
     formats.check(LineMesh { segments: Arc::new(vec![[0, 1], [1, 2]]), radius: 0.0003 }, true);
     formats.check(VertexPositions { positions: Arc::new(vec![Point3::new(0.1, -2e-300, 3.0)]) }, true);
     formats.check(VertexVelocities { velocities: Arc::new(vec![Vector3::new(0.1, -2e-300, 3.0)]) }, true);
@@ -135,6 +137,7 @@ fn graph_and_meshes(formats: &mut Formats) {
     formats.check(Frozen { reason: "a step of 0.002 s".into(), since: SimTime::from_millis(12) }, true);
     formats.check(OutOfValidity { reason: "strained by 12 %".into(), since: SimTime::from_millis(31) }, true);
     formats.check(HeatFrozen { reason: "a step of 2 s".into(), since: SimTime::from_millis(44) }, true);
+    formats.check(MeshRemarks { remarks: vec!["it is 40 m across".into()] }, true);
     formats.check(MeshRepaired { what: "1 inverted elements turned (4)".into() }, true);
     formats.check(TextureCoordinates { uv: Arc::new(vec![Vector2::new(0.25, 1.0)]) }, true);
     let node = BoundingVolumeNode {

@@ -6,13 +6,17 @@ mod component_derive;
 mod components_round_trip;
 mod core;
 mod decode_properties;
+mod mesh_dialects;
+mod mesh_orientation;
 mod mesh_properties;
 mod mesh_readers;
+mod mesh_regions;
 mod mesh_repair;
 mod scenario;
 mod shapes;
 mod store_properties;
 mod support;
+mod surface_repair;
 
 #[global_allocator]
 static ALLOCATOR: trocar_test_support::allocations::CountingAllocator =

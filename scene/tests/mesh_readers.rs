@@ -174,6 +174,7 @@ fn vtk_comes_back_in_both_versions_and_encodings() {
             let read = read_vtk(Path::new("a.vtk"), &common::write_vtk(&written, binary, version), &limits());
             let read = read.unwrap_or_else(|error| panic!("version {version}, binary {binary}: {error}"));
             same_volume(&read, &written, if binary { 1e-7 } else { 0.0 });
+            assert_eq!(read.tags, written.tags);
         }
     }
 }
@@ -227,12 +228,12 @@ fn errors_in_lines_name_place_and_reason() {
         (obj("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), &["no polyline"][..]),
         (obj("v 0 0 0\nv 1 0 0\nl 1 3\n"), &["line 3", "vertex"]),
         (obj("v 0 0 0\nv 1 0 0\nl 1 1\n"), &["line 3", "itself"]),
-        (msh(&MSH_2_LINE.replace("1 2 3\n2 1", "1 2 8\n2 1")), &["line 0", "8"]),
-        (msh(&MSH_2_LINE.replace(" 1 2 0 1", " 8 2 0 1 2")), &["a line of two nodes"]),
-        (vtk(&VTK_POLY_LINE.replace("2 3 4", "2 3 5")), &["line (cell) 1", "5"]),
-        (vtk(&VTK_POLY_LINE.replace("2 3 4", "2 3 3")), &["cell 1", "itself"]),
+        (msh(&MSH_2_LINE.replace("1 2 3\n2 1", "1 2 8\n2 1")), &["line 14", "element 1", "vertex 8"]),
+        (msh(&MSH_2_LINE.replace(" 1 2 0 1", " 2 2 0 1 2")), &["no line"]),
+        (vtk(&VTK_POLY_LINE.replace("2 3 4", "2 3 5")), &["cell 2", "vertex 5"]),
+        (vtk(&VTK_POLY_LINE.replace("2 3 4", "2 3 3")), &["cell 2", "itself"]),
         (vtk(&VTK_POLY_LINE.replace("LINES", "CELLS")), &["TRIANGLE_STRIPS", "CELLS"]),
-        (vtk(&VTK_GRID_LINE.replace("\n4\n3\n5", "\n7\n5\n5")), &["no line"]),
+        (vtk(&VTK_GRID_LINE.replace("\n4\n3\n5", "\n7\n1\n5")), &["no line"]),
     ] {
         let error = read.expect_err("refused").to_string();
         names.iter().for_each(|name| assert!(error.contains(name), "{error}: no {name}"));
@@ -248,8 +249,10 @@ fn the_extension_selects_the_reader_and_an_unknown_one_is_named() {
     std::fs::write(&file, common::write_gmsh_4(&tet_box(1), None)).expect("a file");
     assert_eq!(read_tets(&file, &limits()).expect("a valid file").tets.len(), 6);
     let error = read_surface(&file, &limits()).expect_err("no surface");
+    assert!(error.to_string().contains("holds a volume"), "{error}");
+    let error = read_surface(&folder.path().join("liver.off"), &limits()).expect_err("not known");
     assert!(
-        error.to_string().contains("'msh'") && error.to_string().contains("obj, stl, gltf, glb"),
+        error.to_string().contains("'off'") && error.to_string().contains("obj, stl, ply, gltf, glb"),
         "{error}"
     );
     let error = read_tets(&folder.path().join("missing.vtk"), &limits()).expect_err("missing");
@@ -300,20 +303,28 @@ fn errors_name_place_and_reason() {
         (gmsh, format!("{msh}{nodes}$Elements\n1\n1 4 0 1 2 3 5\n$EndElements\n"), &["line 13", "vertex 5"]),
         (
             gmsh,
-            format!("{msh}{nodes}$Elements\n1\n1 5 0 1 2 3 4 1 2 3 4\n$EndElements\n"),
-            &["line 13", "hexahedron"],
+            format!("{msh}{nodes}$Elements\n1\n1 99 0 1 2 3 4 1 2 3 4\n$EndElements\n"),
+            &["line 13", "type 99", "hexahedra"],
         ),
-        (gmsh, format!("{msh}{nodes}$Elements\n1\n1 15 0 1\n$EndElements\n"), &["without a tetrahedron"]),
+        (gmsh, format!("{msh}{nodes}$Elements\n1\n1 15 0 1\n$EndElements\n"), &["no tetrahedron"]),
         (gmsh, format!("{msh}{nodes}"), &["without $Elements"]),
         (gmsh, format!("{msh}$Nodes\n0\n$EndElements\n"), &["$EndNodes is expected"]),
         (gmsh, format!("{msh}$Junk\n1 2 3\n"), &["line 4", "'Junk'", "not ended"]),
         (vtk, "# vtk DataFile Version 9.0\n".into(), &["line 1", "versions 1 to 5"]),
-        (vtk, "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\n".into(), &["line 4", "POLYDATA"]),
+        (
+            vtk,
+            "# vtk DataFile Version 3.0\nt\nASCII\nDATASET RECTILINEAR_GRID\n".into(),
+            &["line 4", "POLYDATA"],
+        ),
         (vtk, head.into(), &["no POINTS"]),
         (vtk, format!("{head}POINTS 9000 float\n0 0 0\n"), &["line 5", "declares 9000 points"]),
         (vtk, format!("{head}{points}CELLS 1 5\n4 0 1 2 9\nCELL_TYPES 1\n10\n"), &["vertex 9", "4 vertices"]),
         (vtk, format!("{head}{points}CELLS 1 5\n4 0 1 2 -1\nCELL_TYPES 1\n10\n"), &["vertex -1"]),
-        (vtk, format!("{head}{points}CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n12\n"), &["type 12", "tetrahedra"]),
+        (
+            vtk,
+            format!("{head}{points}CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n12\n"),
+            &["cell 0 of type 12 has 4 corners"],
+        ),
         (vtk, format!("{head}{points}CELLS 1 5\n9 0 1 2 3\nCELL_TYPES 1\n10\n"), &["9 corners does not fit"]),
         (
             vtk,
@@ -363,7 +374,7 @@ fn what_is_wrong_with_a_surface_is_found_and_refused_on_demand() {
     open.triangles.truncate(11);
     let report = validate_surface(&open);
     assert_eq!((report.boundary_edges.count, report.is_manifold()), (3, true));
-    assert!(refusal(&open).contains("3 open edge(s)"));
+    assert!(refusal(&open).contains("3 open edges"));
     assert!(SurfacePolicy { closed: false, ..SurfacePolicy::SOLID }.require(name, &report).is_ok());
 
     let mut turned = cube.clone();
@@ -392,7 +403,7 @@ fn what_is_wrong_with_a_surface_is_found_and_refused_on_demand() {
     let mut degenerate = cube.clone();
     degenerate.triangles[3][1] = degenerate.triangles[3][0];
     assert_eq!(validate_surface(&degenerate).degenerate.first, Some(3));
-    assert!(refusal(&degenerate).contains("1 degenerate triangle(s), first 3"));
+    assert!(refusal(&degenerate).contains("1 degenerate triangle (triangle 3)"));
 
     let mut doubled = cube;
     doubled.triangles.push(doubled.triangles[5]);

@@ -24,14 +24,15 @@ fn loaded(volume: &TetData, options: &str) -> Result<(TetData, Option<String>), 
     Ok((TetData { positions, tets, tags: Vec::new() }, told))
 }
 
-/// A box with a defect, what the refusal says of it, and what was mended.
+/// A box with a defect, what the refusal says of it, and what was mended. The file has a triangle before the tetrahedra, and
+/// numbers count cells as it does.
 fn bad(kind: &str) -> (TetData, &'static str, &'static str) {
     let mut volume = common::tet_box(2);
     let count = volume.tets.len();
     match kind {
         "inverted" => {
             volume.tets[4].swap(0, 1);
-            (volume, "tetrahedron 4 is inverted", "1 inverted elements turned (4)")
+            (volume, "tetrahedron 5 is inverted", "1 inverted elements turned (5)")
         }
         "flat" => {
             let [a, b, ..] = volume.tets[0];
@@ -53,7 +54,7 @@ fn bad(kind: &str) -> (TetData, &'static str, &'static str) {
             volume.tets.push(volume.tets[3]);
             volume.tags.push(0);
             assert_eq!(count, 48);
-            (volume, "tetrahedra 3 and 48 have the same corners", "1 elements dropped")
+            (volume, "tetrahedra 4 and 49 have the same corners", "1 elements dropped")
         }
         other => panic!("no such defect: {other}"),
     }

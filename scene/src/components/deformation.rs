@@ -84,6 +84,16 @@ pub struct MeshRepaired {
     pub what: String,
 }
 
+/// What is worth knowing about a body's mesh as it was read: a likely mistake in its unit, pieces that do not hang together,
+/// cells that were split.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "mesh_remarks", schema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshRemarks {
+    /// One sentence each.
+    pub remarks: Vec<String>,
+}
+
 /// A closed region of space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]

@@ -26,6 +26,17 @@ pub struct TetMesh {
     pub tets: Arc<Vec<[u32; 4]>>,
 }
 
+/// Regions of a volume, as its file names them: physical groups, cell arrays such as `region` or `material`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "tet_regions", schema)]
+#[serde(deny_unknown_fields)]
+pub struct TetRegions {
+    /// The regions' names; the number where the file has no name.
+    pub names: Arc<Vec<String>>,
+    /// The region of each tetrahedron of the body's [`TetMesh`], as an index into the names.
+    pub of_tet: Arc<Vec<u16>>,
+}
+
 /// Segments of a thread or band, as indices into [`VertexPositions`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(name = "line_mesh", schema)]

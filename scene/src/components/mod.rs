@@ -16,7 +16,8 @@ pub mod visual;
 
 pub use contact::{Collision, CollisionList, Detection, Primitive};
 pub use deformation::{
-    Anchors, Frozen, HeatFrozen, MeshRepaired, OutOfValidity, Region, RestPositions, VertexVelocities,
+    Anchors, Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Region, RestPositions,
+    VertexVelocities,
 };
 pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, Side};
 pub use field::{ScalarField, ScalarFields};
@@ -27,7 +28,7 @@ pub use instrument::{
 };
 pub use matter::{Burn, Motion, Parameter, RigidBody, Source, Sources, Temperature, Tissue};
 pub use mesh::{
-    BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TextureCoordinates,
+    BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TetRegions, TextureCoordinates,
     VertexPositions,
 };
 pub use particles::{PARTICLES_MAX, ParticleKind, Particles};
@@ -45,9 +46,9 @@ use crate::registry::{RegistryBuilder, RegistryError};
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     crate::register_all!(builder;
         Name, Parent, Pose, Velocity,
-        Shape, SurfaceMesh, TetMesh, LineMesh, TextureCoordinates, BoundingVolumeTree,
+        Shape, SurfaceMesh, TetMesh, TetRegions, LineMesh, TextureCoordinates, BoundingVolumeTree,
         VertexPositions, VertexVelocities, RestPositions, Anchors,
-        Frozen, OutOfValidity, HeatFrozen, MeshRepaired,
+        Frozen, OutOfValidity, HeatFrozen, MeshRepaired, MeshRemarks,
         VisualMaterial, Light, Camera, Optics, HeadTracked,
         RigidBody, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,

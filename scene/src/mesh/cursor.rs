@@ -30,11 +30,41 @@ pub(super) struct Cursor<'a> {
     pub limits: &'a Limits,
     bytes: &'a [u8],
     at: usize,
+    /// Whether the first line ends in a carriage return alone; then a line feed after one is not skipped, since it may be
+    /// the first byte of a binary section.
+    lone_returns: bool,
 }
 
 impl<'a> Cursor<'a> {
     pub fn new(file: &'a Path, bytes: &'a [u8], limits: &'a Limits) -> Self {
-        Self { file, limits, bytes, at: 0 }
+        let first_end = bytes.iter().position(|b| matches!(b, b'\n' | b'\r'));
+        let lone_returns =
+            first_end.is_some_and(|end| bytes[end] == b'\r' && bytes.get(end + 1) != Some(&b'\n'));
+        Self { file, limits, bytes, at: 0, lone_returns }
+    }
+
+    /// A cursor behind the byte order mark of a file that begins with text.
+    ///
+    /// # Errors
+    /// When the text is UTF-16 or UTF-32.
+    pub fn of_text(file: &'a Path, bytes: &'a [u8], limits: &'a Limits) -> Result<Self, MeshError> {
+        let mut cursor = Self::new(file, bytes, limits);
+        if bytes.starts_with(UTF_8_MARK) {
+            cursor.at = UTF_8_MARK.len();
+        }
+        match wide_text(bytes) {
+            None => Ok(cursor),
+            Some(encoding) => {
+                let reason = format!("{encoding}: save the file as UTF-8");
+                Err(cursor.malformed(LazyPosition::Known(FilePosition::Whole), reason))
+            }
+        }
+    }
+
+    /// The same cursor over a file that ends at `end`.
+    pub fn ending_at(mut self, end: usize) -> Self {
+        self.bytes = &self.bytes[..end.min(self.bytes.len())];
+        self
     }
 
     pub fn position(&self) -> usize {
@@ -57,9 +87,14 @@ impl<'a> Cursor<'a> {
     fn place(&self, at: LazyPosition) -> FilePosition {
         match at {
             LazyPosition::Known(place) => place,
-            LazyPosition::LineOfByte(at) => FilePosition::Line(
-                1 + self.bytes[..at.min(self.bytes.len())].iter().filter(|&&b| b == b'\n').count(),
-            ),
+            LazyPosition::LineOfByte(at) => {
+                let before = &self.bytes[..at.min(self.bytes.len())];
+                let ends = before.iter().enumerate().filter(|&(k, &b)| {
+                    // Of a carriage return and a line feed only the latter counts.
+                    b == b'\n' || b == b'\r' && self.bytes.get(k + 1) != Some(&b'\n')
+                });
+                FilePosition::Line(1 + ends.count())
+            }
         }
     }
 
@@ -85,16 +120,20 @@ impl<'a> Cursor<'a> {
         MeshError::IndexOutOfRange { file, place, element, index, vertex, vertices }
     }
 
-    /// Everything up to the end of the line, which is skipped; `None` at the end of the file.
+    /// Everything up to the end of the line, which is skipped: a line feed, a carriage return, or both; `None` at the end
+    /// of the file.
     pub fn next_line(&mut self) -> Option<&'a [u8]> {
         let rest = self.remaining();
         if rest.is_empty() {
             return None;
         }
-        let length = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
-        self.at += (length + 1).min(rest.len());
-        let line = &rest[..length];
-        Some(line.strip_suffix(b"\r").unwrap_or(line))
+        let length = rest.iter().position(|b| matches!(b, b'\n' | b'\r')).unwrap_or(rest.len());
+        let end = match &rest[length..] {
+            [b'\r', b'\n', ..] if !self.lone_returns => 2,
+            _ => 1,
+        };
+        self.at += (length + end).min(rest.len());
+        Some(&rest[..length])
     }
 
     /// The next line as text without surrounding white space.
@@ -207,9 +246,6 @@ impl<'a> Cursor<'a> {
     pub fn u64(&mut self, order: Order, what: &str) -> Result<u64, MeshError> {
         self.array(order, what).map(u64::from_le_bytes)
     }
-    pub fn i64(&mut self, order: Order, what: &str) -> Result<i64, MeshError> {
-        self.array(order, what).map(i64::from_le_bytes)
-    }
     pub fn f32(&mut self, order: Order, what: &str) -> Result<f32, MeshError> {
         self.array(order, what).map(f32::from_le_bytes)
     }
@@ -223,6 +259,30 @@ impl<'a> Cursor<'a> {
         self.finite(place, what, index, &point)?;
         Ok(point)
     }
+}
+
+const UTF_8_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// The encoding of a text whose characters have two or four bytes, by its byte order mark or by the zeros between its
+/// first letters.
+pub(super) fn wide_text(bytes: &[u8]) -> Option<&'static str> {
+    let letter = |b: u8| b.is_ascii_graphic() || b.is_ascii_whitespace();
+    match bytes {
+        [0xff, 0xfe, 0, 0, ..] | [0, 0, 0xfe, 0xff, ..] => Some("UTF-32"),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => Some("UTF-16"),
+        [a, 0, 0, 0, b, 0, 0, 0, ..] | [0, 0, 0, a, 0, 0, 0, b, ..] if letter(*a) && letter(*b) => {
+            Some("UTF-32")
+        }
+        [a, 0, b, 0, c, 0, ..] | [0, a, 0, b, 0, c, ..] if [*a, *b, *c].into_iter().all(letter) => {
+            Some("UTF-16")
+        }
+        _ => None,
+    }
+}
+
+/// Whether a word is a keyword, in any capitals.
+pub(super) fn is_word(word: &[u8], keyword: &str) -> bool {
+    word.eq_ignore_ascii_case(keyword.as_bytes())
 }
 
 /// Quotes a part of the file for a message: short, and without control characters.

@@ -11,35 +11,46 @@
 //! often have bad elements: [`tet_defects`] lists all of them with their indices, [`repaired_tets`] repairs what it can
 //! and reports the repairs.
 
+mod base64;
+mod cells;
 mod cursor;
 mod data;
 mod error;
+mod file;
 mod gltf;
-mod gltf_buffer;
 mod gmsh;
-mod gmsh_v2;
-mod gmsh_v4;
 mod limits;
+mod number_kind;
 mod obj;
+mod ply;
+mod polygon_face;
 mod read;
+mod shells;
 mod stl;
+mod surface_repair;
 mod tet_defects;
 pub mod tet_faces;
 mod tet_repair;
+mod unit;
 mod validate;
 mod validate_tets;
 mod vtk;
 
 pub use data::{LineData, SplitSurface, SurfaceData, TetData};
 pub use error::{FilePosition, MeshError};
+pub use file::{MeshFile, SurfaceFile, TetFile};
 pub use gltf::read_gltf;
-pub use gmsh::{read_gmsh, read_gmsh_line};
+pub use gmsh::{read_gmsh, read_gmsh_line, read_gmsh_surface};
 pub use limits::Limits;
 pub use obj::{read_obj, read_obj_line};
-pub use read::{LINE_EXTENSIONS, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_line, read_surface, read_tets};
+pub use ply::read_ply;
+pub use read::{EXTENSIONS, LINE_EXTENSIONS, read_line, read_mesh, read_surface, read_tets};
+pub use shells::{Shell, Shells, shells};
 pub use stl::read_stl;
+pub use surface_repair::{SurfaceRepairs, WELD_RELATIVE, repaired_surface, weld_tolerance};
 pub use tet_defects::{BadTets, Defect, MeshRules, mean_ratio, tet_defects, tet_shape};
 pub use tet_repair::{RepairedTets, Repairs, repaired_tets};
+pub use unit::{EXTENT_MAX, EXTENT_MIN, TISSUE_EXTENT_MAX, doubt_of_size, length, unit};
 pub use validate::{Finding, SurfacePolicy, SurfaceReport, validate_surface};
 pub use validate_tets::{TetPolicy, TetReport, validate_tets};
-pub use vtk::{read_vtk, read_vtk_line};
+pub use vtk::{read_vtk, read_vtk_line, read_vtk_surface};

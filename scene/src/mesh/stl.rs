@@ -1,16 +1,18 @@
 //! STL surfaces, ASCII and binary (3D Systems, "StereoLithography Interface Specification", 1989).
 //!
-//! A binary file is recognised by its length, not by its header: many exporters begin binary files with the word
-//! "solid" too. Corners with equal coordinates become one vertex. The facets' normals are redundant (the order of the
-//! corners defines the outside) and often wrong, so they are dropped.
+//! A binary file is told by the zero in its number of facets, not by its header: many exporters begin binary files with
+//! the word "solid" too, and some append bytes of their own, which are skipped. In text, words may have any capitals, and
+//! `end solid` may be two words. Corners with equal coordinates become one vertex. The facets' normals are redundant (the
+//! order of the corners defines the outside) and often wrong, so they are dropped.
 
 use std::path::Path;
 
 use nalgebra::Point3;
 
-use super::cursor::{Cursor, LazyPosition, Order, quoted};
+use super::cursor::{Cursor, LazyPosition, Order, is_word, quoted, wide_text};
 use super::data::SurfaceData;
 use super::error::{FilePosition, MeshError};
+use super::file::SurfaceFile;
 use super::limits::Limits;
 
 const HEADER: usize = 80;
@@ -21,30 +23,45 @@ const FACET: usize = 50;
 /// # Errors
 /// Names the line or byte and the reason.
 pub fn read_stl(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceData, MeshError> {
+    read_stl_file(file, bytes, limits).map(|read| read.surface)
+}
+
+/// Like [`read_stl`], with what the reader skipped.
+pub(super) fn read_stl_file(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceFile, MeshError> {
+    let mut notes = Vec::new();
+    let mut surface = if is_binary(bytes) {
+        binary(Cursor::new(file, bytes, limits), &mut notes)?
+    } else {
+        ascii(Cursor::of_text(file, bytes, limits)?)?
+    };
     let cursor = Cursor::new(file, bytes, limits);
+    let whole = LazyPosition::Known(FilePosition::Whole);
+    if surface.triangles.is_empty() {
+        return Err(cursor.malformed(whole, "there is no facet in the file"));
+    }
+    surface.weld_identical();
+    if surface.positions.len() as u64 > limits.vertices {
+        let count = surface.positions.len() as u64;
+        return Err(cursor.too_large(whole, "vertices", count, limits.vertices));
+    }
+    Ok(SurfaceFile { surface, place: "facet", places: Vec::new(), first_vertex: 0, notes })
+}
+
+/// Whether the number of facets behind the header is one: its highest byte is zero in every file of fewer than 2²⁴ facets,
+/// and text holds no zeros, unless its characters have two bytes. A file that begins with neither is binary as well.
+fn is_binary(bytes: &[u8]) -> bool {
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+    let solid = text.get(..5).is_some_and(|word| is_word(word, "solid"));
     let declared = bytes
         .get(HEADER..HEADER + 4)
         .map(|count| u32::from_le_bytes([count[0], count[1], count[2], count[3]]) as usize);
     let exact = declared.is_some_and(|n| n.checked_mul(FACET).is_some_and(|n| n + HEADER + 4 == bytes.len()));
-    let text = bytes.trim_ascii_start().starts_with(b"solid");
-    let mut surface = if text && !exact { ascii(cursor)? } else { binary(cursor)? };
-    if surface.triangles.is_empty() {
-        let cursor = Cursor::new(file, bytes, limits);
-        return Err(
-            cursor.malformed(LazyPosition::Known(FilePosition::Whole), "there is no facet in the file")
-        );
+    if exact || wide_text(bytes).is_some() {
+        return exact;
     }
-    surface.weld_identical();
-    if surface.positions.len() as u64 > limits.vertices {
-        let (cursor, count) = (Cursor::new(file, bytes, limits), surface.positions.len() as u64);
-        return Err(cursor.too_large(
-            LazyPosition::Known(FilePosition::Whole),
-            "vertices",
-            count,
-            limits.vertices,
-        ));
-    }
-    Ok(surface)
+    let start = &bytes[..bytes.len().min(512)];
+    let facets = !start.contains(&0) && start.windows(5).any(|word| is_word(word, "facet"));
+    if solid { bytes.get(HEADER + 3) == Some(&0) } else { !facets }
 }
 
 fn push(surface: &mut SurfaceData, corners: [[f64; 3]; 3]) {
@@ -53,7 +70,7 @@ fn push(surface: &mut SurfaceData, corners: [[f64; 3]; 3]) {
     surface.triangles.push([first, first + 1, first + 2]);
 }
 
-fn binary(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
+fn binary(mut cursor: Cursor, notes: &mut Vec<String>) -> Result<SurfaceData, MeshError> {
     cursor.take(HEADER, "the header of a binary STL file")?;
     let place = cursor.byte();
     let declared = cursor.u32(Order::Little, "the number of facets")?;
@@ -76,6 +93,10 @@ fn binary(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
         cursor.take(2, "the attribute of a facet")?;
         push(&mut surface, corners);
     }
+    let behind = cursor.remaining().len();
+    if behind > 0 {
+        notes.push(format!("{behind} bytes behind the last of its {count} facets were skipped"));
+    }
     Ok(surface)
 }
 
@@ -87,7 +108,7 @@ fn ascii(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
     loop {
         match cursor.token() {
             b"" if solids > 0 => return Ok(surface),
-            b"solid" => {
+            word if is_word(word, "solid") => {
                 // The rest of the line is a name and may hold any words.
                 cursor.next_line();
             }
@@ -96,8 +117,13 @@ fn ascii(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
         solids += 1;
         loop {
             match cursor.token() {
-                b"facet" => {}
-                b"endsolid" => {
+                word if is_word(word, "facet") => {}
+                word if is_word(word, "endsolid") => {
+                    cursor.next_line();
+                    break;
+                }
+                word if is_word(word, "end") => {
+                    expect(&mut cursor, "solid")?;
                     cursor.next_line();
                     break;
                 }
@@ -108,9 +134,10 @@ fn ascii(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
                 return Err(cursor.too_large(cursor.line(), "facets", facet as u64 + 1, limit));
             }
             expect(&mut cursor, "normal")?;
-            for name in ["nx", "ny", "nz"] {
-                // Parsed to advance the cursor, not used: NaN is common here in files with degenerate facets.
-                cursor.parse::<f64>(name)?;
+            // Numbers that are not used, and not always written: NaN is common here in files with degenerate facets.
+            let mut ahead = cursor.clone();
+            while !matches!(ahead.token(), word if word.is_empty() || is_word(word, "outer")) {
+                cursor.token();
             }
             expect(&mut cursor, "outer")?;
             expect(&mut cursor, "loop")?;
@@ -119,8 +146,8 @@ fn ascii(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
                 expect(&mut cursor, "vertex")?;
                 *corner = cursor.parse_point("facet", facet)?;
             }
-            expect(&mut cursor, "endloop")?;
-            expect(&mut cursor, "endfacet")?;
+            expect_end(&mut cursor, "loop")?;
+            expect_end(&mut cursor, "facet")?;
             push(&mut surface, corners);
         }
     }
@@ -128,8 +155,19 @@ fn ascii(mut cursor: Cursor) -> Result<SurfaceData, MeshError> {
 
 fn expect(cursor: &mut Cursor, word: &'static str) -> Result<(), MeshError> {
     match cursor.token() {
-        found if found == word.as_bytes() => Ok(()),
+        found if is_word(found, word) => Ok(()),
         other => Err(unexpected(cursor, &format!("'{word}'"), other)),
+    }
+}
+
+/// `endloop` or `end loop`.
+fn expect_end(cursor: &mut Cursor, of: &'static str) -> Result<(), MeshError> {
+    match cursor.token() {
+        found if is_word(found, "end") => expect(cursor, of),
+        found if found.len() == 3 + of.len() && is_word(&found[..3], "end") && is_word(&found[3..], of) => {
+            Ok(())
+        }
+        other => Err(unexpected(cursor, &format!("'end{of}'"), other)),
     }
 }
 

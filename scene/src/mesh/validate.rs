@@ -8,6 +8,8 @@ use std::path::Path;
 
 use super::data::SurfaceData;
 use super::error::MeshError;
+use super::file::SurfaceFile;
+use super::shells::{half_edges, shells};
 use crate::disjoint_sets::DisjointSets;
 
 /// Sine of the smallest angle below which a triangle counts as degenerate.
@@ -64,6 +66,8 @@ pub struct SurfaceReport {
     pub misoriented_edges: Finding<[u32; 2]>,
     /// Vertices where two fans of triangles touch only at the vertex.
     pub non_manifold_vertices: Finding<u32>,
+    /// First triangles of closed shells that are inside out: that face inwards with no other one around them.
+    pub inside_out: Finding<usize>,
 }
 
 impl SurfaceReport {
@@ -90,7 +94,7 @@ impl fmt::Display for SurfaceReport {
         write!(
             f,
             "{} vertices, {} triangles, {} bodies; open edges {}, non-manifold edges {}, misoriented edges {}, \
-             non-manifold vertices {}, degenerate {}, duplicate {}, unreferenced vertices {}",
+             non-manifold vertices {}, degenerate {}, duplicate {}, unreferenced vertices {}, inside out {}",
             self.vertices,
             self.triangles,
             self.components,
@@ -100,7 +104,8 @@ impl fmt::Display for SurfaceReport {
             self.non_manifold_vertices.count,
             self.degenerate.count,
             self.duplicates.count,
-            self.unreferenced.count
+            self.unreferenced.count,
+            self.inside_out.count
         )
     }
 }
@@ -116,35 +121,95 @@ pub struct SurfacePolicy {
     pub oriented: bool,
     /// Refuse degenerate triangles.
     pub no_degenerate: bool,
+    /// Refuse closed shells that are inside out.
+    pub outward: bool,
+}
+
+/// The place of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    Triangle(usize),
+    Edge([u32; 2]),
+    Vertex(u32),
 }
 
 impl SurfacePolicy {
     /// Accepts everything.
-    pub const ANY: Self = Self { closed: false, manifold: false, oriented: false, no_degenerate: false };
-    /// A proper body: closed, manifold, oriented, without degenerate triangles.
-    pub const SOLID: Self = Self { closed: true, manifold: true, oriented: true, no_degenerate: true };
+    pub const ANY: Self =
+        Self { closed: false, manifold: false, oriented: false, no_degenerate: false, outward: false };
+    /// A proper body: closed, manifold, oriented outwards, without degenerate triangles.
+    pub const SOLID: Self =
+        Self { closed: true, manifold: true, oriented: true, no_degenerate: true, outward: true };
 
     /// Applies the policy to a report.
     ///
     /// # Errors
-    /// [`MeshError::Refused`] with the first finding that is not allowed.
+    /// [`MeshError::Refused`] with every kind of finding that is not allowed, and where the first one of each is.
     pub fn require(&self, name: &Path, report: &SurfaceReport) -> Result<(), MeshError> {
-        let findings = [
-            report.degenerate.refuse(self.no_degenerate, "degenerate triangle(s)"),
-            report.duplicates.refuse(self.manifold, "duplicate triangle(s)"),
-            report
-                .non_manifold_edges
-                .refuse(self.manifold || self.closed, "edge(s) with more than two triangles"),
-            report.non_manifold_vertices.refuse(self.manifold, "vertex(es) where separate fans touch"),
-            report.boundary_edges.refuse(self.closed, "open edge(s)"),
-            report
-                .misoriented_edges
-                .refuse(self.oriented, "edge(s) between triangles of opposite orientation"),
-        ];
-        match findings.into_iter().flatten().next() {
+        let place = |place| match place {
+            Place::Triangle(triangle) => format!("triangle {triangle}"),
+            Place::Edge([a, b]) => format!("between vertices {a} and {b}"),
+            Place::Vertex(vertex) => format!("vertex {vertex}"),
+        };
+        match self.refusal(report, place) {
             None => Ok(()),
             Some(reason) => Err(MeshError::Refused { file: name.into(), reason }),
         }
+    }
+
+    /// What the policy refuses of a file, with places as the file has them.
+    #[must_use]
+    pub fn refusal_of(&self, report: &SurfaceReport, file: &SurfaceFile) -> Option<String> {
+        self.refusal(report, |place| match place {
+            Place::Triangle(triangle) => file.triangle(triangle),
+            Place::Edge([a, b]) => format!("from {} to {}", file.vertex(a), file.vertex(b)),
+            Place::Vertex(vertex) => file.vertex(vertex),
+        })
+    }
+
+    fn refusal(&self, report: &SurfaceReport, place: impl Fn(Place) -> String) -> Option<String> {
+        let triangle = |finding: &Finding<usize>| (finding.count, finding.first.map(Place::Triangle));
+        let edge = |finding: &Finding<[u32; 2]>| (finding.count, finding.first.map(Place::Edge));
+        let vertex = |finding: &Finding<u32>| (finding.count, finding.first.map(Place::Vertex));
+        let findings = [
+            (self.no_degenerate, triangle(&report.degenerate), "degenerate triangle", "degenerate triangles"),
+            (self.manifold, triangle(&report.duplicates), "duplicate triangle", "duplicate triangles"),
+            (
+                self.manifold || self.closed,
+                edge(&report.non_manifold_edges),
+                "edge with more than two triangles",
+                "edges with more than two triangles",
+            ),
+            (
+                self.manifold,
+                vertex(&report.non_manifold_vertices),
+                "vertex where separate fans touch",
+                "vertices where separate fans touch",
+            ),
+            (self.closed, edge(&report.boundary_edges), "open edge", "open edges"),
+            (
+                self.oriented,
+                edge(&report.misoriented_edges),
+                "edge between triangles of opposite orientation",
+                "edges between triangles of opposite orientation",
+            ),
+            (
+                self.outward,
+                triangle(&report.inside_out),
+                "closed shell is inside out",
+                "closed shells are inside out",
+            ),
+        ];
+        let told: Vec<String> = findings
+            .into_iter()
+            .filter(|(refused, (count, _), ..)| *refused && *count > 0)
+            .map(|(_, (count, first), one, more)| {
+                let first = first.map(&place).unwrap_or_default();
+                let (what, word) = if count == 1 { (one, "") } else { (more, "the first: ") };
+                format!("{count} {what} ({word}{first})")
+            })
+            .collect();
+        (!told.is_empty()).then(|| told.join("; "))
     }
 }
 
@@ -159,21 +224,16 @@ pub fn validate_surface(surface: &SurfaceData) -> SurfaceReport {
         ..SurfaceReport::default()
     };
     let mut used = vec![false; surface.positions.len()];
-    let mut half_edges = Vec::with_capacity(3 * surface.triangles.len());
     for (t, triangle) in surface.triangles.iter().enumerate() {
         if is_degenerate(surface, t) {
             report.degenerate.add(t);
         }
-        for k in 0..3 {
-            used[triangle[k] as usize] = true;
-            let (from, to) = (triangle[k], triangle[(k + 1) % 3]);
-            half_edges.push(([from.min(to), from.max(to)], from > to, t as u32));
-        }
+        triangle.iter().for_each(|&vertex| used[vertex as usize] = true);
     }
     used.iter().enumerate().filter(|(_, used)| !**used).for_each(|(v, _)| report.unreferenced.add(v as u32));
     find_duplicates(surface, &mut report);
 
-    half_edges.sort_unstable();
+    let half_edges = half_edges(&surface.triangles);
     let mut bodies = DisjointSets::new(surface.triangles.len());
     // Corners (triangle × 3 + k) of one fan around a vertex are joined across the edges of the vertex.
     let mut fans = DisjointSets::new(3 * surface.triangles.len());
@@ -211,6 +271,10 @@ pub fn validate_surface(surface: &SurfaceData) -> SurfaceReport {
     for (v, _) in split.iter().enumerate().filter(|(_, split)| **split) {
         report.non_manifold_vertices.add(v as u32);
     }
+    let found = shells(surface);
+    for shell in found.inside_out(surface) {
+        report.inside_out.add(found.shells[shell as usize].first);
+    }
     report
 }
 
@@ -218,7 +282,7 @@ fn repeats(triangle: &[u32; 3]) -> bool {
     triangle[0] == triangle[1] || triangle[1] == triangle[2] || triangle[2] == triangle[0]
 }
 
-fn is_degenerate(surface: &SurfaceData, t: usize) -> bool {
+pub(super) fn is_degenerate(surface: &SurfaceData, t: usize) -> bool {
     let [a, b, c] = surface.corners(t);
     let longest = (b - a).norm_squared().max((c - b).norm_squared()).max((a - c).norm_squared());
     repeats(&surface.triangles[t]) || surface.area_vector(t).norm() <= DEGENERATE * longest

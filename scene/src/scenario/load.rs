@@ -20,7 +20,7 @@ use super::{
 use crate::commands::Commands;
 use crate::component::Component;
 use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue};
-use crate::confined_path;
+use crate::confined_path::{self, Assets};
 use crate::document_value::DocumentValue;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 use crate::registry::Registry;
@@ -37,7 +37,11 @@ pub(super) const HAND_KEYS: [&str; 5] = ["name", "entity", "device", "params", "
 
 type Names = Arc<BTreeMap<String, Entity>>;
 
-pub(super) fn load(file: &Path, registry: &Arc<Registry>) -> Result<Scenario, ScenarioError> {
+pub(super) fn load(
+    file: &Path,
+    registry: &Arc<Registry>,
+    assets: &Assets,
+) -> Result<Scenario, ScenarioError> {
     let io = |source| ScenarioError::Io { file: file.into(), source };
     let invalid = |reason: String| io(std::io::Error::new(std::io::ErrorKind::InvalidData, reason));
     let handle = std::fs::File::open(file).map_err(io)?;
@@ -50,10 +54,15 @@ pub(super) fn load(file: &Path, registry: &Arc<Registry>) -> Result<Scenario, Sc
     if text.len() as u64 > FILE_BYTES_MAX {
         return Err(invalid(format!("larger than {FILE_BYTES_MAX} bytes")));
     }
-    parse(file, text, registry)
+    parse(file, text, registry, assets)
 }
 
-pub(super) fn parse(file: &Path, text: String, registry: &Arc<Registry>) -> Result<Scenario, ScenarioError> {
+pub(super) fn parse(
+    file: &Path,
+    text: String,
+    registry: &Arc<Registry>,
+    assets: &Assets,
+) -> Result<Scenario, ScenarioError> {
     let source = Arc::new(Source { file: file.into(), text });
     let document = source.parse()?;
     let root = Table::new(&source, "", document.span(), document.get_ref());
@@ -69,7 +78,7 @@ pub(super) fn parse(file: &Path, text: String, registry: &Arc<Registry>) -> Resu
 
     let names = entity_names(&root)?;
     check_parents(&root)?;
-    let meshes = load_meshes(&root, folder, &names)?;
+    let meshes = load_meshes(&root, folder, assets, &names)?;
     commands(&source, &document, registry, &names, &meshes)?;
     Ok(Scenario {
         file: file.into(),
@@ -145,6 +154,8 @@ fn check_files_in(
     value: &Spanned<DeValue>,
 ) -> Result<(), ScenarioError> {
     match value.get_ref() {
+        // Meshes may stand in other folders too, which is checked when they are read.
+        DeValue::String(_) if is_file && key == "entity.mesh.file" => Ok(()),
         DeValue::String(path) if is_file => {
             confined_path::below(folder, path).map(|_| ()).map_err(|why| source.error(value.span(), key, why))
         }
@@ -213,6 +224,7 @@ fn check_parents(root: &Table) -> Result<(), ScenarioError> {
 fn load_meshes(
     root: &Table,
     folder: &Path,
+    assets: &Assets,
     names: &Names,
 ) -> Result<BTreeMap<Entity, LoadedMesh>, ScenarioError> {
     let mut meshes = BTreeMap::new();
@@ -229,9 +241,10 @@ fn load_meshes(
             Some(inner) => inner,
             None => return Err(entity_table.wrong_type("mesh", value, "a table with a file")),
         };
+        let is_tissue = entity_table.get(Tissue::NAME).is_some();
         let mesh_key = join(&key, "mesh");
         let mesh_table = Table::new(root.source, &mesh_key, value.span(), inner);
-        let mesh = mesh_source::load(folder, &mesh_table, value)?;
+        let mesh = mesh_source::load(folder, assets, &mesh_table, value, is_tissue)?;
         meshes
             .insert(names.get(name).copied().unwrap_or_else(|| Entity::of_writer(0, SCENARIO_SPAWNER)), mesh);
     }

@@ -22,7 +22,8 @@
 //!
 //! Unknown keys are refused everywhere, so that a typing mistake is an error rather than a default. Tables called
 //! `params` (and the table `task`) are interpreted by the code they belong to, with [`Params::parse`], and its errors
-//! still name the line. Strings under a key `file` are paths; they must stay below the folder of the scenario.
+//! still name the line. Strings under a key `file` are paths; they must stay below the folder of the scenario. Those of
+//! meshes may also lead into folders that the caller allows ([`Assets`]).
 
 mod document;
 mod error;
@@ -45,6 +46,7 @@ pub use schema::json_schema;
 
 use crate::commands::Commands;
 use crate::component::ComponentError;
+use crate::confined_path::Assets;
 use crate::entity::Entity;
 use crate::registry::Registry;
 use crate::store::Store;
@@ -122,7 +124,7 @@ impl Scenario {
     /// # Errors
     /// Names file, line, column, key and valid choices.
     pub fn load(file: &Path, registry: &Arc<Registry>) -> Result<Self, ScenarioError> {
-        load::load(file, registry)
+        load::load(file, registry, &Assets::default())
     }
 
     /// Reads and checks a scenario in memory; `file` gives its nominal path.
@@ -130,7 +132,28 @@ impl Scenario {
     /// # Errors
     /// Names file, line, column, key and valid choices.
     pub fn parse(file: &Path, text: &str, registry: &Arc<Registry>) -> Result<Self, ScenarioError> {
-        load::parse(file, text.to_owned(), registry)
+        load::parse(file, text.to_owned(), registry, &Assets::default())
+    }
+
+    /// Like [`Scenario::load`], with folders besides the scenario's own from which meshes may be read.
+    ///
+    /// # Errors
+    /// Names file, line, column, key and valid choices.
+    pub fn load_with(file: &Path, registry: &Arc<Registry>, assets: &Assets) -> Result<Self, ScenarioError> {
+        load::load(file, registry, assets)
+    }
+
+    /// Like [`Scenario::parse`], with folders besides the scenario's own from which meshes may be read.
+    ///
+    /// # Errors
+    /// Names file, line, column, key and valid choices.
+    pub fn parse_with(
+        file: &Path,
+        text: &str,
+        registry: &Arc<Registry>,
+        assets: &Assets,
+    ) -> Result<Self, ScenarioError> {
+        load::parse(file, text.to_owned(), registry, assets)
     }
 
     /// The folder that contains the files it refers to.

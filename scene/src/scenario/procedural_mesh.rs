@@ -125,11 +125,8 @@ pub(super) fn load(table: &Table, key: &str, value: &Spanned<DeValue>) -> Result
             let (positions, segments) = organs::line(length, count(segments)).map_err(refused)?;
             Ok(LoadedMesh {
                 positions: VertexPositions { positions: Arc::new(positions) },
-                surface: None,
-                tets: None,
                 line: Some(LineMesh { segments: Arc::new(segments), radius }),
-                uv: None,
-                repaired: None,
+                ..LoadedMesh::default()
             })
         }
     }

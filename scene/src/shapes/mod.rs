@@ -9,7 +9,6 @@ mod cuboid;
 mod instrument;
 mod lathe;
 mod peg_board;
-mod polygon;
 mod working_end;
 
 use thiserror::Error;

@@ -5,9 +5,9 @@ use std::f64::consts::TAU;
 use nalgebra::{Point2, Vector3};
 
 use super::builder::{Builder, Corner};
-use super::polygon::triangulate;
 use super::{ShapeError, length, segments as check_segments};
 use crate::mesh::SurfaceData;
+use crate::polygon::triangulate;
 
 /// Dimensions of a peg board whose top face is z = 0. Lengths \[m\].
 #[derive(Clone, Debug, PartialEq)]

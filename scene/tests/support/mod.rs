@@ -1,6 +1,9 @@
 //! Small valid meshes, and files of every format written from them.
 #![allow(dead_code)]
 
+pub mod ply;
+pub mod vtk_xml;
+
 use nalgebra::Point3;
 use trocar_scene::mesh::{SurfaceData, TetData};
 
@@ -384,5 +387,8 @@ pub fn write_vtk(volume: &TetData, binary: bool, version: u32) -> Vec<u8> {
     out.text(&format!("\nCELL_TYPES {}\n", cells.len()));
     cells.iter().for_each(|cell| integer(&mut out, if cell.len() == 3 { 5 } else { 10 }, false));
     out.text(&format!("\nCELL_DATA {}\nSCALARS region int 1\nLOOKUP_TABLE default\n", cells.len()));
+    integer(&mut out, 0, false);
+    volume.tags.iter().for_each(|&tag| integer(&mut out, tag as usize, false));
+    out.text("\n");
     out.0
 }

@@ -1,12 +1,12 @@
 //! Losses of a session: what the system refused, what was revoked, and which solvers gave up.
 
 use trocar_devices::Scheduling;
-use trocar_scene::{Frozen, HeatFrozen, MeshRepaired, OutOfValidity, Snapshot};
+use trocar_scene::{Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Snapshot};
 
 use super::{Running, Session};
 
 /// One sentence for each body that stands still because its solver could not go on, that moves outside its method's
-/// range of validity, or whose mesh had to be repaired.
+/// range of validity, or whose mesh had to be repaired or gives reason to doubt.
 #[must_use]
 pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let frozen = scene.iter::<Frozen>().map(|(body, frozen)| {
@@ -24,7 +24,10 @@ pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let repaired = scene
         .iter::<MeshRepaired>()
         .map(|(body, repaired)| format!("{}: its mesh was mended: {}", scene.name(body), repaired.what));
-    frozen.chain(heat).chain(doubtful).chain(repaired).collect()
+    let remarks = scene.iter::<MeshRemarks>().flat_map(|(body, told)| {
+        told.remarks.iter().map(move |remark| format!("{}: its mesh: {remark}", scene.name(body)))
+    });
+    frozen.chain(heat).chain(doubtful).chain(repaired).chain(remarks).collect()
 }
 
 impl Session {

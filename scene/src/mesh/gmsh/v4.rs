@@ -1,10 +1,10 @@
-//! Sections of Gmsh's format 4.1: blocks of nodes and elements by model entity; physical groups at the entities.
+//! Sections of Gmsh's formats 4.0 and 4.1: blocks of nodes and elements by model entity; physical groups at the entities.
 
 use std::collections::HashMap;
 
-use super::cursor::{Cursor, LazyPosition};
-use super::error::MeshError;
-use super::gmsh::{ElementKind, Encoding, Volume, element_kind};
+use super::{Encoding, Reading, Version, element_kind};
+use crate::mesh::cursor::{Cursor, LazyPosition};
+use crate::mesh::error::MeshError;
 
 /// First physical group of each volume, by the volume's number. Looked up only.
 pub(super) type PhysicalGroups = HashMap<i32, i32>;
@@ -46,6 +46,12 @@ impl Numbers<'_, '_> {
             Encoding::Binary(order) => self.cursor.point(order, "node", index),
         }
     }
+    /// Number and dimension of a model entity, which versions 4.0 and 4.1 write in opposite orders.
+    fn entity(&mut self, version: Version) -> Result<(i32, i32), MeshError> {
+        let first = self.int("the number or dimension of an entity")?;
+        let second = self.int("the number or dimension of an entity")?;
+        Ok(if version == Version::V41 { (second, first) } else { (first, second) })
+    }
     /// A declared count, against what is left of the file at `ascii` or `binary` bytes each.
     fn count(&mut self, what: &'static str, ascii: u64, binary: u64, limit: u64) -> Result<usize, MeshError> {
         let place = self.here();
@@ -55,7 +61,11 @@ impl Numbers<'_, '_> {
     }
 }
 
-pub(super) fn entities(cursor: &mut Cursor, encoding: Encoding) -> Result<PhysicalGroups, MeshError> {
+pub(super) fn entities(
+    cursor: &mut Cursor,
+    version: Version,
+    encoding: Encoding,
+) -> Result<PhysicalGroups, MeshError> {
     let limit = cursor.limits.elements;
     let mut numbers = Numbers { cursor, encoding };
     let mut counts = [0; 4];
@@ -66,7 +76,7 @@ pub(super) fn entities(cursor: &mut Cursor, encoding: Encoding) -> Result<Physic
     for (dimension, &count) in counts.iter().enumerate() {
         for _ in 0..count {
             let tag = numbers.int("an entity number")?;
-            for _ in 0..if dimension == 0 { 3 } else { 6 } {
+            for _ in 0..if dimension == 0 && version == Version::V41 { 3 } else { 6 } {
                 // Bounding boxes of empty entities hold ±1e22 or infinities; nothing depends on them.
                 numbers.double("a bound")?;
             }
@@ -87,46 +97,57 @@ pub(super) fn entities(cursor: &mut Cursor, encoding: Encoding) -> Result<Physic
     Ok(groups)
 }
 
-pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume) -> Result<(), MeshError> {
+pub(super) fn nodes(
+    cursor: &mut Cursor,
+    version: Version,
+    encoding: Encoding,
+    reading: &mut Reading,
+) -> Result<(), MeshError> {
     let limits = *cursor.limits;
     let mut numbers = Numbers { cursor, encoding };
     let blocks = numbers.count("blocks of nodes", 8, 20, limits.elements)?;
     let total = numbers.count("nodes", 8, 32, limits.vertices)?;
-    numbers.size("the smallest node number")?;
-    numbers.size("the largest node number")?;
-    volume.reserve_nodes(total);
+    if version == Version::V41 {
+        numbers.size("the smallest node number")?;
+        numbers.size("the largest node number")?;
+    }
+    reading.reserve_nodes(total);
     let mut tags = Vec::new();
     for _ in 0..blocks {
         let place = numbers.here();
-        let dimension = numbers.int("the dimension of an entity")?;
+        let (_, dimension) = numbers.entity(version)?;
         let dimension = match dimension {
             0..=3 => dimension as usize,
             _ => return Err(numbers.cursor.malformed(place, format!("an entity of dimension {dimension}"))),
         };
-        numbers.int("an entity number")?;
         let parametric = numbers.int("whether nodes are parametric")? != 0;
-        let left = total - volume.positions.len();
+        let left = total - reading.grid.positions.len();
         let count = numbers.count("nodes in a block", 8, 32, limits.vertices)?;
         if count > left {
             let reason = format!("a block of {count} nodes where {left} are left of the declared {total}");
             return Err(numbers.cursor.malformed(place, reason));
         }
         tags.clear();
-        for _ in 0..count {
+        // In version 4.0 the number of a node stands before its coordinates.
+        for _ in 0..if version == Version::V41 { count } else { 0 } {
             tags.push(numbers.size("a node number")?);
         }
-        for &tag in &tags {
+        for k in 0..count {
             let place = numbers.here();
-            let point = numbers.point(volume.positions.len())?;
+            let tag = match tags.get(k) {
+                Some(&tag) => tag,
+                None => numbers.size("a node number")?,
+            };
+            let point = numbers.point(reading.grid.positions.len())?;
             if parametric {
                 for _ in 0..dimension {
                     numbers.double("a parametric coordinate")?;
                 }
             }
-            volume.add_node(numbers.cursor, place, tag, point)?;
+            reading.add_node(numbers.cursor, place, tag, point)?;
         }
     }
-    let read = volume.positions.len();
+    let read = reading.grid.positions.len();
     if read < total {
         let reason = format!("{total} nodes are declared, but the blocks hold {read}");
         return Err(numbers.cursor.malformed(numbers.here(), reason));
@@ -136,21 +157,23 @@ pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume
 
 pub(super) fn elements(
     cursor: &mut Cursor,
+    version: Version,
     encoding: Encoding,
-    volume: &mut Volume,
+    reading: &mut Reading,
     physical: &PhysicalGroups,
 ) -> Result<(), MeshError> {
     let limit = cursor.limits.elements;
     let mut numbers = Numbers { cursor, encoding };
     let blocks = numbers.count("blocks of elements", 8, 20, limit)?;
     let total = numbers.count("elements", 4, 16, limit)?;
-    numbers.size("the smallest element number")?;
-    numbers.size("the largest element number")?;
+    if version == Version::V41 {
+        numbers.size("the smallest element number")?;
+        numbers.size("the largest element number")?;
+    }
     let mut left = total;
     for _ in 0..blocks {
         let place = numbers.here();
-        numbers.int("the dimension of an entity")?;
-        let entity = numbers.int("an entity number")?;
+        let (entity, _) = numbers.entity(version)?;
         let kind = numbers.int("an element type")?;
         let count = numbers.count("elements in a block", 4, 16, limit)?;
         if count > left {
@@ -162,25 +185,12 @@ pub(super) fn elements(
         let tag = physical.get(&entity).copied().unwrap_or(0);
         for _ in 0..count {
             let place = numbers.here();
-            numbers.size("an element number")?;
-            match kind {
-                ElementKind::Lower(nodes) => {
-                    for _ in 0..nodes {
-                        numbers.size("a node number")?;
-                    }
-                }
-                ElementKind::Line => {
-                    let nodes = [numbers.size("a node number")?, numbers.size("a node number")?];
-                    volume.add_line(numbers.cursor, place, nodes)?;
-                }
-                ElementKind::Tetrahedron => {
-                    let mut nodes = [0; 4];
-                    for node in &mut nodes {
-                        *node = numbers.size("a node number")?;
-                    }
-                    volume.add_tet(numbers.cursor, place, nodes, tag)?;
-                }
-            }
+            let number = numbers.size("an element number")?;
+            let node = |cursor: &mut Cursor| match encoding {
+                Encoding::Ascii => cursor.parse("a node number"),
+                Encoding::Binary(order) => cursor.u64(order, "a node number"),
+            };
+            reading.add_element(numbers.cursor, place, (number, kind, tag), node)?;
         }
     }
     if left > 0 {

@@ -10,7 +10,7 @@ use nalgebra::Point2;
 /// outer polygon and then through the holes in their order; triangles are counter-clockwise.
 ///
 /// The polygons must be simple and must not touch; `None` when no ear can be found because they do.
-pub(super) fn triangulate(outer: &[Point2<f64>], holes: &[Vec<Point2<f64>>]) -> Option<Vec<[u32; 3]>> {
+pub(crate) fn triangulate(outer: &[Point2<f64>], holes: &[Vec<Point2<f64>>]) -> Option<Vec<[u32; 3]>> {
     let points: Vec<Point2<f64>> = outer.iter().chain(holes.iter().flatten()).copied().collect();
     let mut loop_: Vec<usize> = (0..outer.len()).collect();
     let mut first = outer.len();
@@ -98,32 +98,80 @@ fn clearest_copy(points: &[Point2<f64>], loop_: &[usize], chosen: usize, from: P
     (0..n).filter(|&k| loop_[k] == loop_[chosen]).find(|&k| contains(k)).unwrap_or(chosen)
 }
 
-fn clip_ears(points: &[Point2<f64>], mut loop_: Vec<usize>) -> Option<Vec<[u32; 3]>> {
-    let mut triangles = Vec::with_capacity(loop_.len());
-    while loop_.len() > 3 {
-        let n = loop_.len();
-        let corner = |k: usize| [loop_[(k + n - 1) % n], loop_[k], loop_[(k + 1) % n]];
-        let shape = |k: usize| corner(k).map(|v| points[v]);
-        let is_ear = |k: usize| {
-            let [a, b, c] = shape(k);
-            cross(a, b, c) > 0.0
-                && loop_.iter().all(|&v| {
-                    let p = points[v];
-                    // Copies of the ear's own corners do not count.
-                    p == a || p == b || p == c || !inside(p, [a, b, c])
-                })
-        };
-        // Fat ears first, so that fewer flips are needed.
-        let quality = |k: usize| {
-            let [a, b, c] = shape(k);
-            let longest = (b - a).norm_squared().max((c - b).norm_squared()).max((a - c).norm_squared());
-            cross(a, b, c) / longest
-        };
-        let ear = (0..n).filter(|&k| is_ear(k)).max_by(|&p, &q| quality(p).total_cmp(&quality(q)))?;
-        triangles.push(corner(ear).map(|v| v as u32));
-        loop_.remove(ear);
+/// Whether a corner of the loop can be clipped.
+#[derive(Clone, Copy)]
+enum Corner {
+    /// With its area over its longest edge squared.
+    Ear(f64),
+    /// The loop turns right or not at all.
+    Reflex,
+    /// A vertex, by its position in the loop, lies within.
+    Hides(usize),
+}
+
+/// A loop whose corners are clipped one by one.
+struct Loop<'a> {
+    points: &'a [Point2<f64>],
+    vertices: Vec<usize>,
+    before: Vec<usize>,
+    after: Vec<usize>,
+    /// Positions that are left, ascending.
+    left: Vec<usize>,
+}
+
+impl Loop<'_> {
+    fn around(&self, k: usize) -> [usize; 3] {
+        [self.before[k], k, self.after[k]].map(|k| self.vertices[k])
     }
-    triangles.push([loop_[0] as u32, loop_[1] as u32, loop_[2] as u32]);
+
+    fn corner(&self, k: usize) -> Corner {
+        let [a, b, c] = self.around(k).map(|v| self.points[v]);
+        let area = cross(a, b, c);
+        if !(area > 0.0) {
+            return Corner::Reflex;
+        }
+        let hides = |&&other: &&usize| {
+            let p = self.points[self.vertices[other]];
+            // Copies of the ear's own corners do not count.
+            p != a && p != b && p != c && inside(p, [a, b, c])
+        };
+        match self.left.iter().find(hides) {
+            Some(&other) => Corner::Hides(other),
+            None => {
+                let longest = (b - a).norm_squared().max((c - b).norm_squared()).max((a - c).norm_squared());
+                Corner::Ear(area / longest)
+            }
+        }
+    }
+}
+
+fn clip_ears(points: &[Point2<f64>], vertices: Vec<usize>) -> Option<Vec<[u32; 3]>> {
+    let count = vertices.len();
+    let before = (0..count).map(|k| (k + count - 1) % count).collect();
+    let after = (0..count).map(|k| (k + 1) % count).collect();
+    let mut rest = Loop { points, vertices, before, after, left: (0..count).collect() };
+    let mut corners: Vec<Corner> = (0..count).map(|k| rest.corner(k)).collect();
+    let mut triangles = Vec::with_capacity(count);
+    while rest.left.len() > 3 {
+        // Fat ears first, so that fewer flips are needed.
+        let ears = rest.left.iter().filter_map(|&k| match corners[k] {
+            Corner::Ear(quality) => Some((quality, k)),
+            _ => None,
+        });
+        let (_, ear) = ears.max_by(|(p, _), (q, _)| p.total_cmp(q))?;
+        triangles.push(rest.around(ear).map(|v| v as u32));
+        let (before, after) = (rest.before[ear], rest.after[ear]);
+        (rest.after[before], rest.before[after]) = (after, before);
+        rest.left.remove(rest.left.binary_search(&ear).ok()?);
+        // Only these corners can have changed: the neighbours, and those that the clipped vertex had hidden.
+        for at in 0..rest.left.len() {
+            let k = rest.left[at];
+            if k == before || k == after || matches!(corners[k], Corner::Hides(vertex) if vertex == ear) {
+                corners[k] = rest.corner(k);
+            }
+        }
+    }
+    triangles.push([0, 1, 2].map(|k| rest.vertices[rest.left[k]] as u32));
     Some(triangles)
 }
 

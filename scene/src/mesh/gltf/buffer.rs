@@ -6,10 +6,11 @@ use ::gltf::json;
 use json::accessor::{ComponentType, Type};
 use json::validation::Checked;
 
-use super::cursor::{Cursor, LazyPosition};
-use super::error::{FilePosition, MeshError};
-use super::limits::read_bytes;
 use crate::confined_path;
+use crate::mesh::base64::Base64;
+use crate::mesh::cursor::{Cursor, LazyPosition};
+use crate::mesh::error::{FilePosition, MeshError};
+use crate::mesh::limits::read_bytes;
 
 const WHOLE: LazyPosition = LazyPosition::Known(FilePosition::Whole);
 
@@ -43,7 +44,7 @@ impl<'a> Buffers<'a> {
                     }
                     let folder = cursor.file.parent().unwrap_or(std::path::Path::new(""));
                     let file = confined_path::below(folder, &relative).map_err(refuse)?;
-                    Cow::Owned(read_bytes(&file, &super::Limits { bytes: left, ..*cursor.limits })?)
+                    Cow::Owned(read_bytes(&file, &crate::mesh::Limits { bytes: left, ..*cursor.limits })?)
                 }
             };
             left = left.saturating_sub(bytes.len() as u64);
@@ -188,35 +189,8 @@ fn data_uri(uri: &str) -> Result<Vec<u8>, &'static str> {
     if !head.ends_with(";base64") {
         return Err("a data URI that is not base64");
     }
-    base64(body.as_bytes()).ok_or("invalid base64")
-}
-
-/// Base64 with the standard alphabet (RFC 4648), padding optional.
-fn base64(text: &[u8]) -> Option<Vec<u8>> {
-    let padding = text.iter().rev().take(2).take_while(|&&b| b == b'=').count();
-    let text = &text[..text.len() - padding];
-    let mut bytes = Vec::with_capacity(text.len() / 4 * 3 + 3);
-    for chunk in text.chunks(4) {
-        let mut bits = 0u32;
-        for &symbol in chunk {
-            let value = match symbol {
-                b'A'..=b'Z' => symbol - b'A',
-                b'a'..=b'z' => symbol - b'a' + 26,
-                b'0'..=b'9' => symbol - b'0' + 52,
-                b'+' => 62,
-                b'/' => 63,
-                _ => return None,
-            };
-            bits = bits << 6 | u32::from(value);
-        }
-        match chunk.len() {
-            4 => bytes.extend_from_slice(&bits.to_be_bytes()[1..]),
-            3 => bytes.extend_from_slice(&(bits << 6).to_be_bytes()[1..3]),
-            2 => bytes.push((bits << 12).to_be_bytes()[1]),
-            _ => return None,
-        }
-    }
-    Some(bytes)
+    let decoded = Base64::new(body.as_bytes()).all();
+    decoded.ok_or("invalid base64")
 }
 
 fn percent_decoded(uri: &str) -> Option<String> {
@@ -238,17 +212,6 @@ fn percent_decoded(uri: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn base64_of_rfc_4648_decodes() {
-        let cases = [("", ""), ("Zg==", "f"), ("Zm8=", "fo"), ("Zm9v", "foo"), ("Zm9vYg==", "foob")];
-        for (text, plain) in cases {
-            assert_eq!(base64(text.as_bytes()).as_deref(), Some(plain.as_bytes()));
-        }
-        assert_eq!(base64(b"Zm9vYmE"), Some(b"fooba".to_vec()));
-        assert_eq!(base64(b"Zm9v!"), None);
-        assert_eq!(base64(b"A"), None);
-    }
 
     #[test]
     fn percent_encoding_decodes_and_refuses_nonsense() {

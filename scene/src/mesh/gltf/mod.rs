@@ -7,6 +7,8 @@
 //! frame (glTF: y up, metres). External buffers must lie below the file's folder. Morph targets, skins and
 //! materials are skipped; required extensions are refused.
 
+mod buffer;
+
 use std::path::Path;
 
 use ::gltf::json;
@@ -14,11 +16,11 @@ use json::mesh::{Mode, Semantic};
 use json::validation::Checked;
 use nalgebra::{Matrix3, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3};
 
-use super::cursor::{Cursor, LazyPosition};
-use super::data::SurfaceData;
-use super::error::{FilePosition, MeshError};
-use super::gltf_buffer::Buffers;
-use super::limits::Limits;
+use crate::mesh::cursor::{Cursor, LazyPosition};
+use crate::mesh::data::SurfaceData;
+use crate::mesh::error::{FilePosition, MeshError};
+use crate::mesh::limits::Limits;
+use buffer::Buffers;
 
 /// Deepest tree of nodes.
 const DEPTH_MAX: usize = 64;
@@ -78,7 +80,7 @@ pub fn read_gltf(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDa
 
 /// The JSON and the binary chunk of a GLB file; the whole file when it is not one.
 fn split_glb<'a>(cursor: &Cursor<'a>, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [u8]>), MeshError> {
-    use super::cursor::Order::Little;
+    use crate::mesh::cursor::Order::Little;
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
     }

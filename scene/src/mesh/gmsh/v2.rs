@@ -1,19 +1,19 @@
-//! Sections of Gmsh's format 2.2: nodes and elements one after the other, tags at each element.
+//! Sections of Gmsh's formats 2.0 to 2.2: nodes and elements one after the other, tags at each element.
 
-use super::cursor::Cursor;
-use super::error::MeshError;
-use super::gmsh::{ElementKind, Encoding, Volume, element_kind};
+use super::{Encoding, Reading, element_kind};
+use crate::mesh::cursor::Cursor;
+use crate::mesh::error::MeshError;
 
 /// Largest number of tags of an element: physical, elementary, and the partitions it belongs to.
 const TAGS_MAX: i64 = 1024;
 
-pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume) -> Result<(), MeshError> {
+pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, reading: &mut Reading) -> Result<(), MeshError> {
     let place = cursor.line();
     let declared: u64 = cursor.parse("the number of nodes")?;
     // The shortest line is "1 0 0 0\n"; in binary an int and three doubles.
     let least = if encoding == Encoding::Ascii { 8 } else { 28 };
     let count = cursor.count(place, "nodes", declared, least, cursor.limits.vertices)?;
-    volume.reserve_nodes(count);
+    reading.reserve_nodes(count);
     if let Encoding::Binary(_) = encoding {
         cursor.next_line();
     }
@@ -29,7 +29,7 @@ pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume
                 (place, tag, cursor.point(order, "node", index)?)
             }
         };
-        volume.add_node(cursor, place, tag, point)?;
+        reading.add_node(cursor, place, tag, point)?;
     }
     Ok(())
 }
@@ -37,7 +37,7 @@ pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume
 pub(super) fn elements(
     cursor: &mut Cursor,
     encoding: Encoding,
-    volume: &mut Volume,
+    reading: &mut Reading,
 ) -> Result<(), MeshError> {
     let place = cursor.line();
     let declared: u64 = cursor.parse("the number of elements")?;
@@ -45,20 +45,20 @@ pub(super) fn elements(
     let least = if encoding == Encoding::Ascii { 9 } else { 8 };
     let count = cursor.count(place, "elements", declared, least, cursor.limits.elements)?;
     match encoding {
-        Encoding::Ascii => (0..count).try_for_each(|_| ascii_element(cursor, volume)),
+        Encoding::Ascii => (0..count).try_for_each(|_| ascii_element(cursor, reading)),
         Encoding::Binary(_) => {
             cursor.next_line();
             let mut left = count;
             while left > 0 {
-                left -= binary_block(cursor, encoding, volume, left)?;
+                left -= binary_block(cursor, encoding, reading, left)?;
             }
             Ok(())
         }
     }
 }
 
-fn ascii_element(cursor: &mut Cursor, volume: &mut Volume) -> Result<(), MeshError> {
-    cursor.parse::<u64>("an element number")?;
+fn ascii_element(cursor: &mut Cursor, reading: &mut Reading) -> Result<(), MeshError> {
+    let number = cursor.parse("an element number")?;
     let place = cursor.line();
     let kind = element_kind(cursor, place, cursor.clone().parse("an element type")?)?;
     cursor.token();
@@ -71,32 +71,14 @@ fn ascii_element(cursor: &mut Cursor, volume: &mut Volume) -> Result<(), MeshErr
             physical = tag;
         }
     }
-    match kind {
-        ElementKind::Lower(nodes) => {
-            for _ in 0..nodes {
-                cursor.parse::<u64>("a node number")?;
-            }
-            Ok(())
-        }
-        ElementKind::Line => {
-            let nodes = [cursor.parse("a node number")?, cursor.parse("a node number")?];
-            volume.add_line(cursor, place, nodes)
-        }
-        ElementKind::Tetrahedron => {
-            let mut nodes = [0; 4];
-            for node in &mut nodes {
-                *node = cursor.parse("a node number")?;
-            }
-            volume.add_tet(cursor, place, nodes, physical)
-        }
-    }
+    reading.add_element(cursor, place, (number, kind, physical), |cursor| cursor.parse("a node number"))
 }
 
 /// Elements of one type; returns how many, at least one and at most `left`.
 fn binary_block(
     cursor: &mut Cursor,
     encoding: Encoding,
-    volume: &mut Volume,
+    reading: &mut Reading,
     left: usize,
 ) -> Result<usize, MeshError> {
     let Encoding::Binary(order) = encoding else { return Ok(left) };
@@ -112,7 +94,7 @@ fn binary_block(
     let kind = element_kind(cursor, place, kind.into())?;
     for _ in 0..follow {
         let place = cursor.byte();
-        cursor.u32(order, "an element number")?;
+        let number = cursor.u32(order, "an element number")?.into();
         let mut physical = 0;
         for k in 0..tags {
             let tag = cursor.i32(order, "a tag")?;
@@ -120,23 +102,8 @@ fn binary_block(
                 physical = tag;
             }
         }
-        match kind {
-            ElementKind::Lower(nodes) => {
-                cursor.take(4 * nodes, "an element")?;
-            }
-            ElementKind::Line => {
-                let mut node = || cursor.u32(order, "a node number").map(u64::from);
-                let nodes = [node()?, node()?];
-                volume.add_line(cursor, place, nodes)?;
-            }
-            ElementKind::Tetrahedron => {
-                let mut nodes = [0; 4];
-                for node in &mut nodes {
-                    *node = cursor.u32(order, "a node number")?.into();
-                }
-                volume.add_tet(cursor, place, nodes, physical)?;
-            }
-        }
+        let node = |cursor: &mut Cursor| cursor.u32(order, "a node number").map(u64::from);
+        reading.add_element(cursor, place, (number, kind, physical), node)?;
     }
     Ok(follow)
 }
