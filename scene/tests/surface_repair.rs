@@ -176,6 +176,30 @@ fn an_open_surface_keeps_its_rim_and_the_larger_part_of_it_its_side() {
 }
 
 #[test]
+fn a_fin_on_a_closed_body_is_dropped_and_sheets_that_meet_are_not() {
+    let mut finned = torus();
+    finned.uvs = None;
+    let [a, b, _] = finned.triangles[7];
+    let tip = finned.positions.len() as u32;
+    finned.positions.extend([Point3::new(0.1, 0.0, 0.1), Point3::new(0.11, 0.0, 0.1)]);
+    finned.triangles.extend([[a, b, tip], [b, tip + 1, tip]]);
+    let (mended, repairs) = repaired_surface(&finned, 1e-9);
+    assert_eq!(repairs.fins, [192, 193]);
+    assert!(
+        repairs.to_string().contains("2 triangles were dropped that stuck out of a closed body"),
+        "{repairs}"
+    );
+    assert_eq!((mended.positions, mended.triangles), (torus().positions, torus().triangles));
+    // Three sheets about one edge: none of them is the body.
+    let mut sheets = SurfaceData::default();
+    sheets
+        .positions
+        .extend([[0., 0., 0.], [0., 0., 1.], [1., 0., 0.], [-1., 1., 0.], [-1., -1., 0.]].map(Point3::from));
+    sheets.triangles.extend([[0, 1, 2], [0, 1, 3], [0, 1, 4]]);
+    assert!(repaired_surface(&sheets, 1e-9).1.fins.is_empty());
+}
+
+#[test]
 fn a_moebius_band_cannot_be_oriented_and_is_refused() {
     let count = 12u32;
     let mut band = SurfaceData::default();

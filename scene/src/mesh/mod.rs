@@ -19,6 +19,7 @@ mod error;
 mod file;
 mod gltf;
 mod gmsh;
+pub mod inspect;
 mod limits;
 mod number_kind;
 mod obj;
@@ -35,6 +36,7 @@ mod unit;
 mod validate;
 mod validate_tets;
 mod vtk;
+pub mod write;
 
 pub use data::{LineData, SplitSurface, SurfaceData, TetData};
 pub use error::{FilePosition, MeshError};

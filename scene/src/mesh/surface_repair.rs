@@ -1,5 +1,5 @@
-//! Repair of surfaces: vertices within a tolerance are welded, triangles without area and repeated ones dropped, all turned
-//! the same way and closed shells outwards, unused vertices dropped. Nothing is closed: a hole stays a hole.
+//! Repair of surfaces: vertices within a tolerance are welded, triangles without area, repeated ones and fins dropped, all
+//! turned the same way and closed shells outwards, unused vertices dropped. Nothing is closed: a hole stays a hole.
 
 use std::collections::{BTreeSet, HashMap};
 use std::fmt;
@@ -9,6 +9,7 @@ use nalgebra::Point3;
 use super::data::SurfaceData;
 use super::shells::{HalfEdge, Shells, half_edges, shells};
 use super::validate::is_degenerate;
+use crate::disjoint_sets::DisjointSets;
 
 /// The tolerance of welding by default, as a share of the diagonal of the box.
 pub const WELD_RELATIVE: f64 = 1e-6;
@@ -26,6 +27,8 @@ pub struct SurfaceRepairs {
     pub flipped: Vec<u32>,
     /// Triangles that repeated another one and were dropped.
     pub repeated: Vec<u32>,
+    /// Triangles that stuck out of a closed body and were dropped.
+    pub fins: Vec<u32>,
     /// Triangles that were turned.
     pub turned: Vec<u32>,
     /// Vertices that no triangle uses and that were dropped, without the welded ones.
@@ -57,6 +60,7 @@ impl SurfaceRepairs {
             (&self.degenerate, "dropped that had no area"),
             (&self.flipped, "without area joined to the triangles beside them"),
             (&self.repeated, "dropped that repeated others"),
+            (&self.fins, "dropped that stuck out of a closed body"),
             (&self.turned, "turned"),
         ] {
             if let Some(&first) = which.first() {
@@ -113,6 +117,7 @@ pub fn repaired_surface(surface: &SurfaceData, weld: f64) -> (SurfaceData, Surfa
     flip_flat(&mut mended, &numbers, &mut repairs.flipped);
     drop_triangles(&mut mended, &mut numbers, &mut repairs.degenerate, is_degenerate);
     drop_repeated(&mut mended, &mut numbers, &mut repairs.repeated);
+    drop_fins(&mut mended, &mut numbers, &mut repairs.fins);
     turn(&mut mended, &numbers, &mut repairs.turned);
     drop_vertices(&mut mended, &into, &mut repairs.dropped_vertices);
     for list in [&mut repairs.degenerate, &mut repairs.repeated, &mut repairs.flipped] {
@@ -193,6 +198,36 @@ fn drop_repeated(surface: &mut SurfaceData, numbers: &mut Vec<u32>, dropped: &mu
         })
         .collect();
     drop_triangles(surface, numbers, dropped, |_, t| repeated[t]);
+}
+
+/// Drops patches with a rim that are attached to a closed body: each of their edges with more than two triangles has three,
+/// one of the patch and two of patches without a rim.
+fn drop_fins(surface: &mut SurfaceData, numbers: &mut Vec<u32>, dropped: &mut Vec<u32>) {
+    let edges = half_edges(&surface.triangles);
+    let alike = || edges.chunk_by(|a, b| a.0 == b.0);
+    if alike().all(|edge| edge.len() <= 2) {
+        return;
+    }
+    // Patches end where more than two triangles meet.
+    let mut patches = DisjointSets::new(surface.triangles.len());
+    for edge in alike().filter(|edge| edge.len() == 2) {
+        patches.join(edge[0].2 as usize, edge[1].2 as usize);
+    }
+    let count = surface.triangles.len();
+    let patch: Vec<usize> = (0..count).map(|t| patches.root(t)).collect();
+    let mut has_rim = vec![false; count];
+    alike().filter(|edge| edge.len() == 1).for_each(|edge| has_rim[patch[edge[0].2 as usize]] = true);
+    let mut is_fin = has_rim.clone();
+    let mut attached = vec![false; count];
+    for edge in alike().filter(|edge| edge.len() > 2) {
+        let of: Vec<usize> = edge.iter().map(|half| patch[half.2 as usize]).collect();
+        let rims = of.iter().filter(|&&patch| has_rim[patch]).count();
+        for &patch in of.iter().filter(|&&patch| has_rim[patch]) {
+            attached[patch] = true;
+            is_fin[patch] &= of.len() == 3 && rims == 1;
+        }
+    }
+    drop_triangles(surface, numbers, dropped, |_, t| is_fin[patch[t]] && attached[patch[t]]);
 }
 
 /// Joins triangles whose corners lie on a line to the one across their longest edge: that edge is flipped to the middle

@@ -175,6 +175,30 @@ impl fmt::Display for BadTets {
     }
 }
 
+impl BadTets {
+    /// One sentence for each kind, with the first few of it.
+    #[must_use]
+    pub fn by_kind(&self) -> Vec<String> {
+        let mut kinds: Vec<(std::mem::Discriminant<Defect>, Vec<&Defect>)> = Vec::new();
+        for defect in &self.defects {
+            let kind = std::mem::discriminant(defect);
+            match kinds.iter_mut().find(|(known, _)| *known == kind) {
+                Some((_, alike)) => alike.push(defect),
+                None => kinds.push((kind, vec![defect])),
+            }
+        }
+        let told = |(_, alike): (_, Vec<&Defect>)| {
+            let shown: Vec<String> = alike.iter().take(SHOWN).map(ToString::to_string).collect();
+            let more = match alike.len().saturating_sub(SHOWN) {
+                0 => String::new(),
+                more => format!("; and {more} more of this kind"),
+            };
+            shown.join("; ") + &more
+        };
+        kinds.into_iter().map(told).collect()
+    }
+}
+
 impl std::error::Error for BadTets {}
 
 /// Volume over the cube of the longest edge below which a tetrahedron counts as flat, because its orientation depends
