@@ -3,11 +3,14 @@
 use crate::support as common;
 use std::path::Path;
 
+use crate::support::ply::write_ply;
+use crate::support::vtk_xml::{styles, write_vtu};
 use crate::support::{Order, tet_box};
 use proptest::prelude::*;
 use trocar_scene::mesh::{
-    Limits, LineData, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_gmsh_line, read_obj,
-    read_obj_line, read_stl, read_vtk, read_vtk_line, validate_surface, validate_tets,
+    Limits, LineData, MeshError, MeshRules, SurfaceData, TetData, read_gltf, read_gmsh, read_gmsh_line,
+    read_gmsh_surface, read_obj, read_obj_line, read_ply, read_stl, read_vtk, read_vtk_line,
+    read_vtk_surface, repaired_surface, repaired_tets, validate_surface, validate_tets, weld_tolerance,
 };
 use trocar_scene::shapes;
 use trocar_test_support::allocations::peak_of;
@@ -15,7 +18,8 @@ use trocar_test_support::hostile::mutated;
 
 type SurfaceReader = fn(&Path, &[u8], &Limits) -> Result<SurfaceData, MeshError>;
 type TetReader = fn(&Path, &[u8], &Limits) -> Result<TetData, MeshError>;
-const SURFACES: [SurfaceReader; 3] = [read_obj, read_stl, read_gltf];
+const SURFACES: [SurfaceReader; 6] =
+    [read_obj, read_stl, read_ply, read_gltf, read_gmsh_surface, read_vtk_surface];
 const VOLUMES: [TetReader; 2] = [read_gmsh, read_vtk];
 type LineReader = fn(&Path, &[u8], &Limits) -> Result<LineData, MeshError>;
 const LINES: [LineReader; 3] = [read_obj_line, read_gmsh_line, read_vtk_line];
@@ -24,10 +28,15 @@ const LINES: [LineReader; 3] = [read_obj_line, read_gmsh_line, read_vtk_line];
 /// the 36 of its corners, and vectors double as they grow.
 const BYTES_PER_BYTE: usize = 256;
 const BYTES_ALWAYS: usize = 64 << 10;
+/// The same of XML files: compressed arrays may become a hundred times as long as the file, and a byte of them a number of
+/// eight.
+const XML_BYTES: [usize; 2] = [2048, 2 << 20];
 
 fn every_reader(bytes: &[u8]) -> Result<(), TestCaseError> {
     let limits = Limits::default();
-    let allowed = BYTES_PER_BYTE * bytes.len() + BYTES_ALWAYS;
+    let is_xml = bytes.trim_ascii_start().starts_with(b"<");
+    let [per_byte, always] = if is_xml { XML_BYTES } else { [BYTES_PER_BYTE, BYTES_ALWAYS] };
+    let allowed = per_byte * bytes.len() + always;
     for reader in SURFACES {
         let (read, peak) = peak_of(|| reader(Path::new("x"), bytes, &limits));
         prop_assert!(peak <= allowed, "{peak} bytes for an input of {}", bytes.len());
@@ -37,6 +46,8 @@ fn every_reader(bytes: &[u8]) -> Result<(), TestCaseError> {
             prop_assert!(surface.positions.iter().all(|p| p.coords.iter().all(|x| x.is_finite())));
             validate_surface(&surface);
             surface.split();
+            let (mended, _) = repaired_surface(&surface, weld_tolerance(&surface.positions));
+            prop_assert_eq!(validate_surface(&mended).inside_out.count, 0);
         }
     }
     for reader in VOLUMES {
@@ -48,6 +59,8 @@ fn every_reader(bytes: &[u8]) -> Result<(), TestCaseError> {
             prop_assert!(volume.positions.iter().all(|p| p.coords.iter().all(|x| x.is_finite())));
             prop_assert_eq!(volume.tets.len(), volume.tags.len());
             validate_tets(&volume);
+            // What cannot be mended is listed.
+            let _ = repaired_tets(&volume.positions, &volume.tets, &MeshRules::default());
             volume.flip_inverted();
             volume.compact();
             volume.boundary();
@@ -71,7 +84,10 @@ fn every_reader(bytes: &[u8]) -> Result<(), TestCaseError> {
 fn valid_files() -> Vec<Vec<u8>> {
     let surface = shapes::torus(0.75, 0.25, 3, 3).expect("a torus");
     let volume = tet_box(1);
-    vec![
+    let mut files: Vec<Vec<u8>> = styles().into_iter().map(|style| write_vtu(&volume, style)).collect();
+    files.extend([None, Some(Order::Little), Some(Order::Big)].map(|order| write_ply(&surface, order)));
+    files.extend([common::POLY_DATA, common::POLY_DATA_XML].map(|text| text.as_bytes().to_vec()));
+    files.extend(vec![
         common::write_obj(&surface),
         common::write_stl(&surface, false),
         common::write_stl(&surface, true),
@@ -94,7 +110,8 @@ fn valid_files() -> Vec<Vec<u8>> {
         b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n1 0 0 0\n2 1 0 0\n$EndNodes\n$Elements\n1\n\
           1 1 0 1 2\n$EndElements\n"
             .to_vec(),
-    ]
+    ]);
+    files
 }
 
 proptest! {
@@ -115,8 +132,9 @@ proptest! {
         head in prop::sample::select(vec![
             "", "v 0 0 0\n", "solid x\n", "glTF", "{\"asset\":{\"version\":\"2.0\"},", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n",
             "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n", "# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\n",
+            "# vtk DataFile Version 5.1\nt\nASCII\nDATASET POLYDATA\n", "ply\nformat ascii 1.0\n", "<VTKFile type=\"PolyData\"><Piece>",
         ]),
-        words in prop::collection::vec("(v|f|vn|facet|normal|[$]Nodes|[$]Elements|POINTS|CELLS|float|-?[0-9]{1,12}|\n|[ -~]{1,6})", 0..60),
+        words in prop::collection::vec("(v|f|vn|facet|normal|[$]Nodes|[$]Elements|POINTS|CELLS|POLYGONS|element vertex|property|end_header|<DataArray|float|-?[0-9]{1,12}|\n|[ -~]{1,6})", 0..60),
     ) {
         every_reader(format!("{head}{}", words.join(" ")).as_bytes())?;
     }

@@ -126,7 +126,8 @@ fn mesh_file() -> Value {
         "type": "object", "required": ["file"], "additionalProperties": false,
         "properties": {
             "file": {
-                "description": "Path below the folder of the scenario: obj, stl, gltf, glb, msh or vtk.",
+                "description": "Path below the folder of the scenario, or below one that --assets names: obj, stl, ply, gltf, glb, vtp \
+                                (surfaces), msh, vtk or vtu (surfaces or volumes).",
                 "type": "string",
             },
             "scale": {
@@ -134,17 +135,24 @@ fn mesh_file() -> Value {
                 "minimum": 1e-9, "maximum": 1e9, "default": 1.0,
             },
             "repair": {
-                "description": "Mend a volume: turn inverted tetrahedra, merge nodes at the same place, drop flat, sliver \
-                                and repeated tetrahedra and what nothing uses. What was done is told.",
+                "description": "Mend it. A surface: weld vertices, drop triangles without area, repeated ones and fins, turn \
+                                triangles and shells to face outwards. A volume: turn inverted tetrahedra, merge nodes at \
+                                the same place, drop flat, sliver and repeated tetrahedra. What nothing uses is dropped. \
+                                What was done is told; a hole stays a hole.",
                 "type": "boolean", "default": false,
             },
+            "weld": {
+                "description": "Distance within which repair makes vertices or nodes one [m]; by default a millionth of the \
+                                diagonal of a surface, and 0 for a volume.",
+                "type": "number", "minimum": mesh_source::WELD.start(), "maximum": mesh_source::WELD.end(),
+            },
             "require": {
-                "description": "solid: closed, manifold, oriented, nothing degenerate or inverted; manifold: may be \
-                                open (surfaces) or inverted (volumes); any: no requirement.",
+                "description": "solid: closed, manifold, facing outwards, nothing degenerate or inverted; manifold: may be \
+                                open or face inwards (surfaces) or be inverted (volumes); any: no requirement.",
                 "enum": mesh_source::REQUIREMENTS, "default": mesh_source::REQUIREMENTS[0],
             },
             "radius": {
-                "description": "Take the lines of an obj, msh or vtk file as a thread of this radius (m).",
+                "description": "Take the lines of an obj, msh, vtk, vtu or vtp file as a thread of this radius (m).",
                 "type": "number", "minimum": 1e-6, "maximum": 1.0,
             },
         },

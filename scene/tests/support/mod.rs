@@ -7,6 +7,20 @@ pub mod vtk_xml;
 use nalgebra::Point3;
 use trocar_scene::mesh::{SurfaceData, TetData};
 
+/// Two polygons, a strip, a line and a vertex as legacy poly data.
+pub const POLY_DATA: &str = "# vtk DataFile Version 5.1\nt\nASCII\nDATASET POLYDATA\nFIELD FieldData 1\n\
+    SPACE 1 1 string\nLPS\nPOINTS 6 float\n0 0 0 1 0 0 1 1 0 0 1 0 2 0 0 2 1 0\nVERTICES 2 1\n\
+    OFFSETS vtktypeint64\n0 1\nCONNECTIVITY vtktypeint64\n0\nLINES 2 2\nOFFSETS vtktypeint64\n0 2\n\
+    CONNECTIVITY vtktypeint64\n0 1\nPOLYGONS 3 7\nOFFSETS vtktypeint32\n0 4 7\nCONNECTIVITY vtktypeint32\n\
+    0 1 2 3 1 4 2\nTRIANGLE_STRIPS 2 3\nOFFSETS vtktypeint64\n0 3\nCONNECTIVITY vtktypeint64\n4 5 2\n\
+    POINT_DATA 6\nSCALARS a float 1\nLOOKUP_TABLE default\n0 0 0 0 0 0\n";
+/// A polygon as poly data in XML.
+pub const POLY_DATA_XML: &str = "<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\" version=\"0.1\" \
+    byte_order=\"LittleEndian\"><PolyData><Piece NumberOfPoints=\"4\" NumberOfPolys=\"1\"><Points>\
+    <DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">0 0 0 1 0 0 1 1 0 0 1 0</DataArray></Points>\
+    <Polys><DataArray type=\"Int32\" Name=\"connectivity\" format=\"ascii\">0 1 2 3</DataArray>\
+    <DataArray type=\"Int32\" Name=\"offsets\" format=\"ascii\">4</DataArray></Polys></Piece></PolyData></VTKFile>\n";
+
 /// A box of `n` cells along each axis, six tetrahedra per cell, all of positive volume.
 pub fn tet_box(n: u32) -> TetData {
     let vertex = |i: u32, j: u32, k: u32| (i * (n + 1) + j) * (n + 1) + k;

@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use common::ply::write_ply;
+use common::vtk_xml::{styles, write_vtu};
 use common::{Order, tet_box};
 use trocar_kernel::LockstepSession;
 use trocar_kernel::recorder::{Recorder, RecorderOptions, RecordingHead};
@@ -107,6 +109,14 @@ fn main() {
         save("mesh", &format!("box.{name}.2.msh"), &common::write_gmsh_2(&volume, order));
         save("mesh", &format!("box.{name}.4.msh"), &common::write_gmsh_4(&volume, order));
     }
+    for (name, order) in [("ascii", None), ("little", Some(Order::Little)), ("big", Some(Order::Big))] {
+        save("mesh", &format!("torus.{name}.ply"), &write_ply(&surface, order));
+    }
+    for (number, style) in styles().into_iter().enumerate().step_by(5) {
+        save("mesh", &format!("box.{number}.vtu"), &write_vtu(&volume, style));
+    }
+    save("mesh", "square.vtk", common::POLY_DATA.as_bytes());
+    save("mesh", "square.vtp", common::POLY_DATA_XML.as_bytes());
     for (name, binary) in [("ascii", false), ("binary", true)] {
         for version in [3, 5] {
             save("mesh", &format!("box.{name}.{version}.vtk"), &common::write_vtk(&volume, binary, version));
