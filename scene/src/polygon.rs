@@ -127,7 +127,7 @@ impl Loop<'_> {
     fn corner(&self, k: usize) -> Corner {
         let [a, b, c] = self.around(k).map(|v| self.points[v]);
         let area = cross(a, b, c);
-        if !(area > 0.0) {
+        if area <= 0.0 || area.is_nan() {
             return Corner::Reflex;
         }
         let hides = |&&other: &&usize| {

@@ -119,11 +119,14 @@ fn text_of_two_or_four_bytes_a_letter_is_told_from_damage_in_every_format() {
         ("a.msh", text(common::write_gmsh_2(&volume, None))),
         ("a.vtk", text(common::write_vtk(&volume, false, 3))),
         ("a.vtu", text(write_vtu(&volume, style))),
+        ("a.gltf", text(common::write_gltf_embedded(&box_))),
     ];
     let folder = tempfile::tempdir().expect("a folder");
     for (name, text) in files {
+        let file = folder.path().join(name);
+        std::fs::write(&file, format!("\u{feff}{text}")).expect("a file");
+        assert!(read_mesh(&file, &limits()).is_ok(), "{name} with a byte order mark");
         for (k, encode) in wide.iter().enumerate() {
-            let file = folder.path().join(name);
             std::fs::write(&file, encode(&text)).expect("a file");
             let error = read_mesh(&file, &limits()).expect_err(name).to_string();
             let encoding = if k < 4 { "UTF-16" } else { "UTF-32" };

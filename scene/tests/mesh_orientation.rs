@@ -19,7 +19,10 @@ fn body(center: [f64; 3], size: f64, outwards: bool) -> SurfaceData {
     surface
 }
 
-fn joined(bodies: &[([f64; 3], f64, bool)]) -> SurfaceData {
+/// Middle, radius, and whether it faces outwards.
+type Body = ([f64; 3], f64, bool);
+
+fn joined(bodies: &[Body]) -> SurfaceData {
     let mut all = SurfaceData::default();
     bodies.iter().for_each(|&(center, size, outwards)| all.append(&body(center, size, outwards)));
     all
@@ -31,7 +34,7 @@ const AWAY: [f64; 3] = [9.0, 0.0, 0.0];
 /// Shells from outside to inside, how many are inside out, and which way each faces after a repair.
 #[test]
 fn a_shell_is_inside_out_when_it_leaves_less_than_nothing_inside() {
-    let cases: [(&str, &[([f64; 3], f64, bool)], usize, &[bool]); 9] = [
+    let cases: [(&str, &[Body], usize, &[bool]); 9] = [
         ("a body", &[(O, 2.0, true)], 0, &[true]),
         ("a body inside out", &[(O, 2.0, false)], 1, &[true]),
         ("a body with a cavity", &[(O, 2.0, true), (O, 1.0, false)], 0, &[true, false]),

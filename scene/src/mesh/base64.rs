@@ -78,7 +78,7 @@ impl<'a> Base64<'a> {
         (self.next, self.end) = (0, 0);
         match symbols {
             0 if padding == 0 => {}
-            2 | 3 | 4 => {
+            2..=4 => {
                 let bytes = (bits << (6 * (4 - symbols))).to_be_bytes();
                 self.ready.copy_from_slice(&bytes[1..]);
                 self.end = symbols - 1;

@@ -25,7 +25,7 @@ pub(super) fn triangles_of(corners: &[Point3<f64>]) -> Result<Vec<[u32; 3]>, &'s
     }
     let normal = newell(corners);
     let extent = corners.iter().map(|p| (p - corners[0]).norm_squared()).fold(0.0, f64::max);
-    if !(normal.norm() > FLAT * extent) {
+    if normal.norm() <= FLAT * extent || !normal.norm().is_finite() {
         let lies_on_a_line = corners.windows(2).all(|pair| {
             let farthest = corners
                 .iter()

@@ -131,7 +131,7 @@ pub fn repaired_surface(surface: &SurfaceData, weld: f64) -> (SurfaceData, Surfa
 /// For each vertex the first one within `tolerance` that is not itself welded to another.
 fn welded(positions: &[Point3<f64>], tolerance: f64) -> Vec<u32> {
     let mut into = Vec::with_capacity(positions.len());
-    if !(tolerance > 0.0) {
+    if tolerance <= 0.0 || tolerance.is_nan() {
         let mut first_at = HashMap::new();
         for (vertex, position) in positions.iter().enumerate() {
             let key: [u64; 3] = position.coords.map(|x| (x + 0.0).to_bits()).into();
@@ -321,7 +321,7 @@ fn turn(surface: &mut SurfaceData, numbers: &[u32], turned: &mut Vec<u32>) {
             areas[usize::from(own)] += surface.area_vector(t).norm();
             for &(other, agree) in &beside[t] {
                 if turns[other as usize].is_none() {
-                    turns[other as usize] = Some(own != !agree);
+                    turns[other as usize] = Some(own == agree);
                     part.push(other as usize);
                 }
             }

@@ -15,7 +15,7 @@ const FACTORS: [f64; 5] = [1e-3, 1e-2, 1e-6, 1e3, 1e2];
 /// after the file was multiplied by `scale` \[m\]. `None` when the size is plausible.
 #[must_use]
 pub fn doubt_of_size(extent: f64, scale: f64, extent_max: f64) -> Option<String> {
-    if !(extent > 0.0) || (EXTENT_MIN..=extent_max).contains(&extent) {
+    if extent <= 0.0 || extent.is_nan() || (EXTENT_MIN..=extent_max).contains(&extent) {
         return None;
     }
     // Of organs and instruments; the plausible range of what was read is wider than that.

@@ -13,7 +13,8 @@ pub mod fluid;
 pub mod instruments;
 pub mod linear_fem;
 pub mod mass_spring;
-pub mod rest_position;
+pub mod region_stiffness;
+mod rest_position;
 pub mod suture;
 pub mod suture_thread;
 pub mod thermal_damage;
@@ -39,6 +40,7 @@ pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::MassSpringController;
 pub use mass_spring::component::MassSpringBody;
 pub use mass_spring::factor_job::{SpringFactor, WantedSheetFactor};
+pub use region_stiffness::{RegionMaterial, SoftRegions};
 pub use suture::SutureController;
 pub use suture::components::{SewnTissue, SutureMemory, SutureNeedle};
 pub use suture_thread::ThreadController;
@@ -59,7 +61,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         MassSpringBody, SpringFactor, DynamicFemBody, DynamicFemMemory, XpbdBody, XpbdGroups,
         LinearFemBody, linear_fem::contacts::Contacts, PinPlaces,
         cutting::surface::Cuts, VolumeCuts, SurfaceElements,
-        CauterisedBody, ElectrodeTip, RemovedElements, CoagulatedElements, HeatState, Plume,
+        CauterisedBody, ElectrodeTip, RemovedElements, CoagulatedElements, HeatState, Plume, SoftRegions,
         SmokeCloud, SmokeCloudState, Vessel, VesselState, Patient, PatientState,
         Liquid, LiquidWall, Irrigator, Sucker, LiquidState,
         SewnTissue, SutureNeedle, SutureMemory, ThreadBody, ThreadMemory, KnotState, TiedBody,

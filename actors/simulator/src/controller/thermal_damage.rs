@@ -8,7 +8,11 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
-use trocar_scene::{Access, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates};
+use trocar_scene::{
+    Access, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TetRegions, TextureCoordinates,
+};
+
+use super::region_stiffness::SoftRegions;
 
 /// Removed elements of a body's first mesh: tetrahedra of a volume, triangles of a membrane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
@@ -45,6 +49,8 @@ pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
     access
         .reads::<RemovedElements>()
         .reads::<CoagulatedElements>()
+        .reads::<SoftRegions>()
+        .reads::<TetRegions>()
         .writes::<SurfaceMesh>(EntitySet::Of(bodies.to_vec()))
         .writes::<TextureCoordinates>(EntitySet::Of(bodies.to_vec()))
 }
@@ -54,8 +60,12 @@ pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
 pub struct ThermalDamage {
     /// Removed elements, in order of removal.
     pub removed: Arc<Vec<u32>>,
-    /// Coagulated elements, ascending.
+    /// Coagulated elements, ascending; those of regions with a stiffness of their own included.
     pub coagulated: Arc<Vec<CoagulatedElement>>,
+    /// Stiffness of each element of the first mesh before any heat, as a factor; empty when all are 1.
+    regions: Arc<Vec<f64>>,
+    /// Coagulation as last read, without the regions.
+    read: Arc<Vec<CoagulatedElement>>,
 }
 
 impl ThermalDamage {
@@ -68,7 +78,23 @@ impl ThermalDamage {
             all if all >= removed.len() => removed,
             _ => Arc::new(removed[..taken].to_vec()),
         };
-        Self { removed, coagulated: coagulated.unwrap_or_default() }
+        let read = coagulated.unwrap_or_default();
+        Self { removed, coagulated: read.clone(), regions: Arc::default(), read }
+    }
+
+    /// These elements; the coagulated ones ascending.
+    #[must_use]
+    pub fn listed(removed: Vec<u32>, coagulated: Vec<CoagulatedElement>) -> Self {
+        let (removed, coagulated) = (Arc::new(removed), Arc::new(coagulated));
+        Self { removed, coagulated, ..Self::default() }
+    }
+
+    /// With the stiffness of each element of the first mesh, as a factor; none when it is empty.
+    #[must_use]
+    pub fn of_regions(mut self, regions: Arc<Vec<f64>>) -> Self {
+        self.coagulated = with_regions(&regions, &self.read);
+        self.regions = regions;
+        self
     }
 
     /// Reads the scene: newly removed elements, and those whose coagulation has changed, since the last call.
@@ -81,10 +107,11 @@ impl ThermalDamage {
             self.removed = now.elements.clone();
         }
         if let Some(now) = scene.get::<CoagulatedElements>(entity)
-            && !Arc::ptr_eq(&now.elements, &self.coagulated)
+            && !Arc::ptr_eq(&now.elements, &self.read)
         {
-            changed.extend(now.elements.iter().filter(|of| self.of(of.element) != Some(**of)));
-            self.coagulated = now.elements.clone();
+            let all = with_regions(&self.regions, &now.elements);
+            changed.extend(all.iter().filter(|of| self.of(of.element) != Some(**of)));
+            (self.coagulated, self.read) = (all, now.elements.clone());
         }
         (gone, changed)
     }
@@ -102,4 +129,21 @@ impl ThermalDamage {
         let at = self.coagulated.binary_search_by_key(&element, |of| of.element).ok()?;
         Some(self.coagulated[at])
     }
+}
+
+/// Coagulation on top of the stiffness of regions, ascending.
+fn with_regions(regions: &[f64], heated: &Arc<Vec<CoagulatedElement>>) -> Arc<Vec<CoagulatedElement>> {
+    if regions.is_empty() {
+        return heated.clone();
+    }
+    let stiff = |element: u32| regions.get(element as usize).copied().unwrap_or(1.0);
+    let mut all: Vec<CoagulatedElement> = heated
+        .iter()
+        .map(|of| CoagulatedElement { stiffness: of.stiffness * stiff(of.element), ..*of })
+        .collect();
+    let is_heated = |element: u32| heated.binary_search_by_key(&element, |of| of.element).is_ok();
+    let cold = (0..regions.len() as u32).filter(|&element| stiff(element) != 1.0 && !is_heated(element));
+    all.extend(cold.map(|element| CoagulatedElement { element, stiffness: stiff(element), length: 1.0 }));
+    all.sort_unstable_by_key(|of| of.element);
+    Arc::new(all)
 }

@@ -5,4 +5,5 @@ mod frozen;
 mod frozen_fluids;
 mod grasp;
 mod picking;
+mod regions;
 mod rigid_contact;

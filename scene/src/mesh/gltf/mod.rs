@@ -82,7 +82,8 @@ pub fn read_gltf(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDa
 fn split_glb<'a>(cursor: &Cursor<'a>, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [u8]>), MeshError> {
     use crate::mesh::cursor::Order::Little;
     if !bytes.starts_with(b"glTF") {
-        return Ok((bytes, None));
+        let text = Cursor::of_text(cursor.file, bytes, cursor.limits)?;
+        return Ok((text.remaining(), None));
     }
     let mut cursor = cursor.clone();
     cursor.take(4, "the magic number")?;

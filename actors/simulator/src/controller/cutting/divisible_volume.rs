@@ -17,6 +17,7 @@ use super::scissors::swept;
 use super::volume::{Elements, FailureCriteria, Split, VolumeCuts};
 use super::volume_surface::{after_change, faces_of};
 use crate::controller::cauterised::CauterisedBody;
+use crate::controller::region_stiffness;
 use crate::controller::thermal_damage::{self, CoagulatedElement, RemovedElements, ThermalDamage};
 
 /// A divisible volume and its topology changes.
@@ -51,7 +52,9 @@ impl DivisibleVolume {
         if burns.is_some_and(|burns| burns.thickness.is_some()) {
             return Err("it moves as a volume: 'cauterised' has no 'thickness' then".into());
         }
+        let regions = region_stiffness::factors(scene, body.entity, failure_criteria.young_modulus)?;
         let heats = burns.is_some() || scene.get::<RemovedElements>(body.entity).is_some();
+        let heats = heats || !regions.is_empty();
         if !(failure_criteria.cut || failure_criteria.tears.is_some() || heats || known.is_some()) {
             return Ok(None);
         }
@@ -66,7 +69,7 @@ impl DivisibleVolume {
         cuts.parts_of.iter().zip(first..).for_each(|(of, part)| parts.entry(*of).or_default().push(part));
         // Their nodes are duplicated already, where necessary.
         volume.open(&cuts.opened).map_err(|error| error.to_string())?;
-        let heated = ThermalDamage::known(scene, body.entity, cuts.taken as usize);
+        let heated = ThermalDamage::known(scene, body.entity, cuts.taken as usize).of_regions(regions);
         let there = all_parts(&parts, &heated.removed).filter(|&tet| volume.tet(tet).is_some());
         let there: Vec<u32> = there.collect();
         volume.take_out(&there).map_err(|error| error.to_string())?;
@@ -110,7 +113,7 @@ impl DivisibleVolume {
         let removed = all_parts(&self.parts, &self.heated.removed).collect();
         let mut coagulated: Vec<CoagulatedElement> = self.all_coagulated(&self.heated.coagulated);
         coagulated.sort_unstable_by_key(|of| of.element);
-        ThermalDamage { removed: Arc::new(removed), coagulated: Arc::new(coagulated) }
+        ThermalDamage::listed(removed, coagulated)
     }
 
     fn all_coagulated(&self, first: &[CoagulatedElement]) -> Vec<CoagulatedElement> {

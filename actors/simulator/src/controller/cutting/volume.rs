@@ -158,4 +158,6 @@ pub struct FailureCriteria {
     pub tears: Option<(f64, [f64; 2])>,
     /// Whether its stress is that of linear elasticity.
     pub is_linear: bool,
+    /// Young's modulus \[Pa\].
+    pub young_modulus: f64,
 }

@@ -92,6 +92,7 @@ impl DynamicFemBody {
             hangs_on: false,
             tears: self.strength.map(|strength| (strength, lame)),
             is_linear: false,
+            young_modulus: self.young_modulus,
         })
     }
 

@@ -84,7 +84,15 @@ impl LinearFemBody {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
         let tears = self.strength.map(|strength| (strength, lame));
-        Ok(FailureCriteria { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
+        let young_modulus = self.young_modulus;
+        Ok(FailureCriteria {
+            cut: self.cut,
+            halves: false,
+            hangs_on: true,
+            tears,
+            is_linear: true,
+            young_modulus,
+        })
     }
 
     fn ranges(&self) -> Result<(), ComponentError> {

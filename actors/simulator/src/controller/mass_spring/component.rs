@@ -188,6 +188,7 @@ impl MassSpringBody {
             // Split elements would need shorter steps.
             halves: self.method == Method::Implicit,
             tears: self.strength.map(|strength| (strength, [shear, shear])),
+            young_modulus,
             ..FailureCriteria::default()
         }
     }

@@ -139,6 +139,7 @@ impl XpbdBody {
             hangs_on: false,
             tears: self.strength.map(|strength| (strength, [lambda, mu])),
             is_linear: false,
+            young_modulus,
         }
     }
 
