@@ -50,6 +50,8 @@ pub enum Command {
         #[command(subcommand)]
         command: FaultsCommand,
     },
+    /// Inspect a mesh file: size, unit, volume, defects, worst elements, regions; draw it, mend it
+    Mesh(crate::mesh::MeshArgs),
     /// Draw a picture of every scenario, without a window
     Gallery(crate::gallery::GalleryArgs),
     /// Run random fault plans in virtual time, on all cores, and check what must hold whatever they do
@@ -65,6 +67,17 @@ pub enum Command {
         /// The shell
         shell: clap_complete::Shell,
     },
+}
+
+impl Command {
+    /// Folders from which meshes may be read.
+    pub fn assets(&self) -> &[PathBuf] {
+        match self {
+            Command::Run(args) => &args.session.assets,
+            Command::Graph(args) => &args.session.assets,
+            _ => &[],
+        }
+    }
 }
 
 /// What to simulate.
@@ -91,6 +104,9 @@ pub struct SessionArgs {
     /// `hand.…`
     #[arg(long, value_name = "FIELD=VALUE", value_parser = tuning::parse_assignment)]
     pub set: Vec<(String, Value)>,
+    /// A folder besides the scenario's own from which its meshes may be read; may be given several times
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
+    pub assets: Vec<PathBuf>,
     /// Sets of values to switch between while the session runs (see `trocar tune`)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub tuning: Option<PathBuf>,

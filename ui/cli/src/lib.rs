@@ -22,6 +22,7 @@ mod gallery;
 mod graph;
 mod list;
 mod live_table;
+mod mesh;
 mod new;
 mod output;
 mod pictures;
@@ -44,6 +45,7 @@ use clap::{CommandFactory, FromArgMatches};
 use failure::Failure;
 use trocar::app::App;
 use trocar::summary::{Exit, SCHEMA};
+use trocar_scene::confined_path::Assets;
 
 /// The whole command line, every command with its options, for tests of the documentation.
 pub fn command_line() -> clap::Command {
@@ -70,7 +72,10 @@ impl CommandLine for App {
             Err(error) => return usage(&error),
         };
         start_log(cli.verbose);
-        match dispatch(&self, cli.command, command) {
+        let done = Assets::new(cli.command.assets())
+            .map_err(|error| Failure::usage(format!("--assets: {error}")))
+            .and_then(|assets| dispatch(&self.assets(assets), cli.command, command));
+        match done {
             Ok(exit) => ExitCode::from(exit.code()),
             Err(failure) => {
                 say(&failure.message);
@@ -89,6 +94,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Bench(args) => bench::bench(&args),
         Command::Tune(args) => tune::tune(&args),
         Command::Faults { command } => faults::faults(&command),
+        Command::Mesh(args) => mesh::mesh(app, &args),
         Command::Gallery(args) => gallery::gallery(app, &args),
         Command::Soak(args) => soak::run(app, &args),
         Command::New(args) => new::new(&args),

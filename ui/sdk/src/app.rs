@@ -11,6 +11,7 @@ use std::sync::{Arc, OnceLock};
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 use trocar_kernel::supervision::RuntimeClass;
+use trocar_scene::confined_path::Assets;
 use trocar_scene::scenario::{ControllerEntry, RATE_HZ, Scenario, ScenarioError};
 use trocar_scene::{
     BuildContext, Component, Controller, ControllerError, Registry, RegistryBuilder, RegistryError,
@@ -118,6 +119,7 @@ pub struct App {
     pub(crate) devices: BTreeMap<String, DeviceKind>,
     pub(crate) actors: Vec<ActorKind>,
     pub(crate) wrong: Option<SetupError>,
+    assets: Assets,
 }
 
 impl Default for App {
@@ -153,6 +155,7 @@ impl App {
             devices: BTreeMap::new(),
             actors: Vec::new(),
             wrong: wrong.map(SetupError::Registry),
+            assets: Assets::default(),
         }
     }
 
@@ -244,6 +247,13 @@ impl App {
         self.kinds.get(name)
     }
 
+    /// Folders besides a scenario's own from which its meshes may be read.
+    #[must_use]
+    pub fn assets(mut self, assets: Assets) -> Self {
+        self.assets = assets;
+        self
+    }
+
     /// Loads a scenario: a built-in name, or a file. The controllers that join every session are appended to it.
     ///
     /// # Errors
@@ -256,7 +266,7 @@ impl App {
         }
         let path = Path::new(name_or_file);
         if path.exists() || path.extension().is_some() {
-            return Ok(self.joined(Scenario::load(path, self.registry())?));
+            return Ok(self.joined(Scenario::load_with(path, self.registry(), &self.assets)?));
         }
         Err(AppError::UnknownScenario {
             name: name_or_file.to_owned(),
@@ -270,7 +280,7 @@ impl App {
     /// As [`Self::scenario`].
     pub fn scenario_from(&self, file: &Path, text: &str) -> Result<Scenario, AppError> {
         self.check()?;
-        Ok(self.joined(Scenario::parse(file, text, self.registry())?))
+        Ok(self.joined(Scenario::parse_with(file, text, self.registry(), &self.assets)?))
     }
 
     fn check(&self) -> Result<(), SetupError> {

@@ -18,6 +18,7 @@ const HEADINGS: [(&str, &[&str]); 4] = [
             "skill",
             "left-handed",
             "set",
+            "assets",
             "tuning",
             "use",
             "seconds",
