@@ -1,6 +1,7 @@
 //! Which way closed surfaces face: shells, cavities, bodies in bodies, and what a scenario makes of them.
 
 use crate::support as common;
+use trocar_scene::confined_path::Assets;
 use trocar_scene::mesh::{SurfaceData, repaired_surface, shells, validate_surface};
 use trocar_scene::{MeshRemarks, MeshRepaired, Registry, Scenario, SurfaceMesh, VertexPositions, shapes};
 
@@ -168,4 +169,28 @@ fn an_implausible_size_is_remarked_with_the_likely_unit() {
     assert!(remarks[0].contains("40 m across") && remarks[0].contains("scale = 0.00001"), "{remarks:?}");
     let (_, _, remarks) = loaded(&body(O, 2.0, true), "").expect("40 mm");
     assert!(remarks.is_empty(), "{remarks:?}");
+}
+
+#[test]
+fn a_mesh_beside_the_scenario_is_read_when_its_folder_is_allowed_and_textures_are_not() {
+    let registry = Registry::standard();
+    let folder = tempfile::tempdir().expect("a folder");
+    for below in ["meshes", "scenes"] {
+        std::fs::create_dir(folder.path().join(below)).expect("a folder");
+    }
+    std::fs::write(folder.path().join("meshes/x.obj"), common::write_obj(&body(O, 0.02, true)))
+        .expect("a file");
+    let file = folder.path().join("scenes/s.toml");
+    let write = |more: &str| {
+        let mesh = "mesh = { file = \"../meshes/x.obj\" }";
+        let text = format!("schema = 1\nname = \"s\"\n[[entity]]\nname = \"organ\"\n{mesh}\n{more}");
+        std::fs::write(&file, text).expect("a file");
+    };
+    write("");
+    let refused = Scenario::load(&file, &registry).expect_err("outside").to_string();
+    assert!(refused.contains("s.toml:5:") && refused.contains("'--assets DIR'"), "{refused}");
+    let allowed = Assets::new(&[folder.path().join("meshes")]).expect("a folder");
+    assert!(Scenario::load_with(&file, &registry, &allowed).is_ok());
+    write("visual_material = { color_map = { file = \"../meshes/x.png\" } }\n");
+    assert!(Scenario::load_with(&file, &registry, &allowed).is_err());
 }

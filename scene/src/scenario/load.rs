@@ -155,7 +155,7 @@ fn check_files_in(
 ) -> Result<(), ScenarioError> {
     match value.get_ref() {
         // Meshes may stand in other folders too, which is checked when they are read.
-        DeValue::String(_) if is_file && key == "entity.mesh.file" => Ok(()),
+        DeValue::String(_) if is_file && key == "entity, mesh, file" => Ok(()),
         DeValue::String(path) if is_file => {
             confined_path::below(folder, path).map(|_| ()).map_err(|why| source.error(value.span(), key, why))
         }
