@@ -2,6 +2,8 @@
 //!
 //! What takes minutes: `tests/run --thorough` runs it before a release.
 
+#[path = "tet_mesh/cut_grid.rs"]
+mod cut_grid;
 #[path = "suture_thread/knot_refinement.rs"]
 mod knot_refinement;
 #[path = "electrosurgery/refinement.rs"]

@@ -5,9 +5,12 @@
 //! any, [`TetMesh::repaired`] repairs what it can and reports the changes.
 
 pub(crate) mod adjacency;
+pub(crate) mod blade_crossing;
 pub(crate) mod blade_cut;
 pub(crate) mod blade_sweep;
 pub(crate) mod box_mesh;
+pub(crate) mod cut_path;
+pub(crate) mod cut_sides;
 pub(crate) mod edge_split;
 pub(crate) mod longest_edge_bisection;
 pub(crate) mod topology;
@@ -16,9 +19,10 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_scene::mesh::repaired_tets;
 
 pub use adjacency::NodeAdjacency;
-pub use blade_cut::{NodeMotion, OpenCut, PathNode};
+pub use blade_cut::NodeMotion;
 pub use blade_sweep::Sweep;
 pub use box_mesh::{BoxCells, box_cells};
+pub use cut_path::{OpenCut, PathNode, Stroke};
 pub use longest_edge_bisection::{NodesAndTets, RefineError, refined};
 pub use topology::{NodeOrigin, SplitTet, TetFace, Volume, VolumeChange, VolumeError};
 pub use trocar_scene::mesh::tet_faces::surface;

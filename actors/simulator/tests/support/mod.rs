@@ -3,6 +3,8 @@
 
 pub mod basin;
 pub mod beam;
+pub mod blade;
+pub mod cut_cases;
 pub mod delaunay;
 pub mod direct;
 pub mod freezing;

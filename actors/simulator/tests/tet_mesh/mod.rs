@@ -1,4 +1,5 @@
 //! Tetrahedral meshes.
 
+mod cut_through;
 mod mesh;
 mod topology;
