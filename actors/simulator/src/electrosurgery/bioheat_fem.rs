@@ -250,8 +250,8 @@ impl OrganHeat {
         }
         self.has_deposits = false;
         let [rise, ..] = &mut self.rest;
-        for node in 0..rise.len() {
-            rise[node] = self.deposits[node] / self.capacity[node];
+        for (rise, (joules, capacity)) in rise.iter_mut().zip(self.deposits.iter().zip(&self.capacity)) {
+            *rise = joules / capacity;
         }
         // Where tissue is gone, less is exchanged.
         let left = |node: usize| CAPACITY_KEPT * self.capacity[node] / self.capacity_least[node];
