@@ -75,7 +75,7 @@ impl ViscositySolver {
         before.extend_from_slice(velocities);
         if step.spread <= EXPLICIT * step.spacing * step.spacing {
             std::mem::swap(change, residual);
-            damp_noise(rows, step, velocities, [change, direction, image]);
+            damp_noise(rows, step, before, velocities, [change, direction, image]);
             return change;
         }
         // (1 - S) Δ = S v, where S are the forces over a substep, symmetric and negative.
@@ -124,10 +124,12 @@ impl ViscositySolver {
 /// Damps what neighbours do not share, the noise of the pressures: in a pool at rest it would go on for ever, since
 /// viscosity alone is too weak. The forces of the forces are nothing where velocities vary over many particles: a wave
 /// of 12 spacings loses a thousandth in a substep, one of 24 a hundred-thousandth. They keep momentum and angular
-/// momentum. `velocities` is a buffer.
+/// momentum. Where liquid is crowded, as in a wound that it comes from, they would be too strong: they go at most as far
+/// as kinetic energy falls. `before` are the velocities, `velocities` is a buffer that holds the same.
 fn damp_noise(
     rows: &Rows,
     step: ViscousStep,
+    before: &[[f32; 4]],
     velocities: &mut [[f32; 4]],
     [change, direction, image]: [&mut Vec<Vector3<f64>>; 3],
 ) {
@@ -141,7 +143,13 @@ fn damp_noise(
     }
     rows.copy_to_images(velocities);
     forces(velocities, image);
+    let (mut along, mut square) = (0.0, 0.0);
+    for (velocity, image) in before.iter().zip(&*image) {
+        along += (0..3).map(|axis| f64::from(velocity[axis]) * image[axis]).sum::<f64>();
+        square += image.norm_squared();
+    }
+    let share = if square > along { along / square } else { 1.0 };
     for (change, image) in change.iter_mut().zip(&*image) {
-        *change -= image;
+        *change -= image * share;
     }
 }
