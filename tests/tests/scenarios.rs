@@ -116,7 +116,7 @@ fn what_soft_bodies_of_shipped_scenarios_are_made_of_has_a_source_and_is_within_
     let app = app();
     let registry = app.registry();
     // Any other component with a material stiffness must be in the list.
-    let elsewhere = ["engine_soft", "thread", "needle"];
+    let elsewhere = ["engine_soft", "thread", "needle", "soft_regions"];
     for (_, entry) in registry.iter() {
         let schema = (entry.schema)().map(|schema| schema.to_string()).unwrap_or_default();
         let is_matter = ["young_modulus", "bending_stiffness"].iter().any(|of| schema.contains(*of));

@@ -13,10 +13,11 @@ const PURE: [&str; 7] = [
     "actors/tasks",
 ];
 /// Modules with a hash map that is used for look-ups only, never iterated.
-const LOOKUPS: [&str; 4] = [
+const LOOKUPS: [&str; 5] = [
     "scene/src/registry.rs",
-    "scene/src/mesh/gmsh.rs",
-    "scene/src/mesh/gmsh_v4.rs",
+    "scene/src/mesh/gmsh/mod.rs",
+    "scene/src/mesh/gmsh/v4.rs",
+    "scene/src/mesh/surface_repair.rs",
     "ui/viewer/src/gpu/passes.rs",
 ];
 /// Modules in which unsafe code is allowed: scheduling, timers, the kernel's event devices, counting allocations, a

@@ -461,7 +461,13 @@ fn a_mesh_is_inspected_mended_and_never_overwritten_unasked() {
     std::fs::write(folder.path().join("cube.obj"), &turned).expect("a file");
     let output = trocar(folder.path(), &["mesh", "cube.obj"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    for part in ["12 triangles, 8 vertices", "40 m × 40 m × 40 m", "the millimetre", "opposite orientation", "2 triangles were turned"] {
+    for part in [
+        "12 triangles, 8 vertices",
+        "40 m × 40 m × 40 m",
+        "the millimetre",
+        "opposite orientation",
+        "2 triangles were turned",
+    ] {
         assert!(stdout(&output).contains(part), "'{part}' is missing in {}", stdout(&output));
     }
     let mend = |more: &[&str]| {
@@ -501,8 +507,16 @@ fn meshes_of_another_folder_are_read_when_it_is_named() {
         [[controller]]\nname = \"engine\"\nkind = \"rapier\"\nrate_hz = 100\n";
     std::fs::write(folder.path().join("scenes/s.toml"), scene).expect("a file");
     let run = |more: &[&str]| {
-        let words =
-            ["run", "scenes/s.toml", "--lockstep", "--seconds", "0.1", "--no-record", "--no-report", "--json"];
+        let words = [
+            "run",
+            "scenes/s.toml",
+            "--lockstep",
+            "--seconds",
+            "0.1",
+            "--no-record",
+            "--no-report",
+            "--json",
+        ];
         trocar(folder.path(), &[&words, more].concat())
     };
     let refused = run(&[]);
