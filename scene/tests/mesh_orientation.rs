@@ -73,18 +73,9 @@ fn a_shell_is_inside_out_when_it_leaves_less_than_nothing_inside() {
 
 /// What a scenario makes of a surface: the volume, what was mended, what is worth knowing.
 fn loaded(surface: &SurfaceData, options: &str) -> Result<(f64, Option<String>, Vec<String>), String> {
-    let registry = Registry::standard();
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("x.obj"), common::write_obj(surface)).expect("a file");
-    let file = folder.path().join("s.toml");
-    let text = format!(
-        "schema = 1\nname = \"s\"\n[[entity]]\nname = \"organ\"\nmesh = {{ file = \"x.obj\", scale = 0.01{options} }}\n"
-    );
-    std::fs::write(&file, text).expect("a file");
-    let scenario = Scenario::load(&file, &registry).map_err(|error| error.to_string())?;
-    let store = scenario.spawn(&registry).expect("a valid scene");
+    let options = format!(", scale = 0.01{options}");
+    let (store, organ) = common::load_organ("x.obj", &common::write_obj(surface), &options)?;
     let view = store.view();
-    let organ = view.find("organ").expect("it is there");
     let positions = view.get::<VertexPositions>(organ).expect("vertices").positions.to_vec();
     let triangles = view.get::<SurfaceMesh>(organ).expect("triangles").triangles.to_vec();
     let volume = SurfaceData { positions, triangles, ..SurfaceData::default() }.volume();

@@ -4,22 +4,12 @@ use crate::support as common;
 use crate::support::tet_box;
 use crate::support::vtk_xml::{styles, write_vtu};
 use trocar_scene::mesh::TetData;
-use trocar_scene::{Registry, Scenario, TetMesh, TetRegions};
+use trocar_scene::{TetMesh, TetRegions};
 
 /// The elements and regions of a volume in a file.
 fn loaded(name: &str, bytes: &[u8], options: &str) -> Result<(Vec<[u32; 4]>, Option<TetRegions>), String> {
-    let registry = Registry::standard();
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join(name), bytes).expect("a file");
-    let file = folder.path().join("s.toml");
-    let text = format!(
-        "schema = 1\nname = \"s\"\n[[entity]]\nname = \"organ\"\nmesh = {{ file = \"{name}\"{options} }}\n"
-    );
-    std::fs::write(&file, text).expect("a file");
-    let scenario = Scenario::load(&file, &registry).map_err(|error| error.to_string())?;
-    let store = scenario.spawn(&registry).expect("a valid scene");
+    let (store, organ) = common::load_organ(name, bytes, options)?;
     let view = store.view();
-    let organ = view.find("organ").expect("it is there");
     let tets = view.get::<TetMesh>(organ).expect("elements").tets.to_vec();
     Ok((tets, view.get::<TetRegions>(organ).cloned()))
 }

@@ -2,22 +2,12 @@
 
 use crate::support as common;
 use trocar_scene::mesh::{Defect, MeshRules, TetData, tet_defects, validate_tets};
-use trocar_scene::{MeshRepaired, Registry, Scenario, TetMesh, VertexPositions};
-
-const HEAD: &str = "schema = 1\nname = \"meshes\"\n";
+use trocar_scene::{MeshRepaired, TetMesh, VertexPositions};
 
 /// What a scenario makes of a volume in a file; `options` follow the file's name.
 fn loaded(volume: &TetData, options: &str) -> Result<(TetData, Option<String>), String> {
-    let registry = Registry::standard();
-    let folder = tempfile::tempdir().expect("a folder");
-    std::fs::write(folder.path().join("x.vtk"), common::write_vtk(volume, true, 5)).expect("a file");
-    let file = folder.path().join("s.toml");
-    let text = format!("{HEAD}[[entity]]\nname = \"organ\"\nmesh = {{ file = \"x.vtk\"{options} }}\n");
-    std::fs::write(&file, text).expect("a file");
-    let scenario = Scenario::load(&file, &registry).map_err(|error| error.to_string())?;
-    let store = scenario.spawn(&registry).expect("a valid scene");
+    let (store, organ) = common::load_organ("x.vtk", &common::write_vtk(volume, true, 5), options)?;
     let view = store.view();
-    let organ = view.find("organ").expect("it is there");
     let positions = view.get::<VertexPositions>(organ).expect("vertices").positions.to_vec();
     let tets = view.get::<TetMesh>(organ).expect("elements").tets.to_vec();
     let told = view.get::<MeshRepaired>(organ).map(|repaired| repaired.what.clone());

@@ -6,6 +6,7 @@ pub mod vtk_xml;
 
 use nalgebra::Point3;
 use trocar_scene::mesh::{SurfaceData, TetData};
+use trocar_scene::{Entity, Registry, Scenario, Store};
 
 /// Two polygons, a strip, a line and a vertex as legacy poly data.
 pub const POLY_DATA: &str = "# vtk DataFile Version 5.1\nt\nASCII\nDATASET POLYDATA\nFIELD FieldData 1\n\
@@ -20,6 +21,23 @@ pub const POLY_DATA_XML: &str = "<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyDa
     <DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">0 0 0 1 0 0 1 1 0 0 1 0</DataArray></Points>\
     <Polys><DataArray type=\"Int32\" Name=\"connectivity\" format=\"ascii\">0 1 2 3</DataArray>\
     <DataArray type=\"Int32\" Name=\"offsets\" format=\"ascii\">4</DataArray></Polys></Piece></PolyData></VTKFile>\n";
+
+/// Loads a scenario whose one entity has the mesh of a file, from its bytes; `options` follow the file's name. The refusal,
+/// if it is refused.
+pub fn load_organ(name: &str, bytes: &[u8], options: &str) -> Result<(Store, Entity), String> {
+    let registry = Registry::standard();
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join(name), bytes).expect("a file");
+    let file = folder.path().join("s.toml");
+    let text = format!(
+        "schema = 1\nname = \"s\"\n[[entity]]\nname = \"organ\"\nmesh = {{ file = \"{name}\"{options} }}\n"
+    );
+    std::fs::write(&file, text).expect("a file");
+    let scenario = Scenario::load(&file, &registry).map_err(|error| error.to_string())?;
+    let store = scenario.spawn(&registry).expect("a valid scene");
+    let organ = store.view().find("organ").expect("it is there");
+    Ok((store, organ))
+}
 
 /// A box of `n` cells along each axis, six tetrahedra per cell, all of positive volume.
 pub fn tet_box(n: u32) -> TetData {
