@@ -65,8 +65,8 @@ struct Passage<'a> {
     ends: [Moving; 2],
     nodes: &'a NodeMotion,
     near: f64,
-    /// The side that normals face, if the blade turns about a point of its own: the normal of its faster end. Else
-    /// normals turn steadily along the blade.
+    /// The side that normals face, if the blade turns about a point of its own: the normal of its faster end. Else they
+    /// face as the blade moves.
     facing: Option<Vector3<f64>>,
 }
 
@@ -104,11 +104,19 @@ impl<'a> Passage<'a> {
         along > -out && along < 1.0 + out
     }
 
-    /// Normal of the swept area at a fraction of the way along the blade, for points that move so.
+    /// Normal of the swept area at a fraction of the way along the blade, for points that move so. Of a blade that turns
+    /// about a point of its own it is interpolated between the ends: that point rests, so its own motion is rounding,
+    /// or that of the tissue alone.
     fn normal(&self, along: f64, blade: &Vector3<f64>, motion: &Vector3<f64>) -> Option<Vector3<f64>> {
         let [from, to] = self.ends.map(|end| end.motion - motion);
-        let normal = blade.cross(&(from + (to - from) * along)).try_normalize(0.0)?;
-        Some(if self.facing.is_some_and(|facing| normal.dot(&facing) < 0.0) { -normal } else { normal })
+        let Some(facing) = self.facing else {
+            return blade.cross(&(from + (to - from) * along)).try_normalize(0.0);
+        };
+        let [from, to] = [from, to].map(|motion| {
+            let normal = blade.cross(&motion);
+            if normal.dot(&facing) < 0.0 { -normal } else { normal }
+        });
+        (from + (to - from) * along).try_normalize(0.0)
     }
 
     /// When and where the blade passes an edge: the time, the fraction along the edge, and the normal.
@@ -149,8 +157,13 @@ impl<'a> Passage<'a> {
     /// When the blade passes a node, the height of the node above it then, and the normal.
     fn passes(&self, node: Moving) -> Option<(f64, f64, Vector3<f64>)> {
         let [first, last] = self.span(&node.motion)?;
-        let ahead = |time: f64| self.beside(&node, time).map_or(f64::NAN, |beside| beside.ahead);
-        let time = root_between(ahead, first, last)?;
+        let side = |time: f64| self.side(&node, time).unwrap_or(f64::NAN);
+        // The far side of the point about which a blade turns goes backwards: a node there comes from behind the blade
+        // without being passed.
+        if self.facing.is_none() && side(first) < 0.0 {
+            return None;
+        }
+        let time = root_between(side, first, last)?;
         let Beside { height, normal, is_on_blade, .. } = self.beside(&node, time)?;
         is_on_blade.then_some((time, height, normal))
     }
@@ -165,6 +178,14 @@ impl<'a> Passage<'a> {
         self.span(&node.motion)?;
         let Beside { ahead, height, normal, is_on_blade } = self.beside(node, 1.0)?;
         (is_on_blade && ahead <= 0.0).then_some((1.0, height, normal))
+    }
+
+    /// On which side of the blade a node is: the sign changes when the blade passes it. The two halves of a blade that
+    /// turns about a point of its own go opposite ways, so what lies ahead of it changes also without a passage.
+    fn side(&self, node: &Moving, time: f64) -> Option<f64> {
+        let Some(facing) = self.facing else { return Some(self.beside(node, time)?.ahead) };
+        let (from, blade) = self.blade(time);
+        Some(aside(&facing, &blade)?.cross(&blade).dot(&(node.at(time) - from)))
     }
 
     fn beside(&self, node: &Moving, time: f64) -> Option<Beside> {
@@ -194,6 +215,11 @@ struct Beside {
     normal: Vector3<f64>,
     /// Whether the blade is long enough to pass it.
     is_on_blade: bool,
+}
+
+/// The direction of a vector square to a blade.
+fn aside(way: &Vector3<f64>, blade: &Vector3<f64>) -> Option<Vector3<f64>> {
+    (way - blade * (way.dot(blade) / blade.norm_squared())).try_normalize(0.0)
 }
 
 /// A root of a function that changes its sign between two times.

@@ -72,6 +72,54 @@ pub fn goes_on_anyhow(mesh: &TetMesh, ticks: u32, seeds: Range<u64>) {
     }
 }
 
+/// A blade that turns in its plane about a point of its own inside the block: about its middle, about a point near its end
+/// and about the end itself; by half a turn, by two turns, to and fro, and in tissue that moves in time with the turns.
+pub fn turns_about_itself(mesh: &TetMesh, ticks: u32, seeds: Range<u64>) {
+    const TURNS: [(&str, f64, f64, f64); 6] = [
+        ("half a turn", 3.3, 0.1, 0.0),
+        ("two turns", 12.8, 0.1, 0.0),
+        ("near its end", 6.6, 0.01, 0.0),
+        ("about its end", 6.6, 0.0, 0.0),
+        ("to and fro", 3.4, 0.09, 0.15),
+        ("backwards", -3.3, 0.085, 0.0),
+    ];
+    for seed in seeds {
+        let cut = Cut::random(mesh, &mut Pcg64Mcg::seed_from_u64(seed));
+        let along = cut.normal.cross(&cut.way);
+        let blade = |angle: f64, behind: f64| {
+            let along = UnitQuaternion::from_axis_angle(&Unit::new_normalize(cut.normal), angle) * along;
+            [cut.point - along * behind, cut.point + along * (0.2 - behind)]
+        };
+        let check = |bench: &Bench, name: &str| {
+            let name = format!("{name}, {ticks} ticks, seed {seed}");
+            bench.has_pieces(2, PIECE, &name);
+            let lip = bench.lip() / section(mesh, &cut);
+            assert!((0.97..1.2).contains(&lip), "{name}: a lip of {lip} of the section");
+        };
+        for (name, turn, behind, sway) in TURNS {
+            let mut bench = Bench::new(mesh);
+            let steps = (f64::from(ticks) * (turn.abs() / 3.3).ceil()) as u32;
+            bench.follow(steps, |share| blade(turn * share + sway * (40.0 * share).sin(), behind));
+            check(&bench, name);
+        }
+        // Where the blade comes to its own cut again, the tissue is where it was.
+        let (number, turn) = (Vector3::new(30.0, 40.0, -20.0), 3.6);
+        let height = Vector3::new(0.3, -0.5, 0.4) * 2e-4;
+        let place = |point: &Point3<f64>, share: f64| {
+            point + height * (number.dot(&point.coords) + 2.0 * turn * share).sin()
+        };
+        let mut bench = Bench::new(mesh);
+        for tick in 0..ticks {
+            let [from, to] = [tick, tick + 1].map(|tick| f64::from(tick) / f64::from(ticks));
+            let rest = bench.volume.rest();
+            bench.nodes.positions = rest.iter().map(|point| place(point, to)).collect();
+            bench.nodes.moved = rest.iter().map(|point| place(point, to) - place(point, from)).collect();
+            bench.sweep(blade(turn * from, 0.1), blade(turn * to, 0.1));
+        }
+        check(&bench, "in tissue that moves");
+    }
+}
+
 /// Planes along faces, edges and diagonals of a grid's cells, this part of a cell off the nodes.
 pub fn through_nodes(cell: f64, off: f64, ticks: u32) {
     let mesh = block(cell);

@@ -2,7 +2,8 @@
 
 use crate::support::blade::block;
 use crate::support::cut_cases::{
-    bent, beside, crosses, deforms, goes_on_anyhow, in_planes, meshes, partly, through_nodes, twice,
+    bent, beside, crosses, deforms, goes_on_anyhow, in_planes, meshes, partly, through_nodes,
+    turns_about_itself, twice,
 };
 
 /// Planes by cells of 10 and 5 mm and by ticks.
@@ -20,6 +21,20 @@ fn every_way_of_going_on() {
     for cell in [0.01, 0.005] {
         for ticks in [5, 50, 200] {
             goes_on_anyhow(&block(cell), ticks, 0..if cell < 0.01 { 15 } else { 40 });
+        }
+    }
+}
+
+#[test]
+fn turns_about_a_point_of_the_blade_by_cells_and_ticks() {
+    for (cell, seeds) in [(0.01, 0..20), (0.005, 0..6)] {
+        for ticks in [3, 6, 20, 70] {
+            turns_about_itself(&block(cell), ticks, seeds.clone());
+        }
+    }
+    for (name, mesh) in meshes(0.008) {
+        if name != "random points" {
+            turns_about_itself(&mesh, 10, 0..8);
         }
     }
 }

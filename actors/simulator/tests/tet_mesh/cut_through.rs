@@ -4,7 +4,8 @@
 
 use crate::support::blade::{Bench, Cut, block, direction};
 use crate::support::cut_cases::{
-    bent, beside, crosses, deforms, goes_on_anyhow, in_planes, partly, through_nodes, twice,
+    bent, beside, crosses, deforms, goes_on_anyhow, in_planes, partly, through_nodes, turns_about_itself,
+    twice,
 };
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
@@ -24,6 +25,14 @@ fn two_pieces_come_of_a_blade_that_pauses_goes_back_and_forth_or_turns_on_its_wa
     for (ticks, seeds) in [(5, 0..8), (50, 8..12), (200, 14..15)] {
         goes_on_anyhow(&block(0.01), ticks, seeds);
     }
+}
+
+#[test]
+fn a_blade_that_turns_about_a_point_of_its_own_makes_two_pieces() {
+    for (ticks, seeds) in [(3, 25..28), (6, 16..18), (20, 27..28)] {
+        turns_about_itself(&block(0.01), ticks, seeds);
+    }
+    turns_about_itself(&block(0.005), 6, 16..17);
 }
 
 #[test]
