@@ -16,6 +16,7 @@
 //! caller; forces in newtons along the axes of the device's frame, acting on the hand at the handle's origin.
 //! Only [`DriverThread`] and the reader of gamepads read a clock; only `sched` and `gamepad/evdev` hold unsafe code.
 
+mod clock;
 mod device;
 mod driver_core;
 mod driver_thread;
@@ -35,10 +36,12 @@ mod reader;
 mod replay_hand;
 mod sched;
 mod spec;
+pub mod spec_options;
 mod sync;
 mod trajectory;
 mod virtual_hand;
 
+pub use clock::TimeUnit;
 pub use device::{Capabilities, DeviceError, DeviceState, Dofs, HandIntent, HapticDevice, Workspace, Wrench};
 pub use driver_core::{DriverConfig, DriverCore, DriverResume};
 pub use driver_thread::{DriverThread, DriverThreadConfig, DriverThreadError, Scheduling, SessionTime};

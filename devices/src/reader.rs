@@ -22,11 +22,14 @@ const QUOTE_MAX: usize = 40;
 /// Meaning of the first time in a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum StartTime {
-    /// Times are session times: a first row at 2 s is reached 2 s after the start.
-    #[default]
-    File,
     /// The first row is at the start of the session, whatever its time.
+    #[default]
     Zero,
+    /// Times are session times: a first row at 2 s is reached 2 s after the start.
+    File,
+    /// The session starts at this time of the file's clock \[ns\]; earlier rows are left out. So hands that were
+    /// recorded by one clock stay together.
+    At(i64),
 }
 
 /// Why a recording of a hand was not read. Messages name file, line and column.
@@ -118,6 +121,42 @@ pub enum RowProblem {
     NotANumber {
         /// The text found, quoted and shortened.
         text: String,
+    },
+    /// Neither a number nor a time.
+    #[error(
+        "{text} is no time; valid are numbers (s, ms, us or ns) and times such as 2026-11-27T14:05:00.250Z"
+    )]
+    NotATime {
+        /// The text found, quoted and shortened.
+        text: String,
+    },
+    /// Times of another clock than the session's, which are to be taken as session times.
+    #[error(
+        "with start=file the hand would begin to move {time_secs} s after the start of the session: leave start=file \
+         out, and it begins with the first row"
+    )]
+    NotSessionTime {
+        /// The time \[s\].
+        time_secs: f64,
+    },
+    /// All rows are before the time at which the session starts.
+    #[error("the session starts at {start_secs} s of this clock, but the last row is at {time_secs} s")]
+    OverBeforeStart {
+        /// Where the session starts \[s\].
+        start_secs: f64,
+        /// Time of the last row \[s\].
+        time_secs: f64,
+    },
+    /// Many rows, far apart: the unit is likely another.
+    #[error(
+        "{rows} rows are {apart_secs} s apart on average, too far for a hand: add time=ms, time=us or time=ns if the \
+         times are in such a unit, time=s if they are in seconds all the same"
+    )]
+    TooSlow {
+        /// How many rows there are.
+        rows: usize,
+        /// How far they are apart \[s\].
+        apart_secs: f64,
     },
     /// NaN or an infinity.
     #[error("the number is not finite")]

@@ -5,10 +5,11 @@
 //! virtual:impedance=off,mass=0.05             … with others
 //! replay:FILE                                 a CSV of hand motion (t,x,y,z,qw,qx,qy,qz,gripper)
 //! replay:FILE,force=on,arm_stiffness=300      … on which force acts
+//! replay:FILE,start=1700000000.5,time=ns      … from this time of its clock on, which counts nanoseconds
 //! jigsaws:FILE,side=left,source=slave,scale=1.0
 //! ```
 //!
-//! A file's name ends at the first comma.
+//! A file's name ends at the first comma. [`crate::spec_options`] has all the keys.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -16,48 +17,18 @@ use std::str::FromStr;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use thiserror::Error;
 
+use crate::clock::{TimeUnit, parse_time};
 use crate::device::{Dofs, HapticDevice, Workspace};
 use crate::hand_config::{HandConfigError, VirtualHandConfig};
 use crate::hand_csv::read_hand_csv;
 use crate::jigsaws::{JigsawsSelection, JigsawsSide, JigsawsSource, read_jigsaws};
 use crate::reader::{ReadError, StartTime};
 use crate::replay_hand::ReplayHand;
+use crate::spec_options::{DeviceOption, HAND_OPTIONS, JIGSAWS_OPTIONS, REPLAY_OPTIONS};
 use crate::trajectory::{Registration, Trajectory, TrajectoryError};
 use crate::virtual_hand::VirtualHand;
 
 const KINDS: &str = "virtual, replay:FILE, jigsaws:FILE";
-const HAND_KEYS: [&str; 26] = [
-    "impedance",
-    "mass",
-    "damping",
-    "friction",
-    "arm_mass",
-    "arm_damping",
-    "arm_stiffness",
-    "push_x",
-    "push_y",
-    "push_z",
-    "x",
-    "y",
-    "z",
-    "workspace",
-    "stops",
-    "stop_stiffness",
-    "stop_damping",
-    "orientation_hz",
-    "finger_lag",
-    "finger_speed",
-    "gripper_max",
-    "quantise",
-    "velocity_cutoff",
-    "max_force",
-    "max_torque",
-    "outputs",
-];
-const REPLAY_KEYS: [&str; 2] = ["force", "start"];
-const JIGSAWS_KEYS: [&str; 11] =
-    ["force", "side", "source", "scale", "centre", "at_x", "at_y", "at_z", "roll", "pitch", "yaw"];
-
 /// A device as a user names it; see the module for the text.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DeviceSpec {
@@ -69,6 +40,8 @@ pub enum DeviceSpec {
         file: PathBuf,
         /// Meaning of its first time.
         start: StartTime,
+        /// Unit of its times, if they are numbers; none: as the file tells.
+        unit: Option<TimeUnit>,
         /// The virtual hand on which force acts; none: force has no effect.
         force: Option<VirtualHandConfig>,
     },
@@ -193,7 +166,9 @@ impl DeviceSpec {
     pub fn build(&self) -> Result<Box<dyn HapticDevice>, BuildError> {
         match self {
             Self::Virtual(config) => Ok(Box::new(VirtualHand::new(config.clone())?)),
-            Self::Replay { file, start, force } => replay(read_hand_csv(file, *start)?, force.as_ref()),
+            Self::Replay { file, start, unit, force } => {
+                replay(read_hand_csv(file, *start, *unit)?, force.as_ref())
+            }
             Self::Jigsaws { file, selection, centre, registration, force } => {
                 let trajectory = read_jigsaws(file, *selection)?;
                 let mut registration = *registration;
@@ -275,7 +250,7 @@ impl Pair<'_> {
 fn pairs<'a>(
     kind: &'static str,
     rest: &'a str,
-    valid: &[&[&'static str]],
+    valid: &[&[DeviceOption]],
 ) -> Result<Vec<Pair<'a>>, SpecError> {
     let mut pairs: Vec<Pair<'a>> = Vec::new();
     for part in rest.split(',').map(str::trim).filter(|part| !part.is_empty()) {
@@ -283,8 +258,9 @@ fn pairs<'a>(
             return Err(SpecError::NotAPair { kind, text: part.to_owned() });
         };
         let (key, value) = (key.trim(), value.trim());
-        if !valid.iter().any(|keys| keys.contains(&key)) {
-            let valid = valid.iter().map(|keys| keys.join(", ")).collect::<Vec<_>>().join(", ");
+        let mut known = valid.iter().copied().flatten().map(|option| option.key);
+        if !known.clone().any(|known| known == key) {
+            let valid = known.by_ref().collect::<Vec<_>>().join(", ");
             return Err(SpecError::UnknownKey { kind, key: key.to_owned(), valid });
         }
         if pairs.iter().any(|pair| pair.key == key) {
@@ -346,7 +322,7 @@ fn checked(kind: &'static str, config: VirtualHandConfig) -> Result<VirtualHandC
 fn parse_virtual(rest: &str) -> Result<DeviceSpec, SpecError> {
     let kind = "virtual";
     let mut config = VirtualHandConfig::default();
-    for pair in pairs(kind, rest, &[&HAND_KEYS])? {
+    for pair in pairs(kind, rest, &[&HAND_OPTIONS])? {
         set_figure(&mut config, &pair)?;
     }
     Ok(DeviceSpec::Virtual(checked(kind, config)?))
@@ -359,7 +335,8 @@ fn force_of(kind: &'static str, pairs: &[Pair<'_>]) -> Result<Option<VirtualHand
         None => false,
     };
     let mut config = VirtualHandConfig::default();
-    for pair in pairs.iter().filter(|pair| HAND_KEYS.contains(&pair.key)) {
+    let is_figure = |pair: &&Pair<'_>| HAND_OPTIONS.iter().any(|option| option.key == pair.key);
+    for pair in pairs.iter().filter(is_figure) {
         if !force {
             return Err(SpecError::NeedsForce { kind, key: pair.key.to_owned() });
         }
@@ -371,18 +348,39 @@ fn force_of(kind: &'static str, pairs: &[Pair<'_>]) -> Result<Option<VirtualHand
 fn parse_replay(rest: &str) -> Result<DeviceSpec, SpecError> {
     let kind = "replay";
     let (file, rest) = file_and_rest(kind, rest)?;
-    let pairs = pairs(kind, rest, &[&REPLAY_KEYS, &HAND_KEYS])?;
+    let pairs = pairs(kind, rest, &[&REPLAY_OPTIONS, &HAND_OPTIONS])?;
     let start = match pairs.iter().find(|pair| pair.key == "start") {
-        Some(pair) => pair.one_of(&[("file", StartTime::File), ("zero", StartTime::Zero)], "file or zero")?,
-        None => StartTime::File,
+        Some(pair) => start(pair)?,
+        None => StartTime::default(),
     };
-    Ok(DeviceSpec::Replay { file, start, force: force_of(kind, &pairs)? })
+    let unit = match pairs.iter().find(|pair| pair.key == "time") {
+        Some(pair) => {
+            let units = TimeUnit::ALL.map(|unit| (unit.symbol(), unit));
+            Some(pair.one_of(&units, "s, ms, us or ns")?)
+        }
+        None => None,
+    };
+    Ok(DeviceSpec::Replay { file, start, unit, force: force_of(kind, &pairs)? })
+}
+
+/// Where a recording starts: by its own clock, or by the session's.
+fn start(pair: &Pair<'_>) -> Result<StartTime, SpecError> {
+    match pair.value {
+        "zero" => Ok(StartTime::Zero),
+        "file" => Ok(StartTime::File),
+        time => match parse_time(time.as_bytes(), None) {
+            Ok(time) => Ok(StartTime::At(time.ns)),
+            Err(_) => {
+                Err(pair.wrong("zero, file, or a time of the file's clock: seconds, a Unix time or a date"))
+            }
+        },
+    }
 }
 
 fn parse_jigsaws(rest: &str) -> Result<DeviceSpec, SpecError> {
     let kind = "jigsaws";
     let (file, rest) = file_and_rest(kind, rest)?;
-    let pairs = pairs(kind, rest, &[&JIGSAWS_KEYS, &HAND_KEYS])?;
+    let pairs = pairs(kind, rest, &[&JIGSAWS_OPTIONS, &HAND_OPTIONS])?;
     let mut selection = JigsawsSelection::default();
     let mut centre = true;
     let mut scale = 1.0;
@@ -437,7 +435,7 @@ mod tests {
 
     #[test]
     fn every_listed_key_is_understood() {
-        for key in HAND_KEYS {
+        for DeviceOption { key, .. } in HAND_OPTIONS {
             let value = match key {
                 "impedance" | "stops" | "quantise" => "on",
                 "workspace" => "0.1x0.1x0.1",
@@ -446,7 +444,7 @@ mod tests {
             };
             assert!(format!("virtual:{key}={value}").parse::<DeviceSpec>().is_ok(), "{key}");
         }
-        for key in JIGSAWS_KEYS {
+        for DeviceOption { key, .. } in JIGSAWS_OPTIONS {
             let value = match key {
                 "force" | "centre" => "off",
                 "side" => "right",
@@ -455,15 +453,49 @@ mod tests {
             };
             assert!(format!("jigsaws:f,{key}={value}").parse::<DeviceSpec>().is_ok(), "{key}");
         }
+        for DeviceOption { key, .. } in REPLAY_OPTIONS {
+            let value = if key == "time" {
+                "ms"
+            } else if key == "start" {
+                "file"
+            } else {
+                "on"
+            };
+            assert!(format!("replay:f,{key}={value}").parse::<DeviceSpec>().is_ok(), "{key}");
+        }
     }
 
     #[test]
     fn a_replay_takes_a_file_and_figures_where_force_acts() {
         let spec: DeviceSpec = "replay:a b.csv,force=on,arm_stiffness=300,start=zero".parse().unwrap();
-        let DeviceSpec::Replay { file, start, force: Some(config) } = spec else { panic!() };
+        let DeviceSpec::Replay { file, start, force: Some(config), unit: None } = spec else { panic!() };
         assert_eq!((file, start), (PathBuf::from("a b.csv"), StartTime::Zero));
         assert_eq!(config.arm.stiffness, 300.0);
         assert_eq!(error("replay:f,mass=1"), "key \"mass\" of device \"replay\" needs force=on");
+    }
+
+    #[test]
+    fn a_replay_starts_with_its_first_row_or_at_a_time_of_its_clock() {
+        let start = |text: &str| match text.parse() {
+            Ok(DeviceSpec::Replay { start, .. }) => start,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(start("replay:f.csv"), StartTime::Zero);
+        assert_eq!(start("replay:f.csv,start=file"), StartTime::File);
+        for time in ["1700000000.5", "1700000000500", "2023-11-14T22:13:20.5Z"] {
+            assert_eq!(
+                start(&format!("replay:f.csv,start={time}")),
+                StartTime::At(1_700_000_000_500_000_000)
+            );
+        }
+        assert_eq!(start("replay:f.csv,start=2.5"), StartTime::At(2_500_000_000));
+        let text = "replay:f.csv,time=us".parse();
+        assert!(
+            matches!(text, Ok(DeviceSpec::Replay { unit: Some(TimeUnit::Microseconds), .. })),
+            "{text:?}"
+        );
+        assert!(error("replay:f,start=soon").contains("valid is zero, file, or a time of the file's clock"));
+        assert!(error("replay:f,time=min").contains("valid is s, ms, us or ns"));
     }
 
     #[test]

@@ -49,10 +49,10 @@ fn assert_valid(trajectory: &Trajectory, times: &[u64]) {
 proptest! {
     #[test]
     fn any_bytes_are_read_or_refused_as_csv(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
-        prop_assert!(read_hand_csv_from(&bytes[..], "f", StartTime::File).is_err());
+        prop_assert!(read_hand_csv_from(&bytes[..], "f", StartTime::File, None).is_err());
         let mut with_header = b"t,x,y,z,qw,qx,qy,qz,gripper\n".to_vec();
         with_header.extend(bytes);
-        if let Ok(trajectory) = read_hand_csv_from(&with_header[..], "f", StartTime::Zero) {
+        if let Ok(trajectory) = read_hand_csv_from(&with_header[..], "f", StartTime::Zero, None) {
             assert_valid(&trajectory, &[]);
         }
     }
@@ -60,14 +60,14 @@ proptest! {
     #[test]
     fn any_table_is_read_or_refused_as_csv(text in rows(9, ","), times in prop::collection::vec(any::<u64>(), 4)) {
         let text = format!("t,x,y,z,qw,qx,qy,qz,gripper\n{text}");
-        if let Ok(trajectory) = read_hand_csv_from(text.as_bytes(), "f", StartTime::File) {
+        if let Ok(trajectory) = read_hand_csv_from(text.as_bytes(), "f", StartTime::File, None) {
             assert_valid(&trajectory, &times);
         }
     }
 
     #[test]
     fn any_good_table_is_read(text in good_rows(), times in prop::collection::vec(0..20_000_000_000_u64, 8)) {
-        let trajectory = read_hand_csv_from(text.as_bytes(), "f", StartTime::File).unwrap();
+        let trajectory = read_hand_csv_from(text.as_bytes(), "f", StartTime::File, None).unwrap();
         assert_valid(&trajectory, &times);
     }
 

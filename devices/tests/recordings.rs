@@ -6,7 +6,7 @@ use crate::support::{Bench, MS, force};
 use nalgebra::Vector3;
 use trocar_devices::{
     DeviceSample, DeviceSpec, HandIntent, HapticDevice, JigsawsSelection, JigsawsSide, JigsawsSource,
-    ReplayHand, StartTime, TrajectoryPoint, VirtualHand, VirtualHandConfig, read_hand_csv,
+    ReplayHand, StartTime, TimeUnit, TrajectoryPoint, VirtualHand, VirtualHandConfig, read_hand_csv,
     read_hand_csv_from, read_jigsaws_from,
 };
 
@@ -17,7 +17,7 @@ fn golden(name: &str) -> PathBuf {
 }
 
 fn csv_error(text: &str) -> String {
-    read_hand_csv_from(text.as_bytes(), "hand.csv", StartTime::File).unwrap_err().to_string()
+    read_hand_csv_from(text.as_bytes(), "hand.csv", StartTime::File, None).unwrap_err().to_string()
 }
 
 fn row_error(row: &str) -> String {
@@ -26,7 +26,7 @@ fn row_error(row: &str) -> String {
 
 #[test]
 fn a_golden_csv_plays_with_differentiated_velocities() {
-    let trajectory = read_hand_csv(&golden("hand.csv"), StartTime::File).unwrap();
+    let trajectory = read_hand_csv(&golden("hand.csv"), StartTime::File, None).unwrap();
     assert_eq!((trajectory.points().len(), trajectory.end_ns()), (4, 40_000_000));
     let state = trajectory.at(10_000_000);
     // From rows 0 and 2: 5 mm and -2 mm in 30 ms; 0.03 rad about z in 30 ms.
@@ -42,12 +42,94 @@ fn a_golden_csv_plays_with_differentiated_velocities() {
 #[test]
 fn columns_may_come_in_any_order_and_times_may_start_anywhere() {
     let text = "\u{feff}gripper, t ,x,y,z,qx,qy,qz,qw\r\n0.5,1700000000.5,1,2,3,0,0,0,1\r\n0.6,1700000001.5,1,2,3,0,0,0,1\r\n";
-    let file = read_hand_csv_from(text.as_bytes(), "f", StartTime::File).unwrap();
-    assert_eq!(file.start_ns(), 1_700_000_000_500_000_000);
-    let zero = read_hand_csv_from(text.as_bytes(), "f", StartTime::Zero).unwrap();
+    let read = |start| read_hand_csv_from(text.as_bytes(), "f", start, None);
+    let zero = read(StartTime::default()).unwrap();
     assert_eq!((zero.start_ns(), zero.end_ns()), (0, 1_000_000_000));
     let first = zero.points()[0].state;
     assert_eq!((first.gripper, first.pose_in_device.translation.z), (0.5, 3.0));
+    // A hand that would begin to move in 54 years.
+    let error = read(StartTime::File).unwrap_err().to_string();
+    assert!(
+        error.starts_with("f: line 2, column t: with start=file the hand would begin to move 1700000000.5 s"),
+        "{error}"
+    );
+    let today = text.replace("1700000000.5", "7.5").replace("1700000001.5", "8.5");
+    let file = read_hand_csv_from(today.as_bytes(), "f", StartTime::File, None).unwrap();
+    assert_eq!((file.start_ns(), file.end_ns()), (7_500_000_000, 8_500_000_000));
+}
+
+/// Rows 10 ms apart, whose times are given.
+fn rows_at(header: &str, times: &[&str]) -> String {
+    let rows = times.iter().enumerate().map(|(at, time)| format!("{time},0,0,0.00{at},1,0,0,0,0\n"));
+    HEADER.replacen('t', header, 1) + &rows.collect::<String>()
+}
+
+#[test]
+fn a_file_of_any_clock_begins_with_its_first_row() {
+    for (header, times) in [
+        ("t", ["0", "0.01", "0.02"]),
+        ("t", ["12.345", "12.355", "12.365"]),
+        ("t", ["-0.5", "-0.49", "-0.48"]),
+        ("t", ["1700000000.000000", "1700000000.010000", "1700000000.020000"]),
+        ("t", ["1700000000000", "1700000000010", "1700000000020"]),
+        ("t", ["1700000000000000", "1700000000010000", "1700000000020000"]),
+        ("t", ["1700000000000000000", "1700000000010000000", "1700000000020000000"]),
+        ("t", ["2023-11-14T22:13:19.995Z", "2023-11-14T22:13:20.005Z", "2023-11-14T22:13:20.015Z"]),
+        ("t", ["2023-11-14 23:59:59.99", "2023-11-15 00:00:00", "2023-11-15 00:00:00.01"]),
+        ("t", ["14:05:59.995", "14:06:00.005", "14:06:00.015"]),
+        ("t_s", ["0", "0.01", "0.02"]),
+        ("t_ms", ["5", "15", "25"]),
+        ("t_us", ["0", "10000", "20000"]),
+        ("t_ns", ["86000000000000", "86000010000000", "86000020000000"]),
+    ] {
+        let text = rows_at(header, &times);
+        let trajectory = read_hand_csv_from(text.as_bytes(), "f", StartTime::default(), None).unwrap();
+        let at: Vec<u64> = trajectory.points().iter().map(|point| point.time_ns).collect();
+        assert_eq!(at, [0, 10_000_000, 20_000_000], "{times:?}");
+        // 1 mm in 10 ms.
+        let speed = trajectory.points()[1].state.linear_velocity.z;
+        assert!((speed - 0.1).abs() < 1e-9, "{times:?}: {speed} m/s");
+    }
+    let text = rows_at("t", &["0", "10", "20"]);
+    let unit = Some(TimeUnit::Milliseconds);
+    let trajectory = read_hand_csv_from(text.as_bytes(), "f", StartTime::Zero, unit).unwrap();
+    assert_eq!(trajectory.end_ns(), 20_000_000);
+}
+
+#[test]
+fn two_hands_of_one_clock_stay_together_when_the_session_starts_at_a_time_of_it() {
+    let start = StartTime::At(1_700_000_000_000_000_000);
+    for (times, expected) in [
+        (["1700000000.5", "1700000000.51", "1700000000.52"], vec![500_000_000, 510_000_000, 520_000_000]),
+        (["1699999999.99", "1700000000", "1700000000.01"], vec![0, 10_000_000]),
+    ] {
+        let text = rows_at("t", &times);
+        let trajectory = read_hand_csv_from(text.as_bytes(), "f", start, None).unwrap();
+        let at: Vec<u64> = trajectory.points().iter().map(|point| point.time_ns).collect();
+        assert_eq!(at, expected);
+    }
+    let text = rows_at("t", &["1600000000.5", "1600000000.51", "1600000000.52"]);
+    let error = read_hand_csv_from(text.as_bytes(), "f", start, None).unwrap_err().to_string();
+    let expected = "f: line 4, column t: the session starts at 1700000000 s of this clock, but the last row is at 1600000000.52 s";
+    assert_eq!(error, expected);
+}
+
+#[test]
+fn a_clock_that_cannot_be_of_a_hand_is_refused_with_the_remedy() {
+    let rows: String = (0..100).map(|at| format!("{},0,0,0,1,0,0,0,0\n", 10 * at)).collect();
+    let text = format!("{HEADER}{rows}");
+    let read = |unit| read_hand_csv_from(text.as_bytes(), "f", StartTime::Zero, unit);
+    let error = read(None).unwrap_err().to_string();
+    assert!(error.contains("100 rows are 10 s apart") && error.contains("time=ms"), "{error}");
+    for (unit, end) in [(TimeUnit::Milliseconds, 990_000_000), (TimeUnit::Seconds, 990_000_000_000)] {
+        assert_eq!(read(Some(unit)).unwrap().end_ns(), end);
+    }
+    let lines = HEADER.replace('\n', "\r\n") + "0,0,0,0,1,0,0,0,0\r\n1,0,0,0,1,0,0,0,x\r\n";
+    assert!(csv_error(&lines).contains("line 3, column gripper"), "{}", csv_error(&lines));
+    assert!(
+        row_error("soon,0,0,0,1,0,0,0,0")
+            .contains("line 3, column t: \"soon\" is no time; valid are numbers")
+    );
 }
 
 #[test]
@@ -80,7 +162,7 @@ fn a_bad_csv_is_refused_by_file_line_and_column() {
 #[test]
 fn a_quaternion_that_was_rounded_is_normalised() {
     let text = format!("{HEADER}0,0,0,0,0.9995,0,0,0,0\n");
-    let trajectory = read_hand_csv_from(text.as_bytes(), "f", StartTime::File).unwrap();
+    let trajectory = read_hand_csv_from(text.as_bytes(), "f", StartTime::File, None).unwrap();
     assert_eq!(trajectory.points()[0].state.pose_in_device.rotation.w, 1.0);
 }
 

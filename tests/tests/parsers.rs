@@ -166,7 +166,7 @@ const ROWS: Bound = Bound { per_byte: 128, always: 256 << 10 };
 
 fn check_hand(bytes: &[u8]) -> Checked {
     for start in [StartTime::File, StartTime::Zero] {
-        let (read, peak) = peak_of(|| read_hand_csv_from(bytes, "hand.csv", start));
+        let (read, peak) = peak_of(|| read_hand_csv_from(bytes, "hand.csv", start, None));
         ROWS.holds(peak, bytes.len())?;
         check_trajectory(read.map_err(|error| error.to_string()), "hand.csv")?;
     }
@@ -446,7 +446,7 @@ fn what_the_mutations_start_from_is_valid() {
         for text in plans() {
             FaultPlan::parse(&lossy(&text), "a.toml").expect("valid");
         }
-        read_hand_csv_from(HAND.as_bytes(), "a.csv", StartTime::File).expect("valid");
+        read_hand_csv_from(HAND.as_bytes(), "a.csv", StartTime::File, None).expect("valid");
         let selection = JigsawsSelection { side: JigsawsSide::Left, source: JigsawsSource::Slave };
         read_jigsaws_from(jigsaws().as_bytes(), "a.txt", selection).expect("valid");
         for spec in &SPECS[..4] {

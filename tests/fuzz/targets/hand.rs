@@ -24,7 +24,7 @@ fn check(read: Result<Trajectory, String>, file: &str) {
 
 fuzz_target!(|bytes: &[u8]| {
     for start in [StartTime::File, StartTime::Zero] {
-        let read = ROWS.holds(bytes.len(), || read_hand_csv_from(bytes, "hand.csv", start));
+        let read = ROWS.holds(bytes.len(), || read_hand_csv_from(bytes, "hand.csv", start, None));
         check(read.map_err(|error| error.to_string()), "hand.csv");
     }
     for side in [JigsawsSide::Left, JigsawsSide::Right] {

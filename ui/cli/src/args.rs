@@ -90,7 +90,8 @@ pub struct SessionArgs {
     /// Seed of everything random
     #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
     pub seed: u64,
-    /// Another device for a hand: NAME=SPEC, such as `left=virtual:impedance=off` or `right=replay:hand.csv`
+    /// Another device for a hand: NAME=SPEC, such as `left=virtual:impedance=off` or `right=replay:hand.csv,start=file`;
+    /// `trocar list devices` names every device and all its options
     #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand)]
     pub hands: Vec<(String, String)>,
     /// Skill of the virtual trainee: novice, intermediate or expert
@@ -179,7 +180,7 @@ pub enum Listed {
     Controllers,
     /// Components that an entity can have.
     Components,
-    /// Devices that a hand can have.
+    /// Devices that a hand can have, and their options.
     Devices,
     /// Ready fault plans.
     Plans,

@@ -25,6 +25,8 @@ struct Listing {
     controller: Option<Usage>,
     /// For tissues only.
     parameters: &'static [TissueParameter],
+    /// For devices only: key, values and meaning of each option.
+    options: Vec<[&'static str; 3]>,
 }
 
 /// Rate and access of a kind of controller.
@@ -40,7 +42,13 @@ struct Usage {
 
 impl Listing {
     fn new(name: impl Into<String>, about: impl Into<String>) -> Self {
-        Self { name: name.into(), about: about.into(), controller: None, parameters: &[] }
+        Self {
+            name: name.into(),
+            about: about.into(),
+            controller: None,
+            parameters: &[],
+            options: Vec::new(),
+        }
     }
 
     fn json(&self) -> Result<Value, Failure> {
@@ -54,6 +62,11 @@ impl Listing {
         if !self.parameters.is_empty() {
             let parameter = |TissueParameter { name, unit, value, range, source }: &TissueParameter| json!({ "name": name, "unit": unit, "value": value, "range": range, "source": source });
             object["parameters"] = self.parameters.iter().map(parameter).collect();
+        }
+        if !self.options.is_empty() {
+            let option =
+                |[key, values, about]: &[&str; 3]| json!({ "key": key, "values": values, "about": about });
+            object["options"] = self.options.iter().map(option).collect();
         }
         Ok(object)
     }
@@ -69,6 +82,7 @@ impl Listing {
                 }
             }
         }
+        lines.extend(self.options.iter().map(|[key, values, about]| format!("    {key}={values}: {about}")));
         for TissueParameter { name, unit, value, range: [low, high], source } in self.parameters {
             let about = format!("{value} {unit}").trim_end().to_owned();
             lines.push(format!("    {name} {about}, found to be {low} to {high}: {source}"));
@@ -143,7 +157,14 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
             .iter()
             .map(|(_, entry)| Listing::new(entry.name, component_about((entry.schema)().as_ref())))
             .collect(),
-        Listed::Devices => app.devices().map(pair).collect(),
+        Listed::Devices => {
+            let device = |(usage, about): (&str, &str)| {
+                let options =
+                    app.device_options(usage).iter().map(|option| [option.key, option.values, option.about]);
+                Listing { options: options.collect(), ..Listing::new(usage, about) }
+            };
+            app.devices().map(device).collect()
+        }
         Listed::Plans => PLANS.iter().map(|(name, text)| Listing::new(*name, plans::about(text))).collect(),
         Listed::Suites => bench::SUITES.into_iter().map(pair).collect(),
         Listed::Tissues => {

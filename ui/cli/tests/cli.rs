@@ -280,6 +280,12 @@ fn lists_graphs_schemas_and_completions_are_printed() {
     for name in ["peg-transfer", "instrument_target", "replay:FILE", "kernel"] {
         assert!(all.contains(name), "'{name}' is not in: {all}");
     }
+    let devices = text(&["list", "devices"]);
+    for option in
+        ["arm_stiffness=0 to 20000 N/m", "start=zero|file|TIME", "time=s|ms|us|ns", "source=master|slave"]
+    {
+        assert!(devices.contains(option), "{option} in {devices}");
+    }
     let listed: Value = serde_json::from_str(&text(&["list", "scenarios", "--json"])).expect("JSON");
     assert_eq!(listed["scenarios"][0]["name"], "peg-transfer");
     let listed: Value = serde_json::from_str(&text(&["list", "tissues", "--json"])).expect("JSON");

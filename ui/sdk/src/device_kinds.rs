@@ -6,6 +6,7 @@ use std::path::Path;
 use std::str::FromStr;
 use std::sync::Arc;
 
+use trocar_devices::spec_options::{DeviceOption, options};
 use trocar_devices::{DeviceSpec, HapticDevice, ReplayHand, SpecError};
 use trocar_scene::Entity;
 
@@ -16,7 +17,7 @@ use crate::recorded_hand;
 /// Built-in devices: the text that selects one, and a description.
 pub const STANDARD_DEVICES: [(&str, &str); 4] = [
     ("virtual", "a virtual hand: the inertia and limits of a Phantom Omni, and a human arm"),
-    ("replay:FILE", "hand motion from CSV: t,x,y,z,qw,qx,qy,qz,gripper"),
+    ("replay:FILE", "hand motion from CSV: t,x,y,z,qw,qx,qy,qz,gripper; times of any clock"),
     ("jigsaws:FILE", "hand motion from JIGSAWS kinematics"),
     ("recording:FILE", "the same hand as in a recording of this program"),
 ];
@@ -88,6 +89,11 @@ impl App {
         STANDARD_DEVICES.into_iter().chain(own)
     }
 
+    /// The `key=value` options of a kind of device, given by its usage.
+    pub fn device_options(&self, usage: &str) -> &'static [DeviceOption] {
+        options(kind_of(usage))
+    }
+
     /// Makes the device of a hand from its text.
     pub(crate) fn make_device(
         &self,
@@ -153,6 +159,9 @@ mod tests {
     fn a_device_of_ones_own_is_known_by_its_name() {
         assert_eq!(started(&app(), "light:0.02"), Ok(0.02));
         assert!(app().devices().any(|(usage, _)| usage == "light:KILOGRAMS"));
+        assert!(app().device_options("light:KILOGRAMS").is_empty());
+        let keys = App::new().device_options("replay:FILE").iter().map(|option| option.key);
+        assert!(keys.eq(["force", "start", "time"]));
     }
 
     #[test]
