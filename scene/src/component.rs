@@ -1,10 +1,12 @@
 //! Components: plain serialisable types with a stable name, stored in columns.
 
+use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
+use crate::entity_mesh::EntityMesh;
 use crate::finite;
 use crate::soft_body::SoftAbilities;
 
@@ -56,6 +58,8 @@ pub enum RecordPolicy {
 /// | `record = …` | [`RECORD`](Self::RECORD) |
 /// | `soft_body = …` | the abilities of [`SOFT_BODY`](Self::SOFT_BODY) |
 /// | `partners = path` | the function of [`PARTNERS`](Self::PARTNERS) |
+/// | `fits = path` | the function of [`FITS`](Self::FITS) |
+/// | `lays = path` | the function of [`LAYS`](Self::LAYS) |
 /// | `crate = path` | where `trocar_scene` is, for a crate that knows it by another name |
 pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'static {
     /// Stable name in files, hashes and messages: lower case with underscores.
@@ -67,6 +71,11 @@ pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'stati
     /// For components that declare couplings: names of the bodies of other controllers to which its body gives
     /// impulses.
     const PARTNERS: Option<fn(&Self) -> Vec<&str>> = None;
+    /// For components that refer to parts of the entity's mesh: refuses what refers to nothing. Called while a scenario
+    /// is read, for entities that have a mesh.
+    const FITS: Option<Fits<Self>> = None;
+    /// For components that lay the vertices of the body themselves: where they are at rest \[m\], if they do.
+    const LAYS: Option<Lays<Self>> = None;
 
     /// Refuses values that must never reach a snapshot. The default refuses non-finite numbers; an override should call
     /// [`finite::check`] as well.
@@ -87,6 +96,12 @@ pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'stati
         None
     }
 }
+
+/// Whether a component fits the mesh of its entity.
+pub type Fits<T> = fn(&T, &EntityMesh<'_>) -> Result<(), ComponentError>;
+
+/// Where a component lays the vertices of its body, if it does.
+pub type Lays<T> = fn(&T) -> Option<Vec<Point3<f64>>>;
 
 /// A schema, as [`Component::schema`] returns it.
 pub use serde_json::Value as SchemaValue;

@@ -6,6 +6,7 @@ use std::hash::{BuildHasherDefault, Hasher};
 use std::ops::Range;
 use std::sync::Arc;
 
+use nalgebra::Point3;
 use thiserror::Error;
 
 use crate::column::{Column, ErasedColumn, take};
@@ -13,6 +14,7 @@ use crate::commands::Commands;
 use crate::component::{Component, ComponentError, RecordPolicy};
 use crate::document_value::DocumentValue;
 use crate::entity::Entity;
+use crate::entity_mesh::EntityMesh;
 use crate::puts::{ErasedPuts, Puts};
 use crate::soft_body::SoftAbilities;
 
@@ -26,6 +28,12 @@ type PutDocument =
 
 /// Decodes a value from the front of some bytes and returns the rest.
 type PutPostcard = for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>;
+
+/// Decodes a value that a check has passed, and tells whether it fits the mesh of its entity.
+type FitsDocument = fn(&DocumentValue, &EntityMesh<'_>) -> Result<(), ComponentError>;
+
+/// Decodes a value, and tells where it lays the vertices of its body.
+type LaysDocument = fn(&DocumentValue) -> Option<Vec<Point3<f64>>>;
 
 /// Entities that declare a coupling to a body, to which they give impulses.
 type NamedBy = fn(&dyn ErasedColumn, &str) -> Vec<Entity>;
@@ -44,6 +52,8 @@ pub struct ComponentEntry {
     /// Abilities of soft bodies that carry it.
     pub soft_body: Option<SoftAbilities>,
     named_by: Option<NamedBy>,
+    fits: Option<FitsDocument>,
+    lays: Option<LaysDocument>,
     type_id: TypeId,
     type_name: &'static str,
     pub(crate) new_column: fn() -> Arc<dyn ErasedColumn>,
@@ -174,6 +184,8 @@ impl RegistryBuilder {
                 schema: T::schema,
                 soft_body: T::SOFT_BODY,
                 named_by: T::PARTNERS.is_some().then_some(named_by::<T> as NamedBy),
+                fits: T::FITS.is_some().then_some(fits_document::<T> as FitsDocument),
+                lays: T::LAYS.is_some().then_some(lays_document::<T> as LaysDocument),
                 type_id,
                 type_name: std::any::type_name::<T>(),
                 new_column: || Arc::new(Column::<T>::default()),
@@ -214,6 +226,17 @@ fn put_document<T: Component>(
         Ok(value) => put_checked(commands, entity, value).map_err(|error| (None, error)),
         Err(error) => Err((error.place(), malformed(error.message()))),
     }
+}
+
+fn fits_document<T: Component>(value: &DocumentValue, mesh: &EntityMesh<'_>) -> Result<(), ComponentError> {
+    match (T::FITS, T::deserialize(value)) {
+        (Some(fits), Ok(value)) => fits(&value, mesh),
+        _ => Ok(()),
+    }
+}
+
+fn lays_document<T: Component>(value: &DocumentValue) -> Option<Vec<Point3<f64>>> {
+    T::LAYS?(&T::deserialize(value).ok()?)
 }
 
 fn put_postcard<'a, T: Component>(
@@ -332,6 +355,22 @@ impl Registry {
         value: &DocumentValue,
     ) -> Result<(), (Option<Range<usize>>, ComponentError)> {
         (self.entry(id).put_document)(commands, entity, value)
+    }
+    /// Whether a value of a document, which [`Self::put_document`] has taken, fits the mesh of its entity.
+    ///
+    /// # Errors
+    /// When it refers to parts of a mesh that are not there.
+    pub fn fits_document(
+        &self,
+        id: ComponentId,
+        value: &DocumentValue,
+        mesh: &EntityMesh<'_>,
+    ) -> Result<(), ComponentError> {
+        self.entry(id).fits.map_or(Ok(()), |fits| fits(value, mesh))
+    }
+    /// Where a component lays the vertices of its body \[m\], if it does.
+    pub fn lays_document(&self, id: ComponentId, value: &DocumentValue) -> Option<Vec<Point3<f64>>> {
+        self.entry(id).lays?(value)
     }
     /// Decodes a JSON value as the named component, which may stand in a scenario file, and puts it.
     ///

@@ -7,6 +7,7 @@ mod components_round_trip;
 mod core;
 mod decode_properties;
 mod mesh_dialects;
+mod mesh_fit;
 mod mesh_inspect;
 mod mesh_orientation;
 mod mesh_properties;

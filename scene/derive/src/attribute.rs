@@ -6,7 +6,7 @@ use syn::spanned::Spanned;
 use syn::{Attribute, Error, Expr, ExprLit, Ident, Lit, Path, Result};
 
 /// The keys, as a message lists them.
-const KEYS: &str = "name, check, schema, record, soft_body, partners, listed, crate";
+const KEYS: &str = "name, check, schema, record, soft_body, partners, fits, lays, listed, crate";
 
 /// What the attributes of a type say.
 #[derive(Default)]
@@ -18,6 +18,8 @@ pub struct Settings {
     pub record: Option<Expr>,
     pub soft_body: Option<Expr>,
     pub partners: Option<Path>,
+    pub fits: Option<Path>,
+    pub lays: Option<Path>,
     pub listed: Option<Path>,
     pub krate: Option<Path>,
 }
@@ -44,6 +46,8 @@ impl Settings {
             "record" => once(&mut self.record, value(meta)?, meta),
             "soft_body" => once(&mut self.soft_body, value(meta)?, meta),
             "partners" => once(&mut self.partners, path(meta)?, meta),
+            "fits" => once(&mut self.fits, path(meta)?, meta),
+            "lays" => once(&mut self.lays, path(meta)?, meta),
             "listed" => once(&mut self.listed, path(meta)?, meta),
             "crate" => once(&mut self.krate, path(meta)?, meta),
             "schema" if meta.input.peek(syn::Token![=]) => {

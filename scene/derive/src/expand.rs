@@ -37,6 +37,18 @@ fn implementation(item: TokenStream, krate: &str) -> Result<TokenStream> {
                 ::core::option::Option::Some(#partners);
         }
     });
+    let fits = settings.fits.map(|fits| {
+        quote! {
+            const FITS: ::core::option::Option<#krate::component::Fits<Self>> =
+                ::core::option::Option::Some(#fits);
+        }
+    });
+    let lays = settings.lays.map(|lays| {
+        quote! {
+            const LAYS: ::core::option::Option<#krate::component::Lays<Self>> =
+                ::core::option::Option::Some(#lays);
+        }
+    });
     // The calls have the places of the paths, so that an error about a function is shown there.
     let check = settings.check.map(|check| {
         let call = quote_spanned! { check.span() => #check(self) };
@@ -72,6 +84,8 @@ fn implementation(item: TokenStream, krate: &str) -> Result<TokenStream> {
             #record
             #soft_body
             #partners
+            #fits
+            #lays
             #check
             #listed
             #schema
@@ -104,6 +118,7 @@ mod tests {
             #[component(name = NAMES[N], check = Self::ranges, schema)]
             #[component(record = RecordPolicy::Derived, soft_body = Soft { cuts: true, ..Soft::NONE })]
             #[component(partners = partners, listed = Self::count, crate = my::scene)]
+            #[component(fits = fits, lays = Self::nodes)]
             enum Pulse<const N: usize> where [(); N]: Sized { A, B }
         });
         for part in [
@@ -112,6 +127,8 @@ mod tests {
             "constRECORD:my::scene::component::RecordPolicy=RecordPolicy::Derived;",
             "=::core::option::Option::Some(Soft{cuts:true,..Soft::NONE});",
             "Vec<&str>>=::core::option::Option::Some(partners);",
+            "constFITS:::core::option::Option<my::scene::component::Fits<Self>>=::core::option::Option::Some(fits);",
+            "constLAYS:::core::option::Option<my::scene::component::Lays<Self>>=::core::option::Option::Some(Self::nodes);",
             "{my::scene::finite::check(self)?;Self::ranges(self)}",
             "{::core::option::Option::Some(Self::count(self))}",
             "{::core::option::Option::Some(my::scene::component::schema_of::<Self>())}",

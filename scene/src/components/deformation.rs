@@ -6,6 +6,7 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::entity_mesh::EntityMesh;
 use crate::time::SimTime;
 use crate::{Component, ComponentError};
 
@@ -35,7 +36,7 @@ pub struct RestPositions {
 /// Fixed parts of a deformable body (Dirichlet boundary), as regions of the rest shape in the entity's frame: bones and
 /// ligaments behind an organ, clips on a gauze.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "anchors", check = Self::ranges, schema)]
+#[component(name = "anchors", check = Self::ranges, fits = Self::fits, schema)]
 #[serde(deny_unknown_fields)]
 pub struct Anchors {
     /// Regions whose vertices are fixed.
@@ -122,7 +123,22 @@ impl Region {
     pub fn contains(&self, point: &Point3<f64>) -> bool {
         match self {
             Self::Box { min, max } => (0..3).all(|k| point[k] >= min[k] && point[k] <= max[k]),
-            Self::Ball { center, radius } => (point - center).norm_squared() <= radius * radius,
+            Self::Ball { center, radius } => {
+                *radius >= 0.0 && (point - center).norm_squared() <= radius * radius
+            }
+        }
+    }
+}
+
+impl Region {
+    /// Why it holds nothing anywhere, if it does.
+    fn inverted(&self) -> Option<String> {
+        match self {
+            Self::Box { min, max } => {
+                let axis = (0..3).find(|&axis| min[axis] > max[axis])?;
+                Some(format!(", as its min is above its max along {}", ["x", "y", "z"][axis]))
+            }
+            Self::Ball { radius, .. } => (*radius < 0.0).then(|| ", as its radius is below 0".to_owned()),
         }
     }
 }
@@ -136,6 +152,19 @@ impl Anchors {
     fn ranges(&self) -> Result<(), ComponentError> {
         let valid = "at most 64";
         ComponentError::range("regions", self.regions.len() as f64, 0.0..=REGIONS_MAX as f64, valid)
+    }
+
+    /// Every region must hold a vertex: one that holds none is in the wrong place.
+    fn fits(&self, mesh: &EntityMesh<'_>) -> Result<(), ComponentError> {
+        let count = mesh.vertices.len();
+        let is_empty = |region: &Region| !mesh.vertices.iter().any(|vertex| region.contains(vertex));
+        let Some(at) = self.regions.iter().position(is_empty) else { return Ok(()) };
+        let which = match self.regions.len() {
+            1 => "they hold".to_owned(),
+            many => format!("region {} of {many} holds", at + 1),
+        };
+        let inverted = self.regions[at].inverted().unwrap_or_default();
+        Err(ComponentError::Malformed(format!("{which} none of {count} vertices{inverted}; {}", mesh.span())))
     }
 }
 

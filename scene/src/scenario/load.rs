@@ -19,10 +19,11 @@ use super::{
 };
 use crate::commands::Commands;
 use crate::component::Component;
-use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue};
+use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue, VertexPositions};
 use crate::confined_path::{self, Assets};
 use crate::document_value::DocumentValue;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
+use crate::entity_mesh::EntityMesh;
 use crate::registry::Registry;
 use crate::time::SimTime;
 use crate::tissue::tissue;
@@ -322,8 +323,38 @@ fn put_entity(
             |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),
         )?;
     }
-    if let Some(mesh) = meshes.get(&entity) {
+    let mesh = meshes.get(&entity);
+    if let Some(mesh) = mesh {
         mesh.put(commands, entity);
+    }
+    check_fit(&table, registry, mesh)
+}
+
+/// Refuses components that refer to parts of the entity's mesh which are not there.
+fn check_fit(table: &Table, registry: &Registry, mesh: Option<&LoadedMesh>) -> Result<(), ScenarioError> {
+    let mut components = Vec::new();
+    for (name, value) in table.table {
+        if let Ok(id) = registry.by_name(name.get_ref()) {
+            components.push((id, name.get_ref(), value.span(), DocumentValue::from(value)));
+        }
+    }
+    let laid = components.iter().find_map(|(id, .., value)| registry.lays_document(*id, value));
+    let declared = match (&laid, mesh) {
+        (None, None) => table.value::<VertexPositions>(VertexPositions::NAME)?,
+        _ => None,
+    };
+    let of_mesh = mesh.map(|mesh| EntityMesh {
+        vertices: &mesh.positions.positions,
+        tets: mesh.tets.as_ref().map_or(&[], |tets| &tets.tets),
+        regions: mesh.regions.as_ref().map(|regions| &regions.names[..]),
+    });
+    let bare = laid.as_deref().or(declared.as_ref().map(|declared| &declared.positions[..]));
+    let bare = bare.map(|vertices| EntityMesh { vertices, ..EntityMesh::default() });
+    let Some(mesh) = laid.as_ref().and(bare).or(of_mesh).or(bare) else { return Ok(()) };
+    for (id, name, span, value) in components {
+        registry
+            .fits_document(id, &value, &mesh)
+            .map_err(|error| table.error(span, name, error.to_string()))?;
     }
     Ok(())
 }

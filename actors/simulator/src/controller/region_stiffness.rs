@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Entity, Snapshot, TetRegions};
+use trocar_scene::{Component, ComponentError, Entity, EntityMesh, Snapshot, TetRegions};
 
 /// Materials of regions by their names. Other regions have the body's own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "soft_regions", check = Self::ranges, schema)]
+#[component(name = "soft_regions", check = Self::ranges, fits = Self::fits, schema)]
 #[serde(transparent)]
 pub struct SoftRegions(pub BTreeMap<String, RegionMaterial>);
 
@@ -25,6 +25,29 @@ pub struct RegionMaterial {
 }
 
 impl SoftRegions {
+    fn fits(&self, mesh: &EntityMesh<'_>) -> Result<(), ComponentError> {
+        if self.0.is_empty() {
+            return Ok(());
+        }
+        self.are_of(mesh.regions).map_err(ComponentError::Malformed)
+    }
+
+    /// Whether a mesh has all of them.
+    fn are_of(&self, regions: Option<&[String]>) -> Result<(), String> {
+        let Some(regions) = regions else {
+            return Err("its 'soft_regions' name regions, but its mesh has none: they come from physical groups of a \
+                        Gmsh file or a cell array of a VTK file"
+                .into());
+        };
+        match self.0.keys().find(|name| !regions.contains(name)) {
+            None => Ok(()),
+            Some(unknown) => {
+                let names = regions.join("', '");
+                Err(format!("its 'soft_regions' name '{unknown}'; its mesh has: '{names}'"))
+            }
+        }
+    }
+
     fn ranges(&self) -> Result<(), ComponentError> {
         let moduli = self.0.values().map(|region| region.young_modulus);
         moduli.into_iter().try_for_each(|modulus| {
@@ -42,15 +65,9 @@ pub(super) fn factors(scene: &Snapshot, entity: Entity, young_modulus: f64) -> R
     let Some(materials) = scene.get::<SoftRegions>(entity).filter(|materials| !materials.0.is_empty()) else {
         return Ok(Arc::default());
     };
-    let Some(regions) = scene.get::<TetRegions>(entity) else {
-        return Err("its 'soft_regions' name regions, but its mesh has none: they come from physical groups of a Gmsh \
-                    file or a cell array of a VTK file"
-            .into());
-    };
-    if let Some(unknown) = materials.0.keys().find(|name| !regions.names.contains(name)) {
-        let names = regions.names.join("', '");
-        return Err(format!("its 'soft_regions' name '{unknown}'; its mesh has: '{names}'"));
-    }
+    let regions = scene.get::<TetRegions>(entity);
+    materials.are_of(regions.map(|regions| &regions.names[..]))?;
+    let Some(regions) = regions else { return Ok(Arc::default()) };
     if young_modulus <= 0.0 {
         return Err("'soft_regions' are of volumes: it moves as something else".into());
     }

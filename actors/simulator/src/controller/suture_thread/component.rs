@@ -118,12 +118,17 @@ impl LiesOn {
     /// Assumed, as between instruments and tissue.
     fn friction() -> f64 {
         0.3
+    /// Where its nodes are at the start, if it is laid and can be.
+    fn laid_nodes(&self) -> Option<Vec<Point3<f64>>> {
+        self.nodes().ok().flatten()
+    }
+
     }
 }
 
 /// A suture thread. It needs a line mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "thread", check = Self::ranges, schema, partners = Self::partners)]
+#[component(name = "thread", check = Self::ranges, schema, partners = Self::partners, lays = Self::laid_nodes)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadBody {
     /// The suture.
