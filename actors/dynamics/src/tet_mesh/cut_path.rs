@@ -1,8 +1,11 @@
 //! Nodes on the path of a blade: each holds the path's local plane. Nodes of the same path are told from those of another,
 //! which may cross it or run beside it, by how their planes lie to each other.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Point3, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::ser::SerializeSeq;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Sweep;
 
@@ -67,12 +70,48 @@ impl PathNode {
     }
 }
 
+/// The nodes on paths, by node, ascending; of one node the oldest first. In files they are one list in this order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PathNodes(BTreeMap<u32, Vec<PathNode>>);
+
+impl PathNodes {
+    /// How many there are; a node through which several paths lead counts for each.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.0.values().map(Vec::len).sum()
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+impl Serialize for PathNodes {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut list = serializer.serialize_seq(Some(self.len()))?;
+        self.0.values().flatten().try_for_each(|mark| list.serialize_element(mark))?;
+        list.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for PathNodes {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let mut marks = Self::default();
+        for mark in Vec::<PathNode>::deserialize(deserializer)? {
+            marks.0.entry(mark.node).or_default().push(mark);
+        }
+        Ok(marks)
+    }
+}
+
 /// State of unfinished cuts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OpenCut {
-    /// By node, ascending; of one node the oldest first.
-    pub marks: Vec<PathNode>,
+    /// The nodes on paths.
+    pub marks: PathNodes,
     /// Shortest edge that a split may create \[m\]; 0 before the first cut.
     pub edge_min: f64,
     /// The last strokes, the oldest first.
@@ -89,15 +128,12 @@ impl OpenCut {
 
     /// Paths through a node.
     pub(super) fn through(&self, node: u32) -> &[PathNode] {
-        let first = self.marks.partition_point(|mark| mark.node < node);
-        let count = self.marks[first..].iter().take_while(|mark| mark.node == node).count();
-        &self.marks[first..first + count]
+        self.marks.0.get(&node).map_or(&[], Vec::as_slice)
     }
 
     /// The blade has come to a node: returns the path there, facing as given, if the node was ahead.
     pub(super) fn come_to(&mut self, node: u32, facing: &Vector3<f64>) -> Option<PathNode> {
-        let first = self.marks.partition_point(|mark| mark.node < node);
-        let here = self.marks[first..].iter_mut().take_while(|mark| mark.node == node);
+        let here = self.marks.0.get_mut(&node)?.iter_mut();
         let ahead = here.filter(|mark| mark.ahead).map(|mark| {
             mark.ahead = false;
             mark.facing(facing)
@@ -162,27 +198,28 @@ impl OpenCut {
     /// last.
     pub(super) fn put(&mut self, rest: &[Point3<f64>], mark: PathNode) -> PathNode {
         let known = self.same_path(rest, mark.node, &mark, &rest[mark.node as usize]);
-        let first = self.marks.partition_point(|other| other.node < mark.node);
-        let count = self.through(mark.node).len();
+        let here = self.marks.0.entry(mark.node).or_default();
         if let Some(known) = known {
             let nearer = if known.height.abs() <= mark.height.abs() { known } else { mark };
             let kept = PathNode { ahead: known.ahead && mark.ahead, stroke: mark.stroke, ..nearer };
             let same = |other: &PathNode| other.facing(&known.normal_in_rest) == known;
-            if let Some(at) = self.marks[first..first + count].iter().position(same) {
-                self.marks[first + at] = kept;
+            if let Some(at) = here.iter().position(same) {
+                here[at] = kept;
             }
             return kept;
         }
-        if count == PATHS_MAX {
-            self.marks.remove(first);
+        if here.len() == PATHS_MAX {
+            here.remove(0);
         }
-        self.marks.insert(first + count.min(PATHS_MAX - 1), mark);
+        here.push(mark);
         mark
     }
 
-    /// Takes over the paths through a node for its duplicate, whose number is higher than all others.
+    /// Takes over the paths through a node for its duplicate.
     pub(super) fn copy(&mut self, of: u32, node: u32) {
         let copies: Vec<PathNode> = self.through(of).iter().map(|mark| PathNode { node, ..*mark }).collect();
-        self.marks.extend(copies);
+        if !copies.is_empty() {
+            self.marks.0.insert(node, copies);
+        }
     }
 }

@@ -22,7 +22,7 @@ pub use adjacency::NodeAdjacency;
 pub use blade_cut::NodeMotion;
 pub use blade_sweep::Sweep;
 pub use box_mesh::{BoxCells, box_cells};
-pub use cut_path::{OpenCut, PathNode, Stroke};
+pub use cut_path::{OpenCut, PathNode, PathNodes, Stroke};
 pub use longest_edge_bisection::{NodesAndTets, RefineError, refined};
 pub use topology::{NodeOrigin, SplitTet, TetFace, Volume, VolumeChange, VolumeError};
 pub use trocar_scene::mesh::tet_faces::surface;
