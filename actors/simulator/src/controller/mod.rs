@@ -44,10 +44,11 @@ pub use region_stiffness::{RegionMaterial, SoftRegions};
 pub use suture::SutureController;
 pub use suture::components::{SewnTissue, SutureMemory, SutureNeedle};
 pub use suture_thread::ThreadController;
-pub use suture_thread::component::{Laid, LiesOn, Suture, ThreadBody};
+pub use suture_thread::component::{Laid, LiesOn, ThreadBody};
 pub use suture_thread::elastic_body::{Mark, TiedBody};
 pub use suture_thread::knot::{KnotState, knot_code};
 pub use suture_thread::saved_state::ThreadMemory;
+pub use suture_thread::suture::{Suture, SutureOf};
 pub use thermal_damage::{CoagulatedElement, CoagulatedElements, RemovedElements};
 pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 

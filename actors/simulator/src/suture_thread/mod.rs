@@ -44,6 +44,7 @@ pub(crate) mod knot_measures;
 mod material;
 pub mod soft_support;
 mod state;
+pub mod suture_table;
 
 pub use adaptive_segments::{Fineness, Renumbered};
 pub use boundary_conditions::{HOLD_STIFFNESS, Hold, IgnoredObstacle, Load, TwistHold};

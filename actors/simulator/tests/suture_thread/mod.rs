@@ -14,4 +14,5 @@ mod knot_hold;
 mod knot_slip_force;
 mod knot_turns;
 mod soft_support;
+mod suture_table;
 mod tied_body;

@@ -8,9 +8,10 @@ use trocar_scene::components::Parameter;
 use trocar_scene::{Component, ComponentError, Entity};
 
 use crate::controller::cutting::scissors::Blades;
-use crate::controller::suture_thread::component::{Suture, ThreadBody};
+use crate::controller::suture_thread::component::ThreadBody;
 use crate::controller::suture_thread::grasp::Grip;
 use crate::controller::suture_thread::saved_state::ObstaclePose;
+use crate::controller::suture_thread::suture::{InDocument, Suture};
 use crate::suture::needle::NeedleShape;
 use crate::suture::{Resistance, SutureState};
 use crate::suture_thread::ThreadMaterial;
@@ -118,7 +119,8 @@ pub struct SutureNeedle {
     pub ahead: [f64; 3],
     /// Normal of the arc's plane: right-handed rotation about it moves the needle forward.
     pub side: [f64; 3],
-    /// The thread.
+    /// The thread: a name, or a table with size and material.
+    #[schemars(with = "InDocument")]
     pub suture: Suture,
     /// Coulomb friction coefficient of the thread on itself; absent: the suture's.
     pub friction: Option<Parameter>,
@@ -260,6 +262,7 @@ impl SutureNeedle {
     }
 
     fn ranges(&self) -> Result<(), ComponentError> {
+        self.suture.check()?;
         ComponentError::range("length", self.length, 2e-3..=0.3, "2 mm to 0.3 m")?;
         ComponentError::range("angle", self.angle, 1e-3..=5.0, "0.001 to 5 rad")?;
         ComponentError::range("wire_radius", self.wire_radius, 2e-5..=5e-3, "20 µm to 5 mm")?;

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::components::Parameter;
 use trocar_scene::{Component, ComponentError};
 
+use super::suture::{InDocument, Suture};
 use crate::suture_thread::initial_shape::{Throws, resampled, throws};
 use crate::suture_thread::{NODES_MAX, ThreadMaterial};
 
@@ -14,69 +15,6 @@ const THROWS_MAX: usize = 8;
 const PLACES_MAX: usize = 1000;
 /// Maximum number of threads that one can touch.
 const THREADS_MAX: usize = 8;
-
-/// Sutures by name.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Suture {
-    /// Braided silk, USP size 2-0.
-    #[default]
-    Silk2_0,
-    /// Braided silk, USP size 2.
-    Silk2,
-}
-
-impl Suture {
-    /// Its properties, with their sources.
-    #[must_use]
-    pub fn parameters(self) -> [(&'static str, Parameter); 6] {
-        let (radius, thickness) = match self {
-            Self::Silk2_0 => (1.5e-4, "USP <861>: 2-0 is 0.300 to 0.339 mm thick"),
-            Self::Silk2 => (2.5e-4, "USP <861>: 2 is 0.500 to 0.599 mm thick"),
-        };
-        let base = ThreadMaterial::silk_2_0();
-        // The same braid, thicker: forces scale with the area, bending moments with its square.
-        let scale: f64 = radius / base.radius;
-        let of = |value: f64, source: &str| Parameter { value, source: source.to_owned() };
-        [
-            ("radius", of(radius, thickness)),
-            ("mass_per_length", of(base.mass_per_length * scale.powi(2), "silk 1.3 g/cm³, all of it solid")),
-            (
-                "axial_stiffness",
-                of(
-                    base.axial_stiffness * scale.powi(2),
-                    "strain 0.06 % of 2-0 at 2 N: chosen, below solid silk (Naleway 2015: 8.7 GPa)",
-                ),
-            ),
-            (
-                "bending_stiffness",
-                of(
-                    base.bending_stiffness * scale.powi(4),
-                    "a hundredth of a solid silk rod: chosen, a braid bends far more easily",
-                ),
-            ),
-            (
-                "twisting_stiffness",
-                of(base.twisting_stiffness * scale.powi(4), "near a solid silk rod: chosen"),
-            ),
-            ("friction", of(base.friction, "in the middle of what is reported of sutures: chosen")),
-        ]
-    }
-
-    fn material(self) -> ThreadMaterial {
-        let [radius, mass, axial, bending, twisting, friction] =
-            self.parameters().map(|(_, known)| known.value);
-        ThreadMaterial {
-            radius,
-            mass_per_length: mass,
-            axial_stiffness: axial,
-            bending_stiffness: bending,
-            twisting_stiffness: twisting,
-            friction,
-            ..ThreadMaterial::silk_2_0()
-        }
-    }
-}
 
 /// Initial shape of a thread, in the entity's frame; without it the thread starts as its mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -118,11 +56,6 @@ impl LiesOn {
     /// Assumed, as between instruments and tissue.
     fn friction() -> f64 {
         0.3
-    /// Where its nodes are at the start, if it is laid and can be.
-    fn laid_nodes(&self) -> Option<Vec<Point3<f64>>> {
-        self.nodes().ok().flatten()
-    }
-
     }
 }
 
@@ -131,7 +64,8 @@ impl LiesOn {
 #[component(name = "thread", check = Self::ranges, schema, partners = Self::partners, lays = Self::laid_nodes)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadBody {
-    /// The suture.
+    /// The suture: a name, or a table with size and material.
+    #[schemars(with = "InDocument")]
     pub suture: Suture,
     /// Coulomb friction coefficient on itself; absent: the suture's.
     pub friction: Option<Parameter>,
@@ -184,11 +118,17 @@ impl Default for ThreadBody {
 }
 
 impl ThreadBody {
+    /// Where its nodes are at the start, if it is laid and can be.
+    fn laid_nodes(&self) -> Option<Vec<Point3<f64>>> {
+        self.nodes().ok().flatten()
+    }
+
     fn partners(&self) -> Vec<&str> {
         self.lies_on.iter().map(|on| on.body.as_str()).collect()
     }
 
     fn ranges(&self) -> Result<(), ComponentError> {
+        self.suture.check()?;
         for (field, known, range, valid) in [
             ("friction", &self.friction, 0.0..=10.0, "0 to 10"),
             ("bending_stiffness", &self.bending_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),

@@ -18,6 +18,7 @@ pub mod obstacles;
 pub mod remesh;
 pub mod saved_state;
 pub(crate) mod soft_support;
+pub mod suture;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
