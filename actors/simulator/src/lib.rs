@@ -9,7 +9,7 @@
 //! | sparse matrices of 3×3 blocks and their Cholesky factorisation | [`linear_algebra`] |
 //! | cutting and tearing of surfaces along arbitrary paths | [`cutting`] |
 //! | mass-spring systems: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
-//! | position-based dynamics (XPBD): distances, neo-Hookean volumes, small steps | [`xpbd`] |
+//! | position-based dynamics (XPBD): distances, volumes of a modified St. Venant–Kirchhoff law, small steps | [`xpbd`] |
 //! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | [`electrosurgery`] |
 //! | Suture thread, knots | [`suture_thread`] |
 //! | Suture needle | [`suture::needle`] |

@@ -1,7 +1,10 @@
 //! Tetrahedral constraints, four at a time with SIMD: one for shape, one for volume.
 //!
 //! The shape constraint is the norm of the deviatoric strain, ‖E − tr(E)/3‖ with Green's strain E; the volume
-//! constraint is the volume ratio less one. For small strains they give the isotropic material. Both are zero at rest.
+//! constraint is the volume ratio less one. What the solver minimises is therefore the energy per volume
+//! ψ = μ ‖dev E‖² + K/2 (J − 1)²: St. Venant and Kirchhoff's law for the shape, with the bulk modulus on the volume ratio
+//! instead of on tr E, so that a flattened element resists (a *modified St. Venant–Kirchhoff* law). For small strains it is
+//! the isotropic material; in a large shear it stiffens, μ (γ + 2/3 γ³). Both constraints are zero at rest.
 //! The pair of Macklin and Müller (*A constraint-based formulation of stable neo-Hookean materials*, 2021), ‖F‖ and det
 //! F − γ, is not: at rest each of the two pulls with the full modulus against the other, and the residual of that
 //! difference in an unconverged sweep is noise and softness that no load has caused.

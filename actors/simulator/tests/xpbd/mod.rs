@@ -3,3 +3,4 @@
 mod controller;
 mod reference;
 mod solver;
+mod volume_law;

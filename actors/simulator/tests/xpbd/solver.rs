@@ -108,7 +108,7 @@ fn contacts_carry_and_friction_holds_below_its_angle() {
 }
 
 /// Six tetrahedra to a cell, corners ordered i-major.
-fn beam(cells: [u32; 3], size: [f64; 3]) -> (Vec<Point3<f64>>, Vec<[u32; 4]>) {
+pub(super) fn beam(cells: [u32; 3], size: [f64; 3]) -> (Vec<Point3<f64>>, Vec<[u32; 4]>) {
     let side = cells.map(|count| count + 1);
     let at = |axis: usize, index: u32| size[axis] * f64::from(index) / f64::from(cells[axis]);
     let points = (0..side[0])
