@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use thiserror::Error;
 use trocar_devices::HapticDevice;
+use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::lockstep::{LockstepSession, Moment};
 use trocar_kernel::spec::SessionSpec;
 use trocar_kernel::{BranchError as KernelError, SessionError};
@@ -147,8 +148,37 @@ impl Session {
     /// # Errors
     /// [`BranchError`].
     pub fn branch(&self) -> Result<Self, BranchError> {
-        let (session, _) = self.virtual_time()?;
-        self.branch_at(session.present())
+        let (session, origin) = self.virtual_time()?;
+        self.branch_at(session.present(), origin.fork())
+    }
+
+    /// Another session in the same state, as [`Session::branch`] makes it, in which the faults of `plan` happen instead
+    /// of those that this one still has before it. Times of the plan are times of the session; what is over by now is
+    /// left out.
+    ///
+    /// So one run up to a critical moment serves any number of faults at that moment.
+    ///
+    /// ```
+    /// use trocar::prelude::*;
+    ///
+    /// let mut session = Session::open("wall")?;
+    /// session.step(SimTime::from_millis(300));
+    /// let mut calm = session.branch()?;
+    /// let mut struck = session.branch_with_faults(FaultPlan::new(1).at(secs(0.35)).kill("engine"))?;
+    /// calm.step(SimTime::from_millis(100));
+    /// struck.step(SimTime::from_millis(100));
+    /// let restarts = |session: &Session| session.reports().iter().map(|row| row.restarts).sum::<u32>();
+    /// assert_eq!((restarts(&calm), restarts(&struck)), (0, 1));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`BranchError`]; also when the plan strikes what the session does not have.
+    pub fn branch_with_faults(&self, plan: FaultPlan) -> Result<Self, BranchError> {
+        let (session, origin) = self.virtual_time()?;
+        let mut origin = origin.fork();
+        origin.plan = Arc::new(SessionPlan { faults: Some(plan), ..(*origin.plan).clone() });
+        self.branch_at(session.present().with_faults_anew(), origin)
     }
 
     /// Another session that continues from `snapshot`: a snapshot of this session, of a session that it was branched
@@ -162,12 +192,13 @@ impl Session {
     /// # Errors
     /// [`BranchError`].
     pub fn branch_from(&self, snapshot: &Snapshot) -> Result<Self, BranchError> {
-        let (session, _) = self.virtual_time()?;
-        self.branch_at(session.moment_of(snapshot)?)
+        let (session, origin) = self.virtual_time()?;
+        self.branch_at(session.moment_of(snapshot)?, origin.fork())
     }
 
-    fn branch_at(&self, moment: Moment) -> Result<Self, BranchError> {
-        let (session, origin) = self.virtual_time()?;
+    /// The branch of `origin`, which differs from this session's at most in its plan.
+    fn branch_at(&self, moment: Moment, origin: Origin) -> Result<Self, BranchError> {
+        let (session, _) = self.virtual_time()?;
         let hands = if moment.is_present() {
             let stepped = session.peers().filter_map(|peer| (peer as &dyn Any).downcast_ref::<SteppedHand>());
             let forks = self.hands.iter().zip(stepped);
@@ -179,10 +210,10 @@ impl Session {
             origin.prototypes(&self.hands).map(|hand| hand.and_then(resume)).collect::<Result<Vec<_>, _>>()?
         };
         let scene = Store::from_snapshot(moment.scene());
-        let (ports, mut spec) = cast(origin, origin.seed, scene, &hands)?;
+        let (ports, mut spec) = cast(&origin, origin.seed, scene, &hands)?;
         spec.peers.extend(hands.into_iter().map(OpenedHand::into_peer));
         let running = Running::Lockstep(Box::new(LockstepSession::resume(spec, moment)?));
-        Ok(Self::new(running, ports, Vec::new(), Some(origin.fork())))
+        Ok(Self::new(running, ports, Vec::new(), Some(origin)))
     }
 
     fn virtual_time(&self) -> Result<(&LockstepSession, &Origin), BranchError> {

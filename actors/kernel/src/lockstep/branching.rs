@@ -85,6 +85,8 @@ struct PresentState {
     next_stop_check: SimTime,
     faults: FaultSchedule,
     fault_log: FaultLog,
+    /// Whether the faults of the specification are planned from here on, instead of the session's own.
+    faults_anew: bool,
 }
 
 impl Moment {
@@ -99,6 +101,16 @@ impl Moment {
     /// Whether it is the session's current state, rather than a past one.
     pub fn is_present(&self) -> bool {
         self.present.is_some()
+    }
+
+    /// The same moment, from which the faults of the specification that is given to [`LockstepSession::resume`] are
+    /// planned, instead of those that the session still had before it. Faults in progress go on.
+    #[must_use]
+    pub fn with_faults_anew(mut self) -> Self {
+        if let Some(present) = &mut self.present {
+            present.faults_anew = true;
+        }
+        self
     }
 
     pub(super) fn core(&self, scene: Store, station: u16) -> ModelCore {
@@ -138,6 +150,7 @@ impl LockstepSession {
                 next_stop_check: self.next_stop_check,
                 faults: self.faults.clone(),
                 fault_log: self.fault_log.clone(),
+                faults_anew: false,
             }),
         }
     }
@@ -241,8 +254,12 @@ impl LockstepSession {
                 self.until = present.until;
                 self.next_publish = present.next_publish;
                 self.next_stop_check = present.next_stop_check;
-                self.faults = present.faults;
-                self.fault_log = present.fault_log;
+                if present.faults_anew {
+                    self.faults.skip_to(at);
+                } else {
+                    self.faults = present.faults;
+                    self.fault_log = present.fault_log;
+                }
             }
             None => {
                 self.next_publish = at;

@@ -15,6 +15,7 @@ use crate::options::FaultTargets;
 const STOP_CHECK: SimTime = SimTime::from_millis(20);
 
 /// A session's controllers, scene and limits. Immutable, so that any number of sessions share it.
+#[derive(Clone)]
 pub(crate) struct SessionPlan {
     pub scenario: String,
     pub station: u16,
@@ -29,6 +30,7 @@ pub(crate) struct SessionPlan {
 }
 
 /// A controller of the session: its entry, and how it is built.
+#[derive(Clone)]
 pub(crate) struct Role {
     pub name: String,
     pub writer: u16,
