@@ -12,6 +12,8 @@ use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, PredictedPath}
 const PAST_MAX: usize = 512;
 /// Time constant in which a deficit of the energy tank is forgiven, since any body dissipates energy itself \[s\].
 const FORGIVEN: f64 = 0.5;
+/// Steps of the slower body that its untaken impulses span before it counts as having missed some.
+const MISSED: f64 = 1.5;
 /// Bisection steps for the fraction of a correction that the tank can pay for.
 const HALVINGS: u32 = 16;
 
@@ -158,6 +160,20 @@ impl GhostNodes {
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps
+    }
+
+    /// By how much of the impulses given since step number `since` a body moves in one of its own steps of `step`
+    /// seconds, when it has taken all that were given before: 1, unless it missed steps.
+    ///
+    /// A body that missed steps has not moved in them, under no force at all. So it does not take the impulses of that
+    /// time at once, as a blow of many times the force, but the mean force for the step that it makes.
+    #[must_use]
+    pub fn share_of_a_step(&self, since: u64, step: f64) -> f64 {
+        let steps = self.steps.saturating_sub(since) as usize;
+        let over: f64 = self.past.iter().rev().take(steps).map(|step| step.dt).sum();
+        // Without a missed step the two bodies' steps are out of phase by at most one of the faster body's.
+        let out_of_phase = self.past.back().map_or(0.0, |last| last.dt);
+        if over > MISSED * step + out_of_phase { step / over } else { 1.0 }
     }
 
     /// Total work on the ghosts \[J\].

@@ -13,6 +13,11 @@
 //! by an energy tank: Franken, Stramigioli, Misra, Secchi, Macchelli 2011). What the tank cannot pay is corrected
 //! later, and a deficit is forgiven within about half a second.
 //!
+//! A slower body that is late breaks nothing. When its last report is older than two of its steps, its ghosts stand
+//! still, as immovable, until it reports again. When it takes impulses of more than one and a half of its steps, it
+//! takes their mean force: it has not moved in the steps that it missed, so the impulses of that time are not its own.
+//! Momentum is exchanged to rounding by bodies that miss no steps.
+//!
 //! A thread on such a body has contacts far stiffer than those springs: its ghosts are corrected with a velocity,
 //! within the thread's continuous collision tests, and without payment (see `trocar-simulator`).
 //!

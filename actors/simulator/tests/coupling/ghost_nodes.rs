@@ -3,7 +3,7 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostNode, NodeContact, Tie};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostMoved, GhostNode, NodeContact, Tie};
 use trocar_dynamics::coupling::{
     GhostNodes, GhostNodesError, SlowBodyReport, SurfaceContactParams, SurfaceContacts,
 };
@@ -553,4 +553,30 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
     );
     assert_eq!(ghosts, before);
     assert_eq!(GhostNodes::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostNodesError::Number("a place")));
+}
+
+/// A body that has not moved for a while has had no part in the impulses of that time: it takes their mean force.
+#[test]
+fn a_body_that_missed_steps_takes_the_mean_force_of_the_time() {
+    for (fast, slow) in [(0.002, 0.01), (0.002, 0.05), (1.0 / 300.0, 1.0 / 60.0), (0.01, 0.01)] {
+        for steps in 1..40_u64 {
+            let mut ghosts = GhostNodes::new(&[Point3::origin()]).expect("numbers");
+            let force = Vector3::new(0.0, 0.0, 2.0);
+            for _ in 0..steps {
+                let moved = GhostMoved { impulse: force * fast, ..GhostMoved::default() };
+                ghosts.end_step(fast, &[moved], 0.0);
+            }
+            let share = ghosts.share_of_a_step(0, slow);
+            let over = steps as f64 * fast;
+            let taken = ghosts.given()[0] * share;
+            if over <= 1.5 * slow + fast - 1e-9 {
+                // Out of phase by less than a step: all of it, to the bit.
+                assert_eq!(taken, ghosts.given()[0], "{steps} steps of {fast} s for {slow} s");
+            } else if over > 1.5 * slow + fast + 1e-9 {
+                assert!((taken / slow - force).norm() < 1e-9, "{taken} N·s in {slow} s");
+            }
+            // What it has taken before does not count.
+            assert_eq!(ghosts.share_of_a_step(steps, slow), 1.0);
+        }
+    }
 }

@@ -54,8 +54,8 @@ impl SlowSide {
         scene.get::<CouplingGiven>(giver)?.to.iter().find(|to| to.body == Some(self.me))
     }
 
-    /// Takes the outstanding impulses as forces on vertices over the step, in the body's frame \[N\]. Velocities are
-    /// those before the step \[m/s\].
+    /// Takes the outstanding impulses as forces on vertices over the step, in the body's frame \[N\]; after missed
+    /// steps their mean force ([`share_of_a_step`](crate::coupling::GhostNodes::share_of_a_step)). Velocities are those before the step \[m/s\].
     pub fn take(
         &mut self,
         site: &StepContext<'_>,
@@ -70,11 +70,12 @@ impl SlowSide {
             let (from, before) = (&mut self.told.from[index], &mut self.before[index]);
             before.clear();
             let given = to.ghosts.given();
+            let share = to.ghosts.share_of_a_step(from.steps, site.period_secs());
             from.taken.resize(given.len(), Vector3::zeros());
             from.last.resize(given.len(), Vector3::zeros());
             let sums = from.taken.iter_mut().zip(&mut from.last);
             for ((&vertex, given), (taken, last)) in to.vertices.iter().zip(given).zip(sums) {
-                *last = given - *taken;
+                *last = (given - *taken) * share;
                 *taken = *given;
                 let known = velocities.get(vertex as usize);
                 before.push(known.copied().unwrap_or_default());

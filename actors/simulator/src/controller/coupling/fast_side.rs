@@ -24,7 +24,11 @@ use trocar_scene::{
 use super::attachment::{FusedBody, grafts};
 use crate::controller::thermal_damage::RemovedElements;
 
-/// Maximum age of a report; afterwards its ghosts are treated as immovable \[s\].
+/// Age of a report, in steps of the body that sent it, above which that body counts as late. Its ghosts then stand
+/// still and take no more impulses: a prediction is for one step, and a ghost that went on along it would be metres away
+/// before the body is back.
+const LATE: f64 = 2.0;
+/// Maximum age of a report, however long the steps \[s\].
 const STALE: f64 = 0.5;
 
 /// A body that it is coupled with.
@@ -358,7 +362,7 @@ impl Partner {
         self.is_wall = true;
         let Some(told) = scene.get::<CouplingTaken>(self.entity) else { return Ok(()) };
         let age = site.tick.time.as_secs_f64() - site.period_secs() - told.time.as_secs_f64();
-        if age > STALE {
+        if age > STALE.min(LATE * told.step) {
             return Ok(());
         }
         let Some(from) = told.from.iter().find(|from| from.body == Some(me)) else { return Ok(()) };
