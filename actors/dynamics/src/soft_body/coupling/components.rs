@@ -3,7 +3,8 @@
 //!
 //! The faster body, which is position-based, names the slower one. It publishes the cumulative impulse on each vertex
 //! of the other. The slower one applies the difference to what it has taken before, and publishes what it took. Both
-//! are sums, so no impulse is lost or applied twice, whatever the delays and restarts.
+//! are sums, so no impulse is lost or applied twice, whatever the delays and restarts; only a body that missed steps takes
+//! the mean force of that time.
 
 use std::sync::Arc;
 
