@@ -11,8 +11,12 @@ use trocar_scene::scenario::Scenario;
 use trocar_tests::app;
 
 /// Programs that tests build, and that pages may show.
-const EXAMPLES: [&str; 3] =
-    ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/offscreen.rs"];
+const EXAMPLES: [&str; 4] = [
+    "ui/cli/examples/haste.rs",
+    "ui/sdk/examples/slippery.rs",
+    "ui/sdk/examples/guide.rs",
+    "ui/cli/examples/offscreen.rs",
+];
 /// Suites of `trocar bench` whose tables are in docs/figures.md.
 const SUITES: [&str; 6] = ["kernel", "session", "viewer", "collision", "simulator", "build"];
 /// Entities that snippets of scenarios refer to.

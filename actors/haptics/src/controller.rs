@@ -12,12 +12,13 @@ use trocar_scene::kinematics::spatial::{Twist, Wrench};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, DeviceForce, DeviceState, Entity, EntitySet,
     Hand, HandTarget, HapticStatus, Instrument, InstrumentForce, InstrumentTarget, LocalContactModel, Port,
-    Pose, Revision, SimTime, Snapshot, Tick, Velocity,
+    Pose, Revision, SimTime, Snapshot, Tick, Velocity, VirtualFixture,
 };
 
 use crate::config::{HapticsConfig, HapticsError};
 use crate::felt_stiffness::FeltStiffness;
 use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
+use crate::virtual_fixture;
 
 /// Largest damping as a share of m/ΔT of the device. The loop's delay of 1.5 steps and the filter of the measured
 /// velocity reduce the apparent mass by `B·τ`, τ about 3 ms; half of the mass must remain.
@@ -181,7 +182,10 @@ impl HapticsController {
             instrument_force: scene.get::<InstrumentForce>(self.rig.instrument),
             contact_model: scene.get::<LocalContactModel>(self.rig.instrument),
         };
-        let at_tip = self.renderer.render(&input);
+        let mut at_tip = self.renderer.render(&input);
+        if let Some(fixture) = scene.get::<VirtualFixture>(self.hand) {
+            at_tip += virtual_fixture::render(fixture, &input);
+        }
         let at_handle = transmission.handle_wrench(&at_tip)
             + self.rig.coupling.passive_wrench(transmission, handle_twist);
         let mut wrench = self.rig.registration.wrench_to_device(&at_handle);
@@ -267,6 +271,7 @@ impl Controller for HapticsController {
             .reads::<Velocity>()
             .reads::<InstrumentForce>()
             .reads::<LocalContactModel>()
+            .reads::<VirtualFixture>()
             .writes::<DeviceState>(hand())
             .writes::<DeviceForce>(hand())
             .writes::<HapticStatus>(hand())

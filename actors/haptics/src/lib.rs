@@ -4,6 +4,7 @@
 //!
 //! - [`renderer`]: force rendering from a simulation slower than the haptic rate ([`renderer::ZeroOrderHold`],
 //!   [`renderer::VirtualCoupling`], [`renderer::Proxy`]);
+//! - [`virtual_fixture`]: forces that a behaviour adds;
 //! - [`felt_stiffness`]: online estimate of the rendered stiffness;
 //! - the kinematics (registration, fulcrum, wrenches) live in [`trocar_scene::kinematics`], so that virtual
 //!   trainees share them.
@@ -17,6 +18,7 @@ pub mod config;
 pub mod controller;
 pub mod felt_stiffness;
 pub mod renderer;
+pub mod virtual_fixture;
 
 pub use config::{HapticsConfig, HapticsError};
 pub use controller::HapticsController;

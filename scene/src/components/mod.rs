@@ -12,6 +12,7 @@ pub mod particles;
 pub mod person;
 pub mod shape;
 pub mod task;
+pub mod virtual_fixture;
 pub mod visual;
 
 pub use contact::{Collision, CollisionList, Detection, Primitive};
@@ -35,6 +36,7 @@ pub use particles::{PARTICLES_MAX, ParticleKind, Particles};
 pub use person::{PERSON_TOTAL_MAX, PersonAction, PersonActions, PersonHand, PersonInput, PersonView};
 pub use shape::Shape;
 pub use task::{Measured, TaskError, TaskState, VitalSigns};
+pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 
 use crate::registry::{RegistryBuilder, RegistryError};
@@ -52,7 +54,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         VisualMaterial, Light, Camera, Optics, HeadTracked,
         RigidBody, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
-        Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput,
+        Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
         CollisionList, TaskState, Measured, VitalSigns,
     )?;
     Ok(())

@@ -103,7 +103,7 @@ impl RendererConfig {
 
 /// Weight of simulation output of age `age_secs`: 1 up to `fade_secs`, then decreasing to 0 at twice that time, so that
 /// a dead simulation does not press on a hand for ever.
-fn freshness(age_secs: f64, fade_secs: f64) -> f64 {
+pub(crate) fn freshness(age_secs: f64, fade_secs: f64) -> f64 {
     (2.0 - age_secs / fade_secs).clamp(0.0, 1.0)
 }
 
