@@ -114,11 +114,16 @@ fn cpu_of(life: &Life) -> SimTime {
     sched::thread_cpu(life.tid.load(Ordering::Relaxed)).unwrap_or_default()
 }
 
+/// Share of its limit that a thread must have used as CPU time to count as stalled while it is runnable. Almost all of it:
+/// a step that takes half of its limit alone takes longer than that beside two compilers, and a replacement would only
+/// begin it anew. Not all of it: the CPU time is read after the beat.
+const USED_SHARE: f64 = 0.8;
+
 /// Whether a thread is runnable but not scheduled. That is no stall: on a busy machine a replacement would make it
-/// worse. It counts as a stall when the thread has used CPU time of half its limit, or has waited too long.
+/// worse. It counts as a stall when the thread has used most of its limit as CPU time, or has waited too long.
 fn is_starved(watch: &Watch, limit: SimTime, now: SimTime) -> bool {
     let used = cpu_of(&watch.life).since(watch.cpu);
     now.since(watch.since).0 < STARVED_MAX * limit.0
-        && used.0 < limit.0 / 2
+        && (used.0 as f64) < USED_SHARE * limit.0 as f64
         && sched::is_runnable(watch.life.tid.load(Ordering::Relaxed))
 }
