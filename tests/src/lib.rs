@@ -4,6 +4,7 @@
 //! of the scenario replaced.
 
 pub mod golden;
+pub mod load;
 
 use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome, run};

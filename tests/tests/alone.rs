@@ -5,3 +5,4 @@
 mod kills;
 mod live_scenes;
 mod pause;
+mod too_slow;

@@ -88,6 +88,11 @@ fn a_trainee_that_writes_a_rings_pose_is_rejected_by_the_model() {
     let outcome = finish(&app, &scenario, &options);
     let row = outcome.reports.iter().find(|row| row.name == "autopilot").expect("its row");
     assert_eq!(row.rejected, row.scheduled, "every batch is refused");
+    // The run says so with names, and does not end as if all were well, though it was cut off.
+    let error = outcome.summary.error.clone().expect("it says so");
+    let says = ["autopilot: all of its", "'pose' of 'ring.1'", "Access::writes"];
+    assert!(says.iter().all(|part| error.contains(part)), "{error}");
+    assert!(outcome.summary.task.cut_off && outcome.exit() == trocar::summary::Exit::Failed);
     assert!(highest_ring(&outcome.kernel.snapshot) < 0.005, "and no ring has moved");
 }
 

@@ -1,9 +1,12 @@
 //! Admission results: outcomes of batches, errors of declarations, and counters per writer.
 
 use thiserror::Error;
-use trocar_scene::{AccessOverlap, ComponentError, Entity, Refusal, RegistryError, Revision};
+use trocar_scene::{
+    AccessOverlap, CommandError, ComponentError, Entity, Refusal, RegistryError, Revision, Snapshot,
+};
 
 use crate::operator::{OPERATOR, OPERATOR_NAME, OPERATOR_WRITES_MAX};
+use crate::runtime::ControllerReport;
 
 /// Most rows transferred from one writer to another.
 pub(crate) const TRANSFERS_MAX: usize = 4096;
@@ -59,6 +62,43 @@ pub enum Rejection {
     /// It broke a rule of the scene.
     #[error(transparent)]
     Refused(Refusal),
+}
+
+impl Rejection {
+    /// The reason with entities by their names, and with the remedy.
+    pub fn told(&self, scene: &Snapshot) -> String {
+        match self {
+            Self::Refused(Refusal::NotDeclared { component, entity }) => format!(
+                "it writes '{component}' of '{}', which its access does not declare: add it to `Access::writes`, unless \
+                 another controller writes it",
+                scene.name(*entity)
+            ),
+            Self::Refused(Refusal::NotOwner(entity)) => {
+                format!("it creates or removes '{}', which is not its own", scene.name(*entity))
+            }
+            Self::Refused(Refusal::Command(CommandError::Value { component, entity, error })) => {
+                format!("its '{component}' of '{}' is not valid: {error}", scene.name(*entity))
+            }
+            Self::OwnEntity { component, entity } => format!(
+                "it hands over '{component}' of '{}', an entity that stands for a writer",
+                scene.name(*entity)
+            ),
+            other => other.to_string(),
+        }
+    }
+}
+
+/// A writer whose batches were all refused, with their number and the first reason.
+pub(crate) fn all_refused(
+    report: &ControllerReport,
+    first: &Rejection,
+    scene: &Snapshot,
+) -> Option<(String, String)> {
+    let count = report.rejected;
+    let all = count > 0 && report.applied + report.conflicts == 0;
+    all.then(|| {
+        (report.name.clone(), format!("all of its {count} batches were refused: {}", first.told(scene)))
+    })
 }
 
 /// Why the Model refuses a writer's declaration.

@@ -243,6 +243,8 @@ pub struct SessionOutcome {
     pub incidents: Vec<Incident>,
     /// Children held for failing too often, with the reason.
     pub held: Vec<(String, String)>,
+    /// Controllers of which the Model refused every batch, with the number of batches and the first reason.
+    pub refused: Vec<(String, String)>,
     /// Threads that had to be abandoned and never ended.
     pub zombies: u32,
     /// Whether the recording has everything; `None` without a recorder.

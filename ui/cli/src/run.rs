@@ -9,7 +9,7 @@ use trocar::app::App;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
-use trocar::summary::{Exit, Mode, RunSummary, TaskSummary};
+use trocar::summary::{Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::supervision::{Cause, Incident};
 use trocar_scene::Snapshot;
@@ -70,12 +70,13 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
 /// The result as a note for the window.
 fn verdict(summary: &RunSummary) -> String {
     let task = &summary.task;
-    if !is_exercise(task) {
+    if !task.is_exercise() {
         return "it has ended; Backspace: once more".to_owned();
     }
     let how = if task.completed { "completed" } else { "not completed" };
     let score = task.score.map_or(String::new(), |score| format!(", score {score:.1}"));
-    format!("{how}{score}; Backspace: once more")
+    let disturbed = summary.too_slow().map_or(String::new(), |slow| format!(" (disturbed: {slow})"));
+    format!("{how}{score}{disturbed}; Backspace: once more")
 }
 
 fn bindings(file: &Path) -> Result<Bindings, Failure> {
@@ -195,11 +196,7 @@ fn attempt(
         let html = html(&scenario, &outcome, force_limits(&outcome));
         output::write_file(&file, html.as_bytes())?;
     }
-    let mut exit =
-        outcome.summary.exit(!outcome.failed_expectations.is_empty() || !outcome.kernel.held.is_empty());
-    if outcome.kernel.code != 0 {
-        exit = Exit::Internal;
-    }
+    let exit = outcome.exit();
     if outcome.summary.error.is_none() && !outcome.failed_expectations.is_empty() {
         outcome.summary.error =
             Some(format!("expectation failed: {}", outcome.failed_expectations.join("; ")));
@@ -334,10 +331,8 @@ fn cause(cause: &Cause) -> String {
     }
 }
 
-/// Whether the scenario has an exercise. Without one there is no score.
-fn is_exercise(task: &TaskSummary) -> bool {
-    !task.completed || task.score.is_some()
-}
+/// Contacts that were not kept that the text names one by one; the others are in report and JSON.
+const UNKEPT_SHOWN: usize = 4;
 
 /// The summary as text for people.
 pub fn text(summary: &RunSummary) -> String {
@@ -349,16 +344,20 @@ pub fn text(summary: &RunSummary) -> String {
         () => console::style("not completed").red().to_string(),
     };
     let scenario = bold(summary.scenario.clone());
-    let mut lines = if is_exercise(task) {
+    let mut lines = if task.is_exercise() {
         let score = task.score.map_or("–".to_owned(), |score| format!("{score:.1}"));
         let errors = task.errors.len();
         vec![
             format!("{scenario} {verdict} in {:.1} s, {errors} errors", task.seconds),
             format!("{} / 100  FLS-style score, not clinically validated", bold(format!("score {score}"))),
         ]
+        .into_iter()
+        .chain(task.disturbed.then(|| "the score is disturbed: it says little about the trainee".to_owned()))
+        .collect()
     } else {
         vec![format!("{scenario}: {:.1} s; there is no exercise in it", summary.sim_secs)]
     };
+    lines.extend(summary.too_slow().map(|slow| console::style(slow).yellow().to_string()));
     lines.push(String::new());
     lines.extend(rates(summary));
     lines.push(String::new());
@@ -367,6 +366,10 @@ pub fn text(summary: &RunSummary) -> String {
         short(summary.force_newtons_max),
         short(summary.penetration_max * 1e3)
     ));
+    if summary.contacts_not_kept > 0 {
+        lines.push(format!("contacts that were not kept: {}", summary.contacts_not_kept));
+        lines.extend(summary.unkept_contacts.iter().take(UNKEPT_SHOWN).map(|contact| format!("  {contact}")));
+    }
     if !summary.faults.is_empty() {
         lines.push(format!(
             "no force was held for longer than {} ms after its last fresh command; {} commands of zombies were refused",

@@ -433,6 +433,35 @@ fn a_fault_that_is_survived_is_told_and_a_missed_expectation_fails_the_run() {
     assert!(object(&missed)["error"].as_str().is_some_and(|error| error.contains("expectation")));
 }
 
+/// The score of an exercise whose physics was too slow is not put down to the trainee.
+#[test]
+fn an_actor_that_was_too_slow_is_told_in_summary_report_and_json() {
+    let folder = here();
+    let plan = "schema = 1\n[[fault]]\nid = \"tired\"\nat_secs = 0.5\nfor_secs = 2.0\ntarget = \"engine\"\n\
+                kind = \"slow\"\nstep_secs = 0.010\n";
+    std::fs::write(folder.path().join("tired.toml"), plan).expect("a plan");
+    let run =
+        ["run", "peg-transfer", "--lockstep", "--seconds", "3", "--no-record", "--faults", "tired.toml"];
+    let text = trocar(folder.path(), &run);
+    let told = "under faults, actors were too slow: engine ran at";
+    assert!(stdout(&text).contains(told), "{}", stdout(&text));
+    assert!(stdout(&text).contains("the score is disturbed"), "{}", stdout(&text));
+    let report = std::fs::read_to_string(folder.path().join("report-peg-transfer.html")).expect("a report");
+    assert!(report.contains(told) && report.contains("<h2>Disturbed</h2>"));
+    let json = trocar(folder.path(), &[&run[..], &["--no-report", "--json"]].concat());
+    let summary = object(&json);
+    assert_valid("run", &summary);
+    assert_eq!(summary["task"]["disturbed"], true);
+    assert_eq!(summary["slow_actors"][0]["name"], "engine");
+    let calm =
+        trocar(folder.path(), &["run", "wall", "--lockstep", "--seconds", "1", "--no-record", "--json"]);
+    let summary = object(&calm);
+    assert_eq!(
+        (&summary["task"]["disturbed"], summary["slow_actors"].as_array().map(Vec::len)),
+        (&false.into(), Some(0))
+    );
+}
+
 #[test]
 fn a_session_that_nobody_drives_yet_rests_and_says_so() {
     let folder = here();

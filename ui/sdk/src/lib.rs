@@ -78,14 +78,17 @@ mod manual {}
 pub mod app;
 pub mod assembly;
 pub mod branching;
+pub mod contact_watch;
 pub mod decimate;
 pub mod device_kinds;
 mod error;
 pub mod graph;
 pub mod guide;
 pub mod hands;
+pub mod keeping_up;
 mod kind;
 mod kinds;
+pub mod motion;
 pub mod open;
 mod options;
 pub mod outline;
@@ -108,6 +111,14 @@ pub mod scene {
     pub use trocar_scene::ComponentOfTrocar as Component;
     #[doc(no_inline)]
     pub use trocar_scene::*;
+}
+
+/// What exercises share: motion metrics, scores, and the judgement of a scene by its measurements.
+pub mod tasks {
+    #[doc(no_inline)]
+    pub use trocar_tasks::motion_metrics::{IDLE_SPEED_DEFAULT, MotionMetrics};
+    #[doc(no_inline)]
+    pub use trocar_tasks::*;
 }
 
 pub use nalgebra;

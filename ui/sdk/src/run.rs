@@ -13,11 +13,14 @@ use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
 use crate::app::App;
 use crate::assembly::Assembly;
+use crate::contact_watch::ContactWatch;
 pub use crate::error::RunError;
 use crate::graph::ActorGraph;
+use crate::keeping_up::RateWatch;
+use crate::motion::HandMotions;
 pub use crate::options::{FaultTargets, RunOptions};
 use crate::session::{Finished, Session, doubts};
-use crate::summary::{FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
+use crate::summary::{Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 
 /// Session time between two calls of the observer.
@@ -55,6 +58,19 @@ pub struct RunOutcome {
     pub graph: ActorGraph,
     /// Expectations of the fault plan that failed, one sentence each.
     pub failed_expectations: Vec<String>,
+}
+
+impl RunOutcome {
+    /// The exit code of the process: not ok if the exercise was not completed, an expectation failed, a controller
+    /// failed too often, everything that a controller wrote was refused, or an exercise had a contact that was not kept.
+    pub fn exit(&self) -> Exit {
+        if self.kernel.code != 0 {
+            return Exit::Internal;
+        }
+        let held = !self.kernel.held.is_empty() || !self.kernel.refused.is_empty();
+        let unkept = self.summary.contacts_not_kept > 0 && self.summary.task.is_exercise();
+        self.summary.exit(held || unkept || !self.failed_expectations.is_empty())
+    }
 }
 
 /// Starts a session with these options.
@@ -100,11 +116,24 @@ pub fn run(
     let mut trace = RunTrace::new();
     trace.sample(&session.snapshot());
     let mut health = session.health();
+    let (mut motions, mut contacts) = (HandMotions::default(), ContactWatch::default());
+    let rows = session.reports();
+    let mut rates = RateWatch::new(rows.into_iter().map(|row| (row.name, row.target_hz)));
+    rates.look(session.now(), &session.ticks());
     let mut next = LOOK_EVERY;
     while session.run_until(next) && !options.stop.load(Ordering::Relaxed) {
         let scene = session.snapshot();
         trace.sample(&scene);
         let now = session.now();
+        rates.look(now, &session.ticks());
+        motions.look(scene.time().as_secs_f64(), &scene);
+        contacts.look(now, &scene);
+        if scene.iter::<TaskState>().next().is_none() {
+            contacts.keep_quiet();
+        } else if contacts.has_news() {
+            // An operator that is refused loses the event; the summary has the contact all the same.
+            let _ = session.apply(|out| contacts.tell(out));
+        }
         // The last look before the end: afterwards all controllers are stopped.
         health = session.health();
         let mut progress = Progress {
@@ -137,7 +166,11 @@ pub fn run(
     for report in &finished.outcome.controllers {
         graph.achieved(&report.name, report.achieved_hz);
     }
-    let summary = summarise(scenario, options, &finished, begun.elapsed().as_secs_f64());
+    let mut summary = summarise(scenario, options, &finished, begun.elapsed().as_secs_f64());
+    summary.slow_actors = rates.slow();
+    summary.task.disturbed = !summary.slow_actors.is_empty();
+    motions.complete(&mut summary.task.metrics);
+    (summary.unkept_contacts, summary.contacts_not_kept) = contacts.found();
     let failed_expectations = options.faults.as_ref().map_or_else(Vec::new, |plan| {
         let measured = Measured {
             force_newtons_max: finished.force_newtons_max,
@@ -193,7 +226,10 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary.losses = finished.losses.clone();
     summary.losses.extend(doubts(scene));
     let held = outcome.held.first().map(|(name, why)| format!("{name} was {why}"));
-    summary.error = outcome.reason.clone().or(held).or_else(|| finished.driver_errors.first().cloned());
+    let refused: Vec<String> = outcome.refused.iter().map(|(name, why)| format!("{name}: {why}")).collect();
+    let refused = (!refused.is_empty()).then(|| refused.join("; "));
+    summary.error =
+        outcome.reason.clone().or(held).or(refused).or_else(|| finished.driver_errors.first().cloned());
     summary
 }
 
@@ -222,6 +258,7 @@ pub fn task_summary(scene: &Snapshot) -> TaskSummary {
         completed: task.completed,
         cut_off: !task.over,
         score: if task.over { task.score } else { None },
+        disturbed: false,
         seconds: task.seconds,
         errors: task
             .errors

@@ -76,6 +76,9 @@ pub struct RunSummary {
     pub task: TaskSummary,
     /// The controllers, in the order of the scenario.
     pub controllers: Vec<ControllerSummary>,
+    /// Controllers that fell below 80 % of their rate, over the whole run or in two seconds of it, the slowest first:
+    /// the machine was too slow, or a fault was injected. Empty in virtual time without faults.
+    pub slow_actors: Vec<SlowActor>,
     /// Values that were not as in the scenario at the end, by the names of their fields.
     pub tuned: BTreeMap<String, serde_json::Value>,
     /// What became of each injected fault.
@@ -89,6 +92,11 @@ pub struct RunSummary {
     pub commands_refused: u64,
     /// Deepest penetration of two bodies \[m\].
     pub penetration_max: f64,
+    /// How often a contact was not kept: too deep, too strong, or of a body that stands still because its solver could
+    /// not go on. An exercise with any such contact ends with exit code 1.
+    pub contacts_not_kept: u64,
+    /// The first 64 of them, in order.
+    pub unkept_contacts: Vec<UnkeptContact>,
     /// File of the recording.
     pub recording: Option<String>,
     /// Whether the recording holds every commit; false without a recording.
@@ -119,12 +127,15 @@ impl RunSummary {
             state_hash: None,
             task: TaskSummary::default(),
             controllers: Vec::new(),
+            slow_actors: Vec::new(),
             tuned: BTreeMap::new(),
             faults: Vec::new(),
             force_newtons_max: 0.0,
             force_age_max_us: 0.0,
             commands_refused: 0,
             penetration_max: 0.0,
+            contacts_not_kept: 0,
+            unkept_contacts: Vec::new(),
             recording: None,
             recording_complete: false,
             report: None,
@@ -132,6 +143,33 @@ impl RunSummary {
             losses: Vec::new(),
             error: None,
         }
+    }
+
+    /// One sentence about the actors that were too slow, if there were any.
+    pub fn too_slow(&self) -> Option<String> {
+        if self.slow_actors.is_empty() {
+            return None;
+        }
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let actors: Vec<String> = self
+            .slow_actors
+            .iter()
+            .map(|actor| {
+                let SlowActor { name, share, worst_share, worst_at_secs } = actor;
+                let (whole, worst) = (percent(*share), percent(*worst_share));
+                if worst == whole {
+                    format!("{name} ran at {whole} of its rate")
+                } else {
+                    format!("{name} ran at {whole} of its rate ({worst} in the two seconds from {worst_at_secs:.1} s)")
+                }
+            })
+            .collect();
+        let why = if self.faults.is_empty() {
+            "the machine was too slow"
+        } else {
+            "under faults, actors were too slow"
+        };
+        Some(format!("{why}: {}", actors.join(", ")))
     }
 
     /// The exit code of the process, where `expectations_failed` says whether a fault plan's `[expect]` failed. The
@@ -154,12 +192,93 @@ pub struct TaskSummary {
     /// 0–100; null until the exercise is over.
     #[schemars(range(min = 0.0, max = 100.0))]
     pub score: Option<f64>,
+    /// Whether actors were too slow during it (`slow_actors`), so that its score and errors say little about the trainee.
+    pub disturbed: bool,
     /// Time on the exercise's own clock \[s\].
     pub seconds: f64,
     /// What went wrong, in order.
     pub errors: Vec<TaskErrorSummary>,
     /// Motion metrics: hand → name → value.
     pub metrics: BTreeMap<String, BTreeMap<String, f64>>,
+}
+
+/// What a contact that is not kept is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum UnkeptKind {
+    /// A penetration deeper than three quarters of the thinner body.
+    Penetration,
+    /// A force above 100 N.
+    Force,
+    /// A body that stands still because its solver could not go on.
+    Frozen,
+}
+
+/// A contact that was not kept.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct UnkeptContact {
+    /// What it was like.
+    pub kind: UnkeptKind,
+    /// When it was first found \[s\].
+    pub at_secs: f64,
+    /// One body.
+    pub a: String,
+    /// The other one; null for a body that stands still.
+    pub b: Option<String>,
+    /// Where, in world \[m\].
+    pub at_in_world: [f64; 3],
+    /// The depth \[m\] or the force \[N\]; 0 for a body that stands still.
+    pub value: f64,
+    /// The largest that counts as kept.
+    pub limit: f64,
+    /// Why a body stands still.
+    pub reason: Option<String>,
+}
+
+impl std::fmt::Display for UnkeptContact {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { kind, at_secs, a, b, at_in_world, value, limit, reason } = self;
+        let pair = b.as_ref().map_or(a.clone(), |b| format!("{a} and {b}"));
+        let [x, y, z] = at_in_world.map(|at| 1e3 * at);
+        let place = format!("at {at_secs:.2} s at [{x:.1}, {y:.1}, {z:.1}] mm");
+        match kind {
+            UnkeptKind::Penetration => {
+                write!(f, "{pair}: {:.1} mm deep {place}; at most {:.1} mm is kept", 1e3 * value, 1e3 * limit)
+            }
+            UnkeptKind::Force => write!(f, "{pair}: {value:.0} N {place}; at most {limit:.0} N is kept"),
+            UnkeptKind::Frozen => {
+                write!(
+                    f,
+                    "{pair} stands still since {at_secs:.2} s: {}",
+                    reason.as_deref().unwrap_or("unknown")
+                )
+            }
+        }
+    }
+}
+
+/// A controller that was too slow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SlowActor {
+    /// Its name.
+    pub name: String,
+    /// Share of its due ticks that ran, from its first tick to the end, 0 to 1.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub share: f64,
+    /// The least such share in two seconds of the run.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub worst_share: f64,
+    /// When those two seconds began \[s\].
+    pub worst_at_secs: f64,
+}
+
+impl TaskSummary {
+    /// Whether the scenario has an exercise. Without one there is no score, and nothing to complete.
+    pub fn is_exercise(&self) -> bool {
+        !self.completed || self.score.is_some()
+    }
 }
 
 /// One error of the trainee.

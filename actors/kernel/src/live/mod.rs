@@ -25,6 +25,7 @@ use thiserror::Error;
 use tokio::sync::Notify;
 use trocar_scene::{Access, ComponentError, EntityAllocator, SimTime, Snapshot, Store, WriterId};
 
+use crate::admission::all_refused;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
 use crate::handle::LaneStatus;
 use crate::intake::Intake;
@@ -225,6 +226,10 @@ impl LiveSession {
         let elapsed = self.elapsed();
         self.order.iter().map(|index| self.shared.writers[*index].report(elapsed)).collect()
     }
+    /// How many ticks each controller has run so far, in the order of the session.
+    pub fn ticks(&self) -> impl Iterator<Item = u64> + '_ {
+        self.order.iter().map(|index| self.shared.writers[*index].state.stats.ticks())
+    }
     /// What every controller has declared to the Model, with its rate \[Hz\], in the order of the session.
     pub fn accesses(&self) -> Vec<(String, f64, Access)> {
         let writers = self.order.iter().map(|index| &self.shared.writers[*index]);
@@ -359,7 +364,12 @@ impl LiveSession {
         let sim = ended.as_ref().map_or_else(|| self.shared.clock.now(), |ended| ended.at);
         let snapshot = self.snapshot();
         let hash = *lock(&self.shared.final_hash);
+        let refused = self.order.iter().filter_map(|index| {
+            let writer = &self.shared.writers[*index];
+            all_refused(&writer.report(sim), writer.state.stats.refusal()?, &snapshot)
+        });
         SessionOutcome {
+            refused: refused.collect(),
             mode: Mode::Live,
             code: ended.as_ref().map_or(EXIT_GAVE_UP, |ended| ended.code),
             reason: match &ended {

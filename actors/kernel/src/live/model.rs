@@ -95,7 +95,7 @@ impl ModelActor {
             if let Some(index) = culprit.and_then(|(id, ..)| self.shared.writer_index(id)) {
                 // The batch that caused the panic is not retried.
                 let writer = &self.shared.writers[index];
-                writer.state.stats.rejected();
+                writer.state.stats.quarantined();
                 writer.taken.store(0, Ordering::Relaxed);
             }
             if fell_back {
@@ -213,7 +213,7 @@ impl ModelActor {
                         writer.applied.fetch_add(1, Ordering::Relaxed);
                         writer.unpublished.fetch_add(1, Ordering::Relaxed);
                     }
-                    Outcome::Rejected(_) => writer.state.stats.rejected(),
+                    Outcome::Rejected(why) => writer.state.stats.rejected(why),
                     Outcome::Conflict(_) => writer.state.stats.conflict(),
                 }
                 writer.taken.store(0, Ordering::Relaxed);

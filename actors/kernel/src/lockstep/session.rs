@@ -11,6 +11,7 @@ use super::branching::{IssuedSnapshot, Moment};
 use super::faulting::ModelHang;
 use super::operating::OperatorWriter;
 use super::slot::{NEVER, Slot, Ticked, Zombie};
+use crate::admission::all_refused;
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultLog, FaultPlanError, FaultSchedule};
 use crate::model_core::{ModelCore, Outcome};
@@ -278,7 +279,12 @@ impl LockstepSession {
         self.close();
         self.forget_zombies();
         let snapshot = self.core.published().clone();
+        let refused = self.slots.iter().filter_map(|slot| {
+            let report = slot.report(self.now);
+            all_refused(&report, slot.stats.refusal()?, &snapshot)
+        });
         SessionOutcome {
+            refused: refused.collect(),
             mode: Mode::Lockstep,
             code: self.exit.unwrap_or(0),
             reason: self.supervisor.reason().map(str::to_owned),
@@ -454,15 +460,15 @@ impl LockstepSession {
                 slot.give_back(batch);
                 self.did_good_work(index);
             }
-            Ok(Outcome::Rejected(_)) => {
-                slot.stats.rejected();
+            Ok(Outcome::Rejected(why)) => {
+                slot.stats.rejected(&why);
                 slot.give_back(batch);
                 self.notice(index, FaultKind::Nan);
                 self.step_is_over(index);
             }
             // The batch is discarded.
             Err(text) => {
-                slot.stats.rejected();
+                slot.stats.quarantined();
                 let writer = slot.writer;
                 self.model_died(Some(writer), text);
             }
@@ -481,8 +487,8 @@ impl LockstepSession {
         }
         batch.commands.seal();
         self.slots[index].sent += 1;
-        if let Ok(Outcome::Rejected(_)) = self.decide(&mut batch) {
-            self.slots[index].stats.rejected();
+        if let Ok(Outcome::Rejected(why)) = self.decide(&mut batch) {
+            self.slots[index].stats.rejected(&why);
         }
     }
 

@@ -1,5 +1,6 @@
 //! Statistics of every controller: rates, lateness, step time, losses, restarts.
 
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use schemars::JsonSchema;
@@ -9,6 +10,7 @@ use trocar_scene::SimTime;
 use super::contribution_stats::{HitCounts, Hits};
 use super::histogram::{AtomicHistogram, Bars, Quantiles};
 use super::sched;
+use crate::admission::Rejection;
 
 /// A tick that starts later than this counts as missed in `on_time`, ns.
 pub const ON_TIME_NS: u64 = 1_000_000;
@@ -25,6 +27,8 @@ pub struct TickStats {
     late: AtomicU64,
     missed: AtomicU64,
     rejected: AtomicU64,
+    /// Why the first batch was refused that was not just of an earlier life.
+    refusal: OnceLock<Rejection>,
     conflicts: AtomicU64,
     dropped: AtomicU64,
     account: [AtomicU64; 5],
@@ -54,6 +58,7 @@ impl TickStats {
             late: AtomicU64::new(0),
             missed: AtomicU64::new(0),
             rejected: AtomicU64::new(0),
+            refusal: OnceLock::new(),
             conflicts: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
             account: Default::default(),
@@ -107,8 +112,20 @@ impl TickStats {
         }
     }
     /// Counts a batch that the Model rejected.
-    pub fn rejected(&self) {
+    pub fn rejected(&self, why: &Rejection) {
         self.rejected.fetch_add(1, Ordering::Relaxed);
+        if !matches!(why, Rejection::StaleEpoch { .. }) && self.refusal.get().is_none() {
+            // The first one counts; another thread's is as good.
+            let _ = self.refusal.set(why.clone());
+        }
+    }
+    /// Counts a batch that made the Model panic.
+    pub fn quarantined(&self) {
+        self.rejected.fetch_add(1, Ordering::Relaxed);
+    }
+    /// Why the first batch was refused that was not just of an earlier life.
+    pub fn refusal(&self) -> Option<&Rejection> {
+        self.refusal.get()
     }
     /// Counts a batch whose precondition did not hold.
     pub fn conflict(&self) {

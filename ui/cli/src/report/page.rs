@@ -82,11 +82,12 @@ fn header(out: &mut String, report: &Report) {
         Mode::Replay => "replay of a recording",
     };
     let score = summary.task.score.map_or("–".to_owned(), |score| format!("{score:.1}"));
+    let disturbed = if summary.task.disturbed { "<br>disturbed: some actors were too slow" } else { "" };
     let _ = write!(
         out,
         "<header><div><h1>{}</h1><p class=\"sub\"><span class=\"verdict {class}\">{verdict}</span>{} · {how} · \
          seed {}</p></div><div class=\"score\"><b>{score}</b><span> / 100</span>\
-         <p>FLS-style score,<br>not clinically validated</p></div></header>",
+         <p>FLS-style score,<br>not clinically validated{disturbed}</p></div></header>",
         escape(report.title),
         escape(&summary.scenario),
         summary.seed,
@@ -130,6 +131,25 @@ fn failures(out: &mut String, report: &Report) {
     }
     if !list.is_empty() {
         let _ = write!(out, "<section class=\"notice\"><h2>What went wrong</h2><ul>{list}</ul></section>");
+    }
+    if let Some(slow) = report.summary.too_slow() {
+        let _ = write!(
+            out,
+            "<section class=\"notice\"><h2>Disturbed</h2><p>{}. What the trainee did was disturbed by it: the score and \
+             the errors are not the trainee's alone.</p></section>",
+            escape(&slow)
+        );
+    }
+    let mut list = String::new();
+    for contact in &report.summary.unkept_contacts {
+        let _ = write!(list, "<li>{}</li>", escape(&contact.to_string()));
+    }
+    if !list.is_empty() {
+        let count = report.summary.contacts_not_kept;
+        let _ = write!(
+            out,
+            "<section class=\"notice\"><h2>Contacts that were not kept: {count}</h2><ul>{list}</ul></section>"
+        );
     }
     let mut list = String::new();
     for line in &report.summary.losses {
