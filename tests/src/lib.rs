@@ -3,6 +3,7 @@
 //! This library holds helpers of several of those tests: the standard program, and runs of the peg transfer with parts
 //! of the scenario replaced.
 
+pub mod bounded;
 pub mod golden;
 pub mod load;
 

@@ -3,6 +3,7 @@
 //! They are tests in real time, of signals, and of processes that must not be disturbed.
 
 mod kills;
+mod late_under_load;
 mod live_scenes;
 mod pause;
 mod too_slow;

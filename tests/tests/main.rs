@@ -11,6 +11,7 @@ mod exercise;
 mod golden;
 mod honesty;
 mod inventory;
+mod late_partner;
 mod own_task;
 mod parsers;
 mod person;

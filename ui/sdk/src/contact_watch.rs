@@ -4,13 +4,13 @@
 //! Whatever detects or answers a contact, its row of the collision list says between whom, where, how deep and how
 //! strong it is. A contact that is not kept is told once, until it has been kept again for a while.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
-    Collision, CollisionList, Commands, Entity, Frozen, HeatFrozen, Instrument, RigidBody, Shape, SimTime,
-    Snapshot, TetMesh, VertexPositions,
+    Activation, Collision, CollisionList, Commands, Entity, Frozen, HeatFrozen, Instrument, RigidBody, Shape,
+    SimTime, Snapshot, TetMesh, VertexPositions,
 };
 
 use crate::summary::{UnkeptContact, UnkeptKind};
@@ -35,6 +35,8 @@ pub struct ContactWatch {
     last: BTreeMap<(Entity, Entity, UnkeptKind), SimTime>,
     /// Thickness of each body that was asked for \[m\]; `None` for sheets and threads, which have none.
     thickness: BTreeMap<Entity, Option<f64>>,
+    /// Instruments that were switched on: they burn their way into what they touch.
+    active: BTreeSet<Entity>,
     /// Contacts to be told as events.
     untold: Vec<(Entity, Option<Entity>, f64)>,
 }
@@ -42,6 +44,8 @@ pub struct ContactWatch {
 impl ContactWatch {
     /// Looks at the scene at session time `now`.
     pub fn look(&mut self, now: SimTime, scene: &Snapshot) {
+        let active = scene.iter::<Activation>().filter(|(_, activation)| activation.level > 0.0);
+        self.active.extend(active.map(|(tool, _)| tool));
         for (_, list) in scene.iter::<CollisionList>() {
             for row in &list.collisions {
                 self.judge(now, scene, row);
@@ -83,7 +87,8 @@ impl ContactWatch {
     fn judge(&mut self, now: SimTime, scene: &Snapshot, row: &Collision) {
         let pair = (row.a, row.b);
         let force = row.force_in_world.norm();
-        let is_deep = row.depth > 0.0 && !is_grasp(scene, row);
+        let burns = [row.a, row.b].iter().any(|body| self.active.contains(body));
+        let is_deep = row.depth > 0.0 && !burns && !is_grasp(scene, row);
         // Sheets and threads have no depth in which another body could be.
         let both = is_deep.then(|| [row.a, row.b].map(|body| self.thickness_of(scene, body)));
         let thickness = both.and_then(|[a, b]| Some(a?.min(b?)));
