@@ -3,7 +3,6 @@
 //! They are tests in real time, of signals, and of processes that must not be disturbed.
 
 mod kills;
-mod late_under_load;
+mod late_live;
 mod live_scenes;
 mod pause;
-mod too_slow;

@@ -78,17 +78,14 @@ mod manual {}
 pub mod app;
 pub mod assembly;
 pub mod branching;
-pub mod contact_watch;
 pub mod decimate;
 pub mod device_kinds;
 mod error;
 pub mod graph;
 pub mod guide;
 pub mod hands;
-pub mod keeping_up;
 mod kind;
 mod kinds;
-pub mod motion;
 pub mod open;
 mod options;
 pub mod outline;
@@ -103,6 +100,7 @@ pub mod summary;
 pub mod templates;
 pub mod trace;
 pub mod tuning;
+pub mod watch;
 
 /// The scene's data and the contract of controllers: all of `trocar-scene`.
 pub mod scene {

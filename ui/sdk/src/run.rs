@@ -13,15 +13,15 @@ use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
 use crate::app::App;
 use crate::assembly::Assembly;
-use crate::contact_watch::ContactWatch;
 pub use crate::error::RunError;
 use crate::graph::ActorGraph;
-use crate::keeping_up::RateWatch;
-use crate::motion::HandMotions;
 pub use crate::options::{FaultTargets, RunOptions};
 use crate::session::{Finished, Session, doubts};
 use crate::summary::{Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
+use crate::watch::contacts::ContactWatch;
+use crate::watch::motion::HandMotions;
+use crate::watch::rates::RateWatch;
 
 /// Session time between two calls of the observer.
 const LOOK_EVERY: SimTime = SimTime::from_millis(20);

@@ -1,0 +1,4 @@
+//! Live sessions in which actors are late.
+
+mod too_slow;
+mod under_load;
