@@ -128,7 +128,7 @@ pub enum ComponentError {
         norm: f64,
     },
     /// Outside the field's range.
-    #[error("{field}: {value} is out of range ({valid})")]
+    #[error("{field}: {} is out of range ({valid})", crate::readable::given(*value))]
     OutOfRange {
         /// The field.
         field: &'static str,

@@ -31,6 +31,7 @@ pub mod organs;
 mod polygon;
 pub mod puts;
 pub mod random;
+pub mod readable;
 pub mod registry;
 pub mod scenario;
 pub mod shapes;

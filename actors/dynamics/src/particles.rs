@@ -3,6 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use trocar_scene::readable::{number, quantity};
 
 /// Positions and velocities of all nodes: the complete state of a solver.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -20,7 +21,11 @@ pub enum StepError {
     #[error("a step of {0} s: above 0 and finite is valid")]
     Time(f64),
     /// Longer than the safe step, with a configuration that rejects this.
-    #[error("a step of {step} s is longer than the largest safe one, {safe} s")]
+    #[error(
+        "a step of {} is longer than the largest safe one, {}: take shorter steps, or an implicit method",
+        quantity(*step, "s"),
+        quantity(*safe, "s")
+    )]
     TooLarge {
         /// The requested step \[s\].
         step: f64,
@@ -28,7 +33,13 @@ pub enum StepError {
         safe: f64,
     },
     /// It would need too many substeps.
-    #[error("a step of {step} s takes {parts} parts of {safe} s; at most {most} are taken")]
+    #[error(
+        "a step of {} takes {} parts of {}, and at most {most} are taken: step it by 'method = \"implicit\"', or make its \
+         'lag' smaller, its cells larger, its springs softer, or the controller's 'rate_hz' higher",
+        quantity(*step, "s"),
+        number(*parts),
+        quantity(*safe, "s")
+    )]
     TooManyParts {
         /// The requested step \[s\].
         step: f64,
@@ -50,13 +61,21 @@ pub enum StepError {
         problem: &'static str,
     },
     /// The position or velocity of a node became non-finite.
-    #[error("node {node} has a position or velocity that is not finite: take a shorter step")]
+    #[error(
+        "node {node} has a position or velocity that is not finite: take shorter steps (a higher 'rate_hz'), or check \
+         stiffness and forces"
+    )]
     NotFinite {
         /// The first such node.
         node: u32,
     },
     /// A node is faster than anything in the scene can be: the step was too large for the stiffness.
-    #[error("node {node} would move at {speed} m/s, above the limit of {limit} m/s: take a shorter step")]
+    #[error(
+        "node {node} would move at {}, above the limit of {}: take shorter steps (a higher 'rate_hz'), or make it softer \
+         or more damped",
+        quantity(*speed, "m/s"),
+        quantity(*limit, "m/s")
+    )]
     Runaway {
         /// The first such node.
         node: u32,
@@ -66,6 +85,8 @@ pub enum StepError {
         limit: f64,
     },
     /// The factorisation failed: the matrix is not positive definite to working precision.
-    #[error("the step's matrix could not be factorised: take a shorter step, or check masses and stiffness")]
+    #[error(
+        "the step's matrix could not be factorised: take shorter steps (a higher 'rate_hz'), or check masses and stiffness"
+    )]
     Factorisation,
 }

@@ -363,7 +363,7 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     assert_eq!((*table, burns.damage_energy), (CauterisedBody::default(), table.damage_energy));
     let (snapshot, organ) = has("linear_fem = { young_modulus = 1e5 }");
     let doubt = &snapshot.get::<OutOfValidity>(organ).expect("no such liver").reason;
-    assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");
+    assert!(doubt.contains("young_modulus of 100 kPa") && doubt.contains("2,700 Pa to 7,800 Pa"), "{doubt}");
 }
 
 /// A membrane hanging from one side for a second: pieces, torn length, lowest point, and final vertices.

@@ -9,6 +9,8 @@ mod stuffing;
 
 use thiserror::Error;
 
+use crate::readable::{number, quantity};
+
 pub use catalogue::Organ;
 pub use grids::{block, line, pipe, sheet, tube};
 pub use implicit::{Implicit, Part};
@@ -22,7 +24,12 @@ pub enum OrganError {
     #[error("it has no parts")]
     Empty,
     /// The lattice would be too large.
-    #[error("edges of {edge} m make at least {cells:.1e} cells, and {most} are allowed: make them longer")]
+    #[error(
+        "edges of {} make at least {} cells, and {} are allowed: make them longer",
+        quantity(*edge, "m"),
+        number(*cells),
+        number(*most as f64)
+    )]
     TooFine {
         /// Length of an edge \[m\].
         edge: f64,
@@ -32,7 +39,7 @@ pub enum OrganError {
         most: usize,
     },
     /// The lattice is too coarse: no element is left.
-    #[error("nothing of it is left with edges of {edge} m: make them shorter")]
+    #[error("nothing of it is left with edges of {}: make them shorter", quantity(*edge, "m"))]
     Lost {
         /// Length of an edge \[m\].
         edge: f64,

@@ -7,6 +7,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use crate::document_value::DocumentValue;
+use crate::readable::quantity;
 use crate::tissue::{TissueEntry, TissueParameter};
 
 /// Table of components with the material of a volume; its parameters are not listed in their schema. Sheets and lines
@@ -57,8 +58,11 @@ pub(super) fn doubt(tissue: &TissueEntry, component: &str, value: &Spanned<DeVal
         .or_else(|| volumes().find_map(|of| outside(tissue, of)))?;
     let TissueParameter { name, unit, range: [low, high], source, .. } = parameter;
     Some(format!(
-        "'{component}' has a {name} of {found} {unit}; of {} it is known to be {low} to {high} {unit}: {source}",
-        tissue.name
+        "'{component}' has a {name} of {}; of {} it is known to be {} to {}: {source}",
+        quantity(found, unit),
+        tissue.name,
+        quantity(*low, unit),
+        quantity(*high, unit)
     ))
 }
 

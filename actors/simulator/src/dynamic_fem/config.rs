@@ -106,7 +106,9 @@ pub enum StepError {
         index: usize,
     },
     /// The step would give a non-finite result.
-    #[error("the step led node {node} to a position that is not a finite number: take a shorter step")]
+    #[error(
+        "the step led node {node} to a position that is not a finite number: take shorter steps (a higher 'rate_hz')"
+    )]
     NotFinite {
         /// The node.
         node: u32,

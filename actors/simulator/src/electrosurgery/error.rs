@@ -3,6 +3,7 @@
 use std::ops::RangeInclusive;
 
 use thiserror::Error;
+use trocar_scene::readable::{given, number, quantity};
 
 /// Maximum number of items listed in a message.
 const NAMED_MAX: usize = 8;
@@ -18,7 +19,7 @@ fn some(indices: &[u32]) -> String {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ElectrosurgeryError {
     /// A parameter out of range.
-    #[error("{what} of {value}: {valid} is valid")]
+    #[error("{what} of {}: {valid} is valid", given(*value))]
     Parameter {
         /// Its name.
         what: &'static str,
@@ -59,7 +60,7 @@ pub enum ElectrosurgeryError {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum HeatStepError {
     /// An input out of range.
-    #[error("{what} of {value}: {valid} is valid")]
+    #[error("{what} of {}: {valid} is valid", given(*value))]
     Input {
         /// Its name.
         what: &'static str,
@@ -85,7 +86,10 @@ pub enum HeatStepError {
     },
     /// The source is too strong for its size and the step: it would need too many substeps.
     #[error(
-        "a step of {dt} s needs {parts} parts for this power on this area: at most {most}; take shorter steps"
+        "a step of {} needs {} parts for this power on this area, and at most {most} are taken: take shorter steps (a \
+         higher 'rate_hz'), less power, or a larger electrode",
+        quantity(*dt, "s"),
+        number(*parts)
     )]
     TooStrong {
         /// The step \[s\].

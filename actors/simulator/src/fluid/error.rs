@@ -3,12 +3,13 @@
 use std::ops::RangeInclusive;
 
 use thiserror::Error;
+use trocar_scene::readable::{given, quantity};
 
 /// Why a fluid was rejected.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FluidError {
     /// A parameter out of range.
-    #[error("{what} of {value}: {valid} is valid")]
+    #[error("{what} of {}: {valid} is valid", given(*value))]
     Parameter {
         /// Its name.
         what: &'static str,
@@ -40,7 +41,11 @@ pub enum FluidStepError {
     #[error("a step of {0} s: 1e-9 to 1 s is valid")]
     Time(f64),
     /// Too fast for so long a step.
-    #[error("a step of {dt} s had {left} s left after {most} parts; take shorter steps, or allow more parts")]
+    #[error(
+        "a step of {} had {} left after {most} parts: take shorter steps (a higher 'rate_hz'), or allow more parts",
+        quantity(*dt, "s"),
+        quantity(*left, "s")
+    )]
     TooFast {
         /// The step \[s\].
         dt: f64,
@@ -50,7 +55,7 @@ pub enum FluidStepError {
         most: u32,
     },
     /// A particle with a non-finite position.
-    #[error("particle {number} has a position that is not finite: take a shorter step")]
+    #[error("particle {number} has a position that is not finite: take shorter steps (a higher 'rate_hz')")]
     NotFinite {
         /// Its number.
         number: u64,

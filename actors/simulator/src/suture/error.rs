@@ -1,6 +1,7 @@
 //! Errors of suturing.
 
 use thiserror::Error;
+use trocar_scene::readable::quantity;
 
 use super::needle::NeedleError;
 use crate::linear_fem::PrecomputeError;
@@ -47,7 +48,12 @@ pub enum SutureError {
     )]
     Full,
     /// The step did not converge even when divided.
-    #[error("no step from {time} s on, not of {shortest} s either: {why}")]
+    #[error(
+        "no step from {} on, not of {} either: {why}; move what holds it more slowly, or take shorter steps (a higher \
+         'rate_hz')",
+        quantity(*time, "s"),
+        quantity(*shortest, "s")
+    )]
     Diverged {
         /// Time since the beginning of the step \[s\].
         time: f64,

@@ -1,6 +1,7 @@
 //! Errors of a thread and of its steps.
 
 use thiserror::Error;
+use trocar_scene::readable::quantity;
 
 /// Why a thread was rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -57,7 +58,10 @@ pub enum ThreadStepError {
     },
     /// The step did not converge even when divided.
     #[error(
-        "node {node} at {time} s into the step: {why}, even with steps of {shortest} s; move what holds or touches the thread more slowly, or take shorter steps"
+        "node {node} at {} into the step: {why}, even with steps of {}; move what holds or touches the thread more \
+         slowly, or take shorter steps (a higher 'rate_hz')",
+        quantity(*time, "s"),
+        quantity(*shortest, "s")
     )]
     Diverged {
         /// The node.

@@ -7,6 +7,7 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::frozen::{FrozenPart, freeze};
+use trocar_scene::readable::quantity;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
     EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, Snapshot, Tick,
@@ -129,8 +130,9 @@ impl SmokeController {
                 let mass = plume.emitted - taken;
                 if !(mass <= PLUME_MAX && place.iter().all(|x| x.abs() <= FAR)) {
                     return Err(format!(
-                        "'{}' gives off {mass:e} kg at {:?} m in one step; at most {PLUME_MAX} kg within {FAR} m can be",
+                        "'{}' gives off {} at {:.3?} m in one step; at most {PLUME_MAX} kg within {FAR} m can be",
                         scene.name(entity),
+                        quantity(mass, "kg"),
                         <[f64; 3]>::from(place)
                     ));
                 }
