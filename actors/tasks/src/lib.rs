@@ -3,7 +3,7 @@
 //! [`peg_transfer::PegTransfer`] is the exercise as a state machine driven by observations;
 //! [`peg_transfer_controller::PegTransferController`] reads them from the scene and writes `TaskState`. [`outcome`]
 //! judges any scene by the simulators' measurements. [`fls_score`] and [`motion_metrics`] are shared by all exercises.
-//! Scores are FLS-*style*: no clinical validity is claimed for any of them.
+//! The score of the peg transfer is FLS-*style*: no clinical validity is claimed for any score.
 #![forbid(unsafe_code)]
 
 pub mod fls_score;

@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use trocar_scene::components::OUTCOME;
+use trocar_scene::readable::{given, number};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HapticStatus,
     HeatFrozen, Measured, Parent, Pose, Snapshot, TaskError, TaskState, Tick,
@@ -66,6 +68,26 @@ impl Expectation {
         };
         format!("{}.{which}", self.measure)
     }
+
+    /// Why it is not met, with the value and the bound: `gauze.pieces is 1, at least 2 is expected`.
+    fn failure(&self, value: Option<f64>) -> String {
+        let key = self.key();
+        match value {
+            Some(value) if value < self.min => {
+                format!("{key} is {}, at least {} is expected", told(value, self.min), given(self.min))
+            }
+            Some(value) => {
+                format!("{key} is {}, at most {} is expected", told(value, self.max), given(self.max))
+            }
+            None => format!("{key} was not measured: nothing in the scene gives '{}'", self.measure),
+        }
+    }
+}
+
+/// A value beside the bound that it misses: with few digits where those tell the two apart, else with all of them.
+fn told(value: f64, bound: f64) -> String {
+    let few = number(value).to_string();
+    if few == number(bound).to_string() || few == given(bound) { given(value) } else { few }
 }
 
 /// The judgement as a scenario file describes it.
@@ -86,11 +108,11 @@ impl OutcomeConfig {
     /// Names the problem, and what would be valid.
     pub fn check(&self) -> Result<(), String> {
         if !(0.0..=86_400.0).contains(&self.seconds) {
-            return Err(format!("seconds: {} is out of range (0 to 86,400)", self.seconds));
+            return Err(format!("seconds: {} is out of range (0 to 86,400)", given(self.seconds)));
         }
         if self.expect.len() > EXPECTATIONS_MAX {
             return Err(format!(
-                "{} expectations are too many (at most {EXPECTATIONS_MAX})",
+                "expect: {} expectations are too many (at most {EXPECTATIONS_MAX})",
                 self.expect.len()
             ));
         }
@@ -173,14 +195,7 @@ impl OutcomeController {
             if value.is_some_and(|value| value >= expected.min && value <= expected.max) {
                 done += 1;
             } else if over {
-                let kind = match value {
-                    Some(value) if *value < expected.min => {
-                        format!("{} below {}", expected.measure, expected.min)
-                    }
-                    Some(_) => format!("{} above {}", expected.key(), expected.max),
-                    None => format!("{} was not measured", expected.key()),
-                };
-                errors.push(TaskError { kind, at_secs: secs, entity: None });
+                errors.push(TaskError { kind: expected.failure(*value), at_secs: secs, entity: None });
             }
         }
         errors.extend(self.state.frozen.iter().map(|kind| TaskError {
@@ -201,7 +216,7 @@ impl OutcomeController {
             cut_off: false,
             score,
             errors,
-            metrics: [("outcome".to_owned(), outcome)].into(),
+            metrics: [(OUTCOME.to_owned(), outcome)].into(),
         }
     }
 }
@@ -272,11 +287,39 @@ mod tests {
         let bad = judge(&[Some(0.5), None], true);
         assert!(!bad.completed && bad.over && bad.score == Some(0.0));
         let kinds: Vec<&str> = bad.errors.iter().map(|error| error.kind.as_str()).collect();
-        assert_eq!(kinds, ["area_m2 below 1", "force_n was not measured"]);
+        let missing = "force_n was not measured: nothing in the scene gives 'force_n'";
+        assert_eq!(kinds, ["area_m2 is 0.5, at least 1 is expected", missing]);
         let early = judge(&[Some(1.5), None], false);
         assert!(
             !early.completed && !early.over && early.errors.is_empty() && (early.done, early.steps) == (1, 2)
         );
+    }
+
+    #[test]
+    fn what_fails_is_named_with_its_value_and_its_bound() {
+        let expect = |which, min, max| Expectation { measure: "gauze.area_m2".into(), which, min, max };
+        let cases = [
+            (expect(Which::Last, 2.0, f64::MAX), 1.0, "gauze.area_m2 is 1, at least 2 is expected"),
+            (
+                expect(Which::Smallest, 1e-5, 1.0),
+                2.5e-6,
+                "gauze.area_m2.smallest is 2.5e-6, at least 0.00001 is expected",
+            ),
+            (
+                expect(Which::Largest, f64::MIN, 0.0),
+                137_571.0,
+                "gauze.area_m2.largest is 137,571, at most 0 is expected",
+            ),
+            (
+                expect(Which::Mean, 0.0, 0.5),
+                0.500_04,
+                "gauze.area_m2.mean is 0.50004, at most 0.5 is expected",
+            ),
+            (expect(Which::Last, 0.0, 0.5), f64::INFINITY, "gauze.area_m2 is inf, at most 0.5 is expected"),
+        ];
+        for (expected, value, told) in cases {
+            assert_eq!(expected.failure(Some(value)), told);
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+use trocar_scene::components::PEG_TRANSFER;
 use trocar_scene::{
     Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
     EntitySet, Grasp, Parent, Pose, Side, Snapshot, TaskError, TaskState, Tick, Velocity,
@@ -143,7 +144,7 @@ impl PegTransferController {
             entity: self.rings.get(error.ring).copied(),
         });
         TaskState {
-            task: "peg-transfer".to_owned(),
+            task: PEG_TRANSFER.to_owned(),
             phase: exercise.phase().to_owned(),
             done: exercise.done(),
             steps: exercise.steps(),

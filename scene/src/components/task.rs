@@ -42,12 +42,56 @@ pub struct TaskState {
     pub completed: bool,
     /// Whether time ran out first.
     pub cut_off: bool,
-    /// Score 0–100, once known. FLS-style; not clinically validated.
+    /// Score 0–100, once known; [`TaskState::score_kind`] says what it is made of. Not clinically validated.
     pub score: Option<f64>,
     /// Errors, in order; bounded.
     pub errors: Vec<TaskError>,
     /// Motion metrics: hand → name → value.
     pub metrics: BTreeMap<String, BTreeMap<String, f64>>,
+}
+
+/// Name of the peg transfer as an exercise.
+pub const PEG_TRANSFER: &str = "peg-transfer";
+/// Exercises whose score has the form of the FLS programme.
+const FLS_STYLE: [&str; 1] = [PEG_TRANSFER];
+/// The metrics with the judged quantities of an exercise that consists of expectations.
+pub const OUTCOME: &str = "outcome";
+
+/// What a score is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ScoreKind {
+    /// Time and penalties, in the form of the FLS programme.
+    FlsStyle,
+    /// The share of the expectations that were met.
+    Expectations,
+    /// Whatever the exercise makes of it.
+    #[default]
+    Own,
+}
+
+impl ScoreKind {
+    /// In words, for people.
+    #[must_use]
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::FlsStyle => "FLS-style score, not clinically validated",
+            Self::Expectations => "share of the expectations that were met, not clinically validated",
+            Self::Own => "score of this exercise, not clinically validated",
+        }
+    }
+}
+
+impl TaskState {
+    /// What its score is made of.
+    #[must_use]
+    pub fn score_kind(&self) -> ScoreKind {
+        match () {
+            () if FLS_STYLE.contains(&self.task.as_str()) => ScoreKind::FlsStyle,
+            () if self.metrics.contains_key(OUTCOME) => ScoreKind::Expectations,
+            () => ScoreKind::Own,
+        }
+    }
 }
 
 /// Measurements of a controller about its simulation: areas, volumes, energies, slips; on the controller's own entity.

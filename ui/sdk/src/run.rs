@@ -259,6 +259,7 @@ pub fn task_summary(scene: &Snapshot) -> TaskSummary {
         cut_off: !task.over,
         score: if task.over { task.score } else { None },
         disturbed: false,
+        score_kind: task.score_kind(),
         seconds: task.seconds,
         errors: task
             .errors

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 pub use trocar_kernel::bench::{Better, Row as BenchResult};
 pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Hits, Quantiles};
 use trocar_kernel::spec::FaultKind;
+pub use trocar_scene::components::ScoreKind;
 
 /// Version of the objects in this file; it rises when a field changes its meaning or is removed.
 pub const SCHEMA: u32 = 1;
@@ -180,7 +181,7 @@ impl RunSummary {
     }
 }
 
-/// How an exercise went. The score is FLS-style; it is not clinically validated.
+/// How an exercise went. No score is clinically validated.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskSummary {
@@ -194,6 +195,8 @@ pub struct TaskSummary {
     pub score: Option<f64>,
     /// Whether actors were too slow during it (`slow_actors`), so that its score and errors say little about the trainee.
     pub disturbed: bool,
+    /// What the score is made of.
+    pub score_kind: ScoreKind,
     /// Time on the exercise's own clock \[s\].
     pub seconds: f64,
     /// What went wrong, in order.
@@ -285,7 +288,7 @@ impl TaskSummary {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskErrorSummary {
-    /// Kind, such as `drop_in_view`.
+    /// Kind, such as `drop_in_view`; or the expectation that was not met, with its value and its bound.
     pub kind: String,
     /// When \[s\].
     pub at_secs: f64,
@@ -379,7 +382,8 @@ pub fn bench_schema() -> serde_json::Value {
     strict(schemars::schema_for!(BenchSummary).to_value())
 }
 
-/// Marks every property of every object as required: fields are null when unknown, never absent.
+/// Marks every property of every object as required: fields are null when unknown, never absent. Descriptions lose the
+/// backslashes with which Rust's documentation writes `[s]`.
 fn strict(mut schema: serde_json::Value) -> serde_json::Value {
     fn visit(node: &mut serde_json::Value) {
         if let Some(object) = node.as_object_mut() {
@@ -389,6 +393,9 @@ fn strict(mut schema: serde_json::Value) -> serde_json::Value {
                 .map(|properties| properties.keys().cloned().collect::<Vec<_>>());
             if let Some(names) = names {
                 object.insert("required".to_owned(), names.into());
+            }
+            if let Some(serde_json::Value::String(text)) = object.get_mut("description") {
+                *text = text.replace("\\[", "[").replace("\\]", "]");
             }
             object.values_mut().for_each(visit);
         }
@@ -428,5 +435,9 @@ mod tests {
         sorted.sort_unstable();
         assert_eq!(printed, sorted);
         assert_eq!(summary["mode"], "lockstep");
+        for schema in [schema, bench_schema()] {
+            let text = schema.to_string();
+            assert!(!text.contains("\\\\["), "a backslash of Rust's documentation: {text}");
+        }
     }
 }
