@@ -175,6 +175,49 @@ fn parameters_are_interpreted_where_they_are_used_and_errors_keep_their_place() 
     assert!(b.params.parse::<Needs>().expect_err("missing").to_string().contains("gain"));
 }
 
+/// A range, a condition between keys, a name: what no decoder sees is answered with the line of its own key.
+#[test]
+fn errors_that_are_found_after_decoding_stand_at_the_line_of_their_own_key() {
+    let entity = "schema = 1\nname = \"x\"\n[[entity]]\nname = \"ring\"\n\
+                  shape = { torus = { ring_radius = 0.008, tube_radius = 0.0015 } }\n";
+    let cases = [
+        ("[entity.rigid_body]\nmotion = \"dynamic\"\nfriction = 0.5\nmass = -1.0\n", ":9:8", "mass"),
+        ("[entity.instrument]\nkind = \"grasper\"\nshaft_length = 3.0\n", ":8:16", "shaft_length"),
+        (
+            "[entity.instrument]\nkind = \"grasper\"\nshaft_length = 0.1\njaw_angle_max = 7.0\n",
+            ":9:17",
+            "jaw_angle_max",
+        ),
+    ];
+    for (text, place, key) in cases {
+        let error = parse(&format!("{entity}{text}")).expect_err("out of range").to_string();
+        assert!(
+            error.starts_with(&format!("folder/test.toml{place}")) && error.contains(key),
+            "{text}: {error}"
+        );
+    }
+
+    let text = "schema = 1\nname = \"x\"\n[[controller]]\nname = \"a\"\nkind = \"nonsense\"\nrate_hz = 10\n\
+                [controller.params]\nhand = \"left\"\nstep = [\n  { seconds = 1.0 },\n  { seconds = 2.0, to = \"b\" },\n]\n\
+                [task]\nexpect = [{ measure = \"ring.z_m\", min = 2.0 }]\nseconds = -1.0\n";
+    let scenario = parse(text).expect("valid");
+    let params = &scenario.controllers[0].params;
+    for (error, line) in [
+        (params.error("hand: no hand is called 'left'; there are: right"), 8),
+        (params.error("no hand is called 'left'; there are: right"), 8),
+        (params.error("there is no 'b' to go to"), 11),
+        (params.error("the whole is wrong"), 7),
+        (scenario.task.error("seconds: -1 is out of range (0 to 86,400)"), 15),
+        (scenario.task.error("'ring.z_m': no value is at least 2 and at most 1"), 14),
+        (scenario.error_at("controller", 0, "unknown kind 'nonsense'; there are: rapier"), 5),
+        (scenario.error_at("controller", 0, "rate_hz: 10 is too slow"), 6),
+        (scenario.error_at("controller", 0, "it cannot be built"), 3),
+    ] {
+        let error = error.to_string();
+        assert!(error.starts_with(&format!("folder/test.toml:{line}:")), "line {line}: {error}");
+    }
+}
+
 const HEAD: &str = "schema = 1\nname = \"x\"\n";
 
 /// Every mistake is answered with file, line, column, key and what would be valid.
@@ -203,8 +246,8 @@ fn mistakes_are_named_with_their_place() {
             &[":5:10", "entity 'ring', pose", "translatoin", "translation"],
         ),
         (entity("pose = { translation = [0, 0] }\n"), &[":5:", "entity 'ring', pose"]),
-        (entity("pose = { rotation = [0, 0, 0, 2] }\n"), &[":5:8", "not normalised", "2"]),
-        (entity("pose = { translation = [0, inf, 0] }\n"), &[":5:8", "not finite"]),
+        (entity("pose = { rotation = [0, 0, 0, 2] }\n"), &[":5:21", "not normalised", "2"]),
+        (entity("pose = { translation = [0, inf, 0] }\n"), &[":5:28", "not finite"]),
         (entity("rigid_body = { mass = -1 }\n"), &[":5:14", "mass", "-1", "1e-6 to 1e3 kg"]),
         (
             entity("rigid_body = { motion = \"liquid\" }\n"),

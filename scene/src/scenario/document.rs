@@ -12,6 +12,7 @@ use toml::de::{DeTable, DeValue};
 use super::error::ScenarioError;
 use crate::document_value::DocumentValue;
 use crate::entity::{Entity, with_entity_names};
+use crate::readable::given;
 
 /// The text of a scenario and its origin.
 #[derive(Debug)]
@@ -126,7 +127,7 @@ impl<'a> Table<'a> {
             return Ok(Some(value));
         }
         let span = self.get(key).map_or(self.span(), Spanned::span);
-        Err(self.error(span, key, format!("{value} is out of range ({valid})")))
+        Err(self.error(span, key, format!("{} is out of range ({valid})", given(value))))
     }
 
     /// The tables of an array of tables; a single table is a list of one.
@@ -144,6 +145,79 @@ impl<'a> Table<'a> {
             })
             .collect()
     }
+}
+
+/// The place of the key, or of the text, that a reason names: its first word, a word in quotes, before a colon, or with
+/// an underscore, when the value has such a key at any depth (`jaw_force_max: 60 is out of range`). The shallowest one
+/// counts, and of a path such as `springs.surface` its last key.
+pub(super) fn named_in(value: &Spanned<DeValue<'_>>, reason: &str) -> Option<Range<usize>> {
+    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.' || c == '-';
+    let mut at = 0;
+    while let Some(start) = reason[at..].find(is_part).map(|found| at + found) {
+        let end = reason[start..].find(|c| !is_part(c)).map_or(reason.len(), |found| start + found);
+        let word = reason[start..end].trim_matches('.');
+        let is_quoted = reason[..start].ends_with(['\'', '`', '"']);
+        let names = start == 0 || is_quoted || word.contains('_') || reason[end..].starts_with(':');
+        if names
+            && let Some(place) = key_at(value, word).or_else(|| text_at(value, word).filter(|_| is_quoted))
+        {
+            return Some(place);
+        }
+        at = end;
+    }
+    None
+}
+
+/// The place of the value under a key, or a path of keys, at any depth: the shallowest one.
+fn key_at(value: &Spanned<DeValue<'_>>, path: &str) -> Option<Range<usize>> {
+    let below = |from: &Spanned<DeValue<'_>>| {
+        let mut span = None;
+        let mut at = from;
+        for key in path.split('.') {
+            at = at.get_ref().as_table()?.get(key)?;
+            span = Some(at.span());
+        }
+        span
+    };
+    first_of(value, &below)
+}
+
+/// The place of the first number that is not finite, at any depth.
+pub(super) fn not_finite_in(value: &Spanned<DeValue<'_>>) -> Option<Range<usize>> {
+    first_of(value, &|at| match at.get_ref() {
+        DeValue::Float(number) => {
+            let text = number.as_str();
+            (text.contains("inf") || text.contains("nan")).then(|| at.span())
+        }
+        _ => None,
+    })
+}
+
+/// The place of a text, at any depth: the shallowest one.
+fn text_at(value: &Spanned<DeValue<'_>>, text: &str) -> Option<Range<usize>> {
+    first_of(value, &|at| (at.get_ref().as_str() == Some(text)).then(|| at.span()))
+}
+
+/// What is found first, breadth first, in a value and all below it.
+fn first_of(
+    value: &Spanned<DeValue<'_>>,
+    find: &dyn Fn(&Spanned<DeValue<'_>>) -> Option<Range<usize>>,
+) -> Option<Range<usize>> {
+    let mut level = vec![value];
+    while !level.is_empty() {
+        if let Some(found) = level.iter().find_map(|at| find(at)) {
+            return Some(found);
+        }
+        level = level
+            .iter()
+            .flat_map(|at| match at.get_ref() {
+                DeValue::Table(table) => table.values().collect(),
+                DeValue::Array(items) => items.iter().collect(),
+                _ => Vec::new(),
+            })
+            .collect();
+    }
+    None
 }
 
 /// `outer, inner`, or whichever is not empty.
@@ -232,10 +306,12 @@ impl Params {
         Ok(value)
     }
 
-    /// An error about these parameters that [`Params::parse`] does not check, such as a range.
+    /// An error about these parameters that [`Params::parse`] does not check, such as a range. It stands at the key
+    /// that the reason names, if there is one: `seconds: -1 is out of range`.
     pub fn error(&self, reason: impl Into<String>) -> ScenarioError {
+        let reason = reason.into();
         match &self.source {
-            Some(source) => source.error(self.span(), self.owner.clone(), reason),
+            Some(source) => source.error(self.span(&reason), self.owner.clone(), reason),
             None => ScenarioError::Invalid {
                 file: PathBuf::new(),
                 line: 0,
@@ -246,9 +322,12 @@ impl Params {
         }
     }
 
-    fn span(&self) -> Range<usize> {
+    /// The place of what a reason names, or else of the parameters.
+    fn span(&self, reason: &str) -> Range<usize> {
         match self.source.as_ref().and_then(|source| source.parse().ok()) {
-            Some(document) => self.find(document).map_or_else(|place| place, |value| value.span()),
+            Some(document) => self
+                .find(document)
+                .map_or_else(|place| place, |value| named_in(&value, reason).unwrap_or_else(|| value.span())),
             None => 0..0,
         }
     }

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::document::{Params, Source, Step, Table, join, shown};
+use super::document::{Params, Source, Step, Table, join, named_in, not_finite_in, shown};
 use super::error::ScenarioError;
 use super::mesh_source::{self, LoadedMesh};
 use super::tissue_defaults::{completed, doubt};
@@ -18,7 +18,7 @@ use super::{
     SCHEMA_VERSION, Scenario, provenance,
 };
 use crate::commands::Commands;
-use crate::component::Component;
+use crate::component::{Component, ComponentError};
 use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue, VertexPositions};
 use crate::confined_path::{self, Assets};
 use crate::document_value::DocumentValue;
@@ -320,7 +320,15 @@ fn put_entity(
             commands.put(entity, OutOfValidity { reason, since: SimTime::ZERO });
         }
         registry.put_document(id, commands, entity, &DocumentValue::from(&completed)).map_err(
-            |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),
+            |(span, error)| {
+                let reason = super::reason(&error);
+                let found = match &error {
+                    ComponentError::NotFinite { .. } => not_finite_in(value),
+                    _ => named_in(value, &reason),
+                };
+                let span = span.or(found).unwrap_or(value.span());
+                table.error(span, component_name, reason)
+            },
         )?;
     }
     let mesh = meshes.get(&entity);
@@ -399,15 +407,15 @@ fn hands(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Vec<HandEn
         let (entity_name, entity_span) = table
             .string("entity")?
             .map_or((format!("hand.{name}"), table.span()), |(text, span)| (text.to_owned(), span));
-        let entity =
-            hand_entity(root, names, &entity_name).map_err(|why| table.error(entity_span, "entity", why))?;
+        let entity = hand_entity(root, names, &entity_name)
+            .map_err(|why| table.error(entity_span.clone(), "entity", why))?;
         if hands.iter().any(|other| other.entity == entity) {
             let reason = format!("two hands refer to entity '{}'", shown(&entity_name));
-            return Err(table.error(table.span(), "entity", reason));
+            return Err(table.error(entity_span, "entity", reason));
         }
-        let device = table.string("device")?.map_or("virtual", |(text, _)| text);
+        let (device, device_span) = table.string("device")?.unwrap_or(("virtual", table.span()));
         if device.is_empty() || device.len() > 1024 {
-            return Err(table.error(table.span(), "device", "a device is named, such as \"virtual\""));
+            return Err(table.error(device_span, "device", "a device is named, such as \"virtual\""));
         }
         hands.push(HandEntry {
             name: name.to_owned(),

@@ -199,11 +199,13 @@ impl Scenario {
     }
 
     /// An error in this file found by a later stage, such as an unknown kind of controller. `key` is a table's name,
-    /// `index` its number in the array.
+    /// `index` its number in the array. It stands at the key, or the text in quotes, that the reason names, if the
+    /// table has one, and else at the table.
     pub fn error_at(&self, key: &str, index: usize, reason: impl Into<String>) -> ScenarioError {
+        let reason = reason.into();
         let span = self.source.parse().ok().and_then(|document| {
             let item = document.get_ref().get(key)?.get_ref().get(index)?;
-            Some(item.span())
+            Some(document::named_in(item, &reason).unwrap_or_else(|| item.span()))
         });
         self.source.error(span.unwrap_or(0..0), key, reason)
     }

@@ -4,7 +4,9 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use trocar_devices::DriverStatistics;
+use trocar_kernel::SessionError;
 use trocar_kernel::faults::Measured;
+use trocar_kernel::live::LiveError;
 use trocar_kernel::recorder::{self, Recorder, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
@@ -12,7 +14,7 @@ use trocar_scene::scenario::Scenario;
 use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
 use crate::app::App;
-use crate::assembly::Assembly;
+use crate::assembly::{Assembly, AssemblyError};
 pub use crate::error::RunError;
 use crate::graph::ActorGraph;
 pub use crate::options::{FaultTargets, RunOptions};
@@ -97,7 +99,27 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
         // An empty recording is useless. If it cannot be removed, the first error is still the one to return.
         let _ = std::fs::remove_file(file);
     }
-    started
+    started.map_err(|error| located(scenario, error))
+}
+
+/// A first start that failed, with the place of what it is about: the entity that the reason names in quotes, or else the
+/// controller.
+fn located(scenario: &Scenario, error: RunError) -> RunError {
+    let (RunError::Session(SessionError::Start(reason)) | RunError::Live(LiveError::Start(reason))) = &error
+    else {
+        return error;
+    };
+    // Entities are numbered in the order of the file.
+    let mut entities: Vec<_> = scenario.entities().iter().collect();
+    entities.sort_by_key(|(_, entity)| **entity);
+    let named = |name: &str| reason.contains(&format!("'{name}'"));
+    let of_entity = entities.iter().position(|(name, _)| named(name)).map(|index| ("entity", index));
+    let starts = |name: &str| reason.strip_prefix(name).is_some_and(|rest| rest.starts_with(' '));
+    let of_controller = scenario.controllers.iter().position(|entry| starts(&entry.name));
+    match of_entity.or(of_controller.map(|index| ("controller", index))) {
+        Some((table, index)) => AssemblyError::from(scenario.error_at(table, index, reason.clone())).into(),
+        None => error,
+    }
 }
 
 /// Runs a scenario to its end and calls `observer` about 50 times per second of the session. A slow observer holds up a
