@@ -110,6 +110,28 @@ fn every_program_of_the_docs_is_compiled() {
     refuse("programs that nothing compiles", wrong);
 }
 
+/// A manifest of the docs asks for what the template `controller` asks for, by which it is built and tested.
+fn read_manifest(snippet: &str) -> Result<(), String> {
+    let table = |text: &str| text.parse::<toml::Table>().map_err(|error| error.to_string());
+    let (ours, theirs) = (table(&read("ui/sdk/templates/controller/Cargo.toml"))?, table(snippet)?);
+    let known = ours["dependencies"].as_table().ok_or("no dependencies")?;
+    let asked = theirs["dependencies"].as_table().ok_or("no dependencies")?;
+    for (name, wanted) in known {
+        let found = asked.get(name).ok_or(format!("'{name}' is missing"))?;
+        let path = |value: &toml::Value| value.get("path").and_then(|path| path.as_str().map(str::to_owned));
+        match (path(wanted), path(found)) {
+            (None, None) if wanted == found => {}
+            (Some(_), Some(path))
+                if ["trocar/ui/sdk", "trocar/ui/cli"].iter().any(|end| path.ends_with(end)) => {}
+            _ => return Err(format!("'{name}' is {found}, and {wanted} in the template")),
+        }
+    }
+    match ours["package"].get("edition") == theirs["package"].get("edition") {
+        true => Ok(()),
+        false => Err("another edition".to_owned()),
+    }
+}
+
 /// Parses a snippet by its kind: a fault plan, bindings, a scenario, or a part of one.
 fn read_toml(snippet: &str) -> Result<(), String> {
     if snippet.contains("[[fault]]") {
@@ -117,6 +139,9 @@ fn read_toml(snippet: &str) -> Result<(), String> {
     }
     if snippet.contains("[controls]") {
         return Bindings::parse(snippet).map(drop).map_err(|error| error.to_string());
+    }
+    if snippet.contains("[dependencies]") {
+        return read_manifest(snippet);
     }
     let app = app();
     let starts = |table: &str| snippet.starts_with(table);
@@ -149,6 +174,7 @@ fn every_toml_of_the_docs_is_read() {
     refuse("snippets of TOML", wrong);
     assert!(snippets >= 12, "{snippets} snippets were found");
     assert!(read_toml("linear_fem = { yuong_modulus = 6000.0 }").is_err(), "a wrong key is refused");
+    assert!(read_toml("[package]\nedition = \"2024\"\n[dependencies]\ntrocar = \"1\"").is_err());
     assert!(read_toml("[[controller]]\nname = \"x\"\nkind = \"rapeir\"\nrate_hz = 10").is_err());
 }
 

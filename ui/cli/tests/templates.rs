@@ -89,6 +89,9 @@ fn templates_are_listed_and_what_cannot_be_written_is_refused() {
     };
     refused(&["new", "sim", "--template", "contoller"], 2, "did you mean 'controller'");
     refused(&["new", "My Sim"], 2, "lower-case letters");
+    for name in ["fn", "2d-sim", "core", "test", "serde", "öl"] {
+        refused(&["new", name], 2, "would do");
+    }
     refused(&["new", "sim", "--trocar", "/"], 4, "no checkout of Trocar");
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "something was written");
     assert!(trocar(folder.path(), &["new", "sim"]).status.success());

@@ -15,21 +15,44 @@ const SDK: &str = "{ path = \"../..\" }";
 const CLI: &str = "{ path = \"../../../cli\" }";
 /// Longest name of a crate.
 const NAME_MAX: usize = 64;
-/// Names that no crate can have, or that would collide with a crate that every project needs.
-const RESERVED: [&str; 12] = [
-    "trocar",
-    "trocar-cli",
-    "test",
-    "core",
-    "std",
-    "alloc",
-    "proc-macro",
-    "crate",
-    "self",
-    "super",
-    "build",
-    "deps",
+/// Words of the language, also those that it keeps for later: a path such as `NAME::Breathing` cannot begin with one.
+const KEYWORDS: [&str; 49] = [
+    "abstract", "as", "async", "await", "become", "box", "break", "const", "continue", "crate", "do", "dyn",
+    "else", "enum", "extern", "false", "final", "fn", "for", "gen", "if", "impl", "in", "let", "loop",
+    "macro", "match", "mod", "move", "mut", "override", "priv", "pub", "ref", "return", "self", "static",
+    "struct", "super", "trait", "true", "try", "type", "typeof", "unsafe", "unsized", "use", "virtual",
+    "where",
 ];
+/// The rest of them.
+const KEYWORDS_MORE: [&str; 2] = ["while", "yield"];
+/// Types of the language, which a crate of that name would hide.
+const TYPES: [&str; 17] = [
+    "bool", "char", "f32", "f64", "i8", "i16", "i32", "i64", "i128", "isize", "str", "u8", "u16", "u32",
+    "u64", "u128", "usize",
+];
+/// Crates that come with the compiler.
+const STANDARD: [&str; 5] = ["alloc", "core", "proc-macro", "std", "test"];
+/// Folders of cargo beside the program, which has the crate's name.
+const FOLDERS: [&str; 5] = ["build", "deps", "doc", "examples", "incremental"];
+/// The crates of Trocar besides its facade.
+const OURS: [&str; 14] = [
+    "trocar-cli",
+    "trocar-collision",
+    "trocar-devices",
+    "trocar-dynamics",
+    "trocar-engine",
+    "trocar-haptics",
+    "trocar-input",
+    "trocar-kernel",
+    "trocar-scene",
+    "trocar-scene-derive",
+    "trocar-simulator",
+    "trocar-tasks",
+    "trocar-test-support",
+    "trocar-viewer",
+];
+/// Names of devices, which no file may have on Windows, with any ending.
+const DEVICES: [&str; 4] = ["aux", "con", "nul", "prn"];
 
 /// A project template.
 #[derive(Clone, Copy, Debug)]
@@ -134,13 +157,15 @@ pub enum TemplateError {
         /// The valid names.
         known: String,
     },
-    /// A name that no crate can have.
-    #[error("'{name}' cannot name a crate: {reason}")]
+    /// A name with which the project would not build.
+    #[error("'{name}' cannot name a crate: {reason}; '{better}' would do")]
     Name {
         /// The name.
         name: String,
         /// Why.
         reason: String,
+        /// A name that could.
+        better: String,
     },
     /// The folder exists and is not empty.
     #[error("{}: exists already; nothing is overwritten", .0.display())]
@@ -191,14 +216,17 @@ impl Template {
     /// # Errors
     /// [`TemplateError`]; files written so far are removed.
     pub fn write(&self, name: &str, folder: &Path, source: &Source) -> Result<Vec<PathBuf>, TemplateError> {
-        check_name(name)?;
+        self.check_name(name)?;
         let places = places(source)?;
         let fresh = !folder.exists();
         let is_free = fresh || fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none());
         if !is_free {
             return Err(TemplateError::Exists(folder.to_owned()));
         }
-        let written = self.write_files(name, folder, &places);
+        let written = self.write_files(name, folder, &places).and_then(|mut files| {
+            files.extend(share_libraries(folder, source)?);
+            Ok(files)
+        });
         if written.is_err() {
             // The first error is the one to return.
             let _ = fs::remove_dir_all(folder);
@@ -233,10 +261,6 @@ impl Template {
 
 /// The manifest entries for the SDK and for the command line.
 fn places(source: &Source) -> Result<(String, String), TemplateError> {
-    let plain = |text: &str| {
-        let is_plain = !text.chars().any(|c| c == '"' || c == '\\' || c.is_control());
-        if is_plain { Ok(text.to_owned()) } else { Err(TemplateError::Path(text.escape_debug().to_string())) }
-    };
     match source {
         Source::Git(url) => {
             let place = format!("{{ git = \"{}\" }}", plain(url)?);
@@ -258,19 +282,84 @@ fn places(source: &Source) -> Result<(String, String), TemplateError> {
     }
 }
 
-fn check_name(name: &str) -> Result<(), TemplateError> {
-    let wrong = |reason: String| Err(TemplateError::Name { name: name.escape_debug().to_string(), reason });
-    let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
-    if name.is_empty() || name.len() > NAME_MAX || !name.chars().all(letters) {
-        return wrong(format!("valid are 1 to {NAME_MAX} lower-case letters, digits, '-' and '_'"));
+/// Lets a project beside a checkout take the libraries that the checkout's own build has compiled: the same versions, in
+/// the same target folder. Returns the files.
+fn share_libraries(folder: &Path, source: &Source) -> Result<Vec<PathBuf>, TemplateError> {
+    let Source::Checkout(root) = source else { return Ok(Vec::new()) };
+    let whole = fs::canonicalize(root).unwrap_or_else(|_| root.clone());
+    let write = |file: PathBuf, bytes: &[u8]| {
+        let written = file.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(&file, bytes));
+        written.map(|()| file.clone()).map_err(|error| TemplateError::Write { file, error })
+    };
+    let mut files = Vec::new();
+    if let Ok(lock) = fs::read_to_string(whole.join("Cargo.lock")) {
+        // Cargo takes out what the project does not need, and puts the project in.
+        let packages = lock.split("\n\n").filter(|package| !package.contains("\nname = \"template-"));
+        files.push(write(folder.join("Cargo.lock"), packages.collect::<Vec<_>>().join("\n\n").as_bytes())?);
     }
-    if !name.starts_with(|c: char| c.is_ascii_lowercase()) {
-        return wrong("it must begin with a letter".to_owned());
+    let target = whole.join("target");
+    let target = plain(&target.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/"))?;
+    let config = format!(
+        "# Libraries that Trocar's own build has compiled serve this project too. Without these lines, or with another\n\
+         # profile in Cargo.toml, this project compiles all of them for itself.\n\
+         [build]\ntarget-dir = \"{target}\"\n"
+    );
+    files.push(write(folder.join(".cargo/config.toml"), config.as_bytes())?);
+    Ok(files)
+}
+
+/// Text that a manifest can hold between quotes.
+fn plain(text: &str) -> Result<String, TemplateError> {
+    let is_plain = !text.chars().any(|c| c == '"' || c == '\\' || c.is_control());
+    if is_plain { Ok(text.to_owned()) } else { Err(TemplateError::Path(text.escape_debug().to_string())) }
+}
+
+impl Template {
+    /// Refuses names with which the project would not build.
+    fn check_name(&self, name: &str) -> Result<(), TemplateError> {
+        let letters = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+        let dashed = name.replace('_', "-");
+        let is = |names: &[&str]| names.contains(&dashed.as_str());
+        let reason = if name.is_empty() || name.len() > NAME_MAX || !name.chars().all(letters) {
+            format!("valid are 1 to {NAME_MAX} lower-case letters of English, digits, '-' and '_'")
+        } else if !name.starts_with(|c: char| c.is_ascii_lowercase()) {
+            "it must begin with a letter".to_owned()
+        } else if is(&KEYWORDS) || is(&KEYWORDS_MORE) {
+            "it is a word of the Rust language".to_owned()
+        } else if is(&TYPES) {
+            "it is a type of the Rust language".to_owned()
+        } else if is(&STANDARD) {
+            "a crate of that name comes with the compiler".to_owned()
+        } else if is(&FOLDERS) {
+            "cargo has a folder of that name, where the program would go".to_owned()
+        } else if is(&DEVICES) {
+            "Windows has a device of that name".to_owned()
+        } else if self.dependencies().any(|other| other.replace('_', "-") == dashed) {
+            "the project depends on a crate of that name".to_owned()
+        } else if dashed == "trocar" || OURS.contains(&dashed.as_str()) {
+            "a crate of Trocar has that name".to_owned()
+        } else {
+            return Ok(());
+        };
+        let better: String = name.to_lowercase().chars().map(|c| if letters(c) { c } else { '-' }).collect();
+        let better = better.trim_matches(|c: char| !c.is_ascii_lowercase());
+        let better = if better.is_empty() { "my-sim".to_owned() } else { format!("my-{better}") };
+        let better: String = better.chars().take(NAME_MAX).collect();
+        Err(TemplateError::Name { name: name.escape_debug().to_string(), reason, better })
     }
-    if RESERVED.contains(&name) {
-        return wrong(format!("taken are {}", RESERVED.join(", ")));
+
+    /// Names of the crates that its manifest asks for.
+    fn dependencies(&self) -> impl Iterator<Item = &'static str> {
+        let manifest =
+            self.files.iter().find(|(path, _)| *path == "Cargo.toml").map_or("", |(_, text)| *text);
+        let mut within = false;
+        manifest.lines().filter_map(move |line| {
+            if line.starts_with('[') {
+                within = line.ends_with("dependencies]");
+            }
+            line.split_once(" = ").map(|(name, _)| name).filter(|_| within)
+        })
     }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -347,6 +436,103 @@ mod tests {
         let quoted = Source::Git("https://example.org/\"".to_owned());
         assert!(matches!(TEMPLATES[0].write("sim", &project, &quoted), Err(TemplateError::Path(_))));
         assert!(!project.exists());
+    }
+
+    #[test]
+    fn names_with_which_no_crate_builds_are_refused_with_one_that_does() {
+        let place = folder();
+        let project = place.path().join("sim");
+        let mut wrong: Vec<String> = [
+            &KEYWORDS[..],
+            &KEYWORDS_MORE[..],
+            &TYPES[..],
+            &STANDARD[..],
+            &FOLDERS[..],
+            &DEVICES[..],
+            &OURS[..],
+        ]
+        .concat()
+        .into_iter()
+        .map(str::to_owned)
+        .collect();
+        for name in ["2d-sim", "9", "-sim", "_sim", "leber-öffnen", "肝", "proc_macro", "trocar_cli", "serde"]
+        {
+            wrong.push(name.to_owned());
+        }
+        wrong.push("a".repeat(NAME_MAX + 1));
+        for name in wrong {
+            let error = TEMPLATES[0].write(&name, &project, &here()).unwrap_err();
+            let TemplateError::Name { better, .. } = &error else { panic!("{name}: {error}") };
+            TEMPLATES[0].check_name(better).unwrap_or_else(|error| panic!("{name} became {better}: {error}"));
+            assert!(error.to_string().contains(better.as_str()), "{error}");
+        }
+        assert!(!project.exists());
+        for template in &TEMPLATES {
+            let taken: Vec<&str> = template.dependencies().collect();
+            assert!(
+                taken.contains(&"trocar") && taken.contains(&"trocar-cli"),
+                "{}: {taken:?}",
+                template.name
+            );
+            for name in taken {
+                assert!(template.check_name(name).is_err(), "{}: {name}", template.name);
+            }
+        }
+        let longest = "a".repeat(NAME_MAX);
+        for fine in ["sim", "my-sim", "a", "gallbladder_2", "tester", "x1", "stdlib", longest.as_str()] {
+            TEMPLATES[0].check_name(fine).unwrap_or_else(|error| panic!("{fine}: {error}"));
+        }
+    }
+
+    /// A crate of our own that a project may not be named after is in the list.
+    #[test]
+    fn every_crate_of_this_workspace_is_among_the_names_that_are_taken() {
+        let root = checkout().expect("the checkout that is being tested");
+        let lock = fs::read_to_string(root.join("Cargo.lock")).expect("a lock file");
+        let ours = lock.lines().filter_map(|line| line.strip_prefix("name = \"trocar")?.strip_suffix('"'));
+        for rest in ours.filter(|rest| !rest.is_empty() && *rest != "-tests") {
+            assert!(OURS.contains(&format!("trocar{rest}").as_str()), "trocar{rest}");
+        }
+    }
+
+    #[test]
+    fn a_project_shares_the_target_folder_the_versions_and_the_profile_of_its_checkout() {
+        let place = folder();
+        let project = place.path().join("sim");
+        TEMPLATES[0].write("sim", &project, &here()).expect("written");
+        let root = checkout().expect("the checkout that is being tested");
+        let read = |file: PathBuf| {
+            fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
+        };
+        let config = read(project.join(".cargo/config.toml"));
+        let target = fs::canonicalize(&root).expect("a folder").join("target");
+        assert!(config.contains(&format!("target-dir = \"{}\"", target.display())), "{config}");
+        let (lock, whole) = (read(project.join("Cargo.lock")), read(root.join("Cargo.lock")));
+        assert!(lock.split("\n\n").all(|package| whole.contains(package)), "other versions");
+        assert!(lock.contains("name = \"naga\"") && lock.contains("name = \"trocar\""), "{lock}");
+
+        // Every setting of the profile is one of the workspace; what is left out is of crates that no project needs.
+        let (ours, theirs) = (read(root.join("Cargo.toml")), read(project.join("Cargo.toml")));
+        let section = |manifest: &str, head: &str| {
+            let text = manifest.split_once(&format!("[{head}]\n"))?.1.to_owned();
+            let lines =
+                text.lines().take_while(|line| !line.starts_with('[')).filter(|line| line.contains(" = "));
+            Some(lines.map(str::to_owned).collect::<Vec<_>>())
+        };
+        assert_eq!(section(&theirs, "profile.release"), section(&ours, "profile.release"));
+        let of_packages = |manifest: &str| -> Vec<String> {
+            let heads = manifest.lines().filter_map(|line| line.strip_prefix('[')?.strip_suffix(']'));
+            heads.filter(|head| head.starts_with("profile.release.package.")).map(str::to_owned).collect()
+        };
+        let known = of_packages(&ours);
+        for head in of_packages(&theirs) {
+            assert!(known.contains(&head), "{head}");
+            assert_eq!(section(&theirs, &head), section(&ours, &head), "{head}");
+        }
+        for crate_name in ["trocar", "trocar-kernel", "naga", "wgpu-core", "egui", "winit", "toml", "gltf"] {
+            let head = format!("profile.release.package.{crate_name}");
+            assert!(section(&theirs, &head).is_some(), "{head} is missing");
+        }
     }
 
     #[test]
