@@ -25,7 +25,8 @@ impl EntityMesh<'_> {
     }
 
     /// How far inside a volume a point is: the smallest of its barycentric coordinates in the element in which that is
-    /// largest. It is zero on the surface, and −1 one height of an element outside of it. `None` without elements.
+    /// largest. It is zero on the surface, and falls by 0.5 to 1 with each height of an element outside of it. `None` without
+    /// elements.
     #[must_use]
     pub fn depth(&self, point: &Point3<f64>) -> Option<f64> {
         let depth_in = |tet: &[u32; 4]| {

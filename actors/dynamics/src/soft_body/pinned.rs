@@ -29,12 +29,12 @@ pub struct PinnedBody {
     pub with: Vec<PinnedWith>,
 }
 
-/// How far outside of an organ a pinned point may be, in heights of its elements: a facetted surface is inside of the round
-/// one that a scenario has in mind.
+/// How far outside of an organ a pinned point may be when a scenario is read, as a barycentric coordinate: the solver refuses
+/// any that is outside, with its distance.
 const OUTSIDE_MAX: f64 = 0.5;
 
 impl PinnedBody {
-    /// Every point must be in the organ or on it.
+    /// No point may be far outside of the organ.
     fn fits(&self, mesh: &EntityMesh<'_>) -> Result<(), ComponentError> {
         let is_outside = |point: &&Point3<f64>| mesh.depth(point).is_some_and(|depth| depth < -OUTSIDE_MAX);
         for with in &self.with {

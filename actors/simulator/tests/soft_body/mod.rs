@@ -4,6 +4,7 @@ mod contact;
 mod frozen;
 mod frozen_fluids;
 mod grasp;
+mod mesh_fit;
 mod picking;
 mod regions;
 mod rigid_contact;
