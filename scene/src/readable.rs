@@ -83,14 +83,20 @@ fn digits(value: f64) -> String {
         return value.to_string();
     }
     if !IN_DIGITS.contains(&magnitude) {
-        return format!("{value:.2e}").replace(".00e", "e");
+        let text = format!("{value:.2e}");
+        let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+        return format!("{}e{power}", without_zeros(digits));
     }
     let decimals = (DIGITS - 1 - magnitude.log10().floor() as i32).clamp(0, 8) as usize;
     let text = format!("{value:.decimals$}");
-    let (whole, part) = text.split_once('.').unwrap_or((&text, ""));
-    let part = part.trim_end_matches('0');
-    let point = if part.is_empty() { "" } else { "." };
-    format!("{}{point}{part}", grouped(whole))
+    let text = without_zeros(&text);
+    let (whole, part) = text.split_at(text.find('.').unwrap_or(text.len()));
+    format!("{}{part}", grouped(whole))
+}
+
+/// Without zeros at the end of its decimals.
+fn without_zeros(text: &str) -> &str {
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { text }
 }
 
 /// Groups of three digits: `137,571`.
@@ -165,6 +171,8 @@ mod tests {
             (-1234.0, "-1,234"),
             (1.0 / 3.0, "0.333"),
             (1e30, "1e30"),
+            (2.5e-6, "2.5e-6"),
+            (-1.25e-7, "-1.25e-7"),
             (f64::NAN, "NaN"),
         ];
         for (value, text) in cases {

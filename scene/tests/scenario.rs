@@ -248,7 +248,7 @@ fn mistakes_are_named_with_their_place() {
         (entity("pose = { translation = [0, 0] }\n"), &[":5:", "entity 'ring', pose"]),
         (entity("pose = { rotation = [0, 0, 0, 2] }\n"), &[":5:21", "not normalised", "2"]),
         (entity("pose = { translation = [0, inf, 0] }\n"), &[":5:28", "not finite"]),
-        (entity("rigid_body = { mass = -1 }\n"), &[":5:14", "mass", "-1", "1e-6 to 1e3 kg"]),
+        (entity("rigid_body = { mass = -1 }\n"), &[":5:23", "mass", "-1", "1e-6 to 1e3 kg"]),
         (
             entity("rigid_body = { motion = \"liquid\" }\n"),
             &[":5:25", "liquid", "static", "dynamic", "kinematic"],

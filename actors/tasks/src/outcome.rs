@@ -303,7 +303,7 @@ mod tests {
             (
                 expect(Which::Smallest, 1e-5, 1.0),
                 2.5e-6,
-                "gauze.area_m2.smallest is 2.5e-6, at least 0.00001 is expected",
+                "gauze.area_m2.smallest is 2.5e-6, at least 1e-5 is expected",
             ),
             (
                 expect(Which::Largest, f64::MIN, 0.0),
