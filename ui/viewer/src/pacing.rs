@@ -43,6 +43,8 @@ const GUESS: f64 = 1.5;
 const PATIENCE: u32 = 60;
 /// Most frames to wait.
 const PATIENCE_MAX: u32 = 60 * 64;
+/// Two frames in a row that take more than so many times the budget are no accident: the step is left at once.
+const FAR_TOO_SLOW: f64 = 4.0;
 /// Frames at a tried step after which the attempt counts as successful.
 const PROVEN: u32 = 240;
 
@@ -63,6 +65,8 @@ pub struct Pacer {
     patience: u32,
     /// Frames since a better step was tried, until it has proven right.
     trying: Option<u32>,
+    /// The last frame was far too slow.
+    far_too_slow: bool,
 }
 
 impl Pacer {
@@ -82,6 +86,7 @@ impl Pacer {
             in_time: 0,
             patience: PATIENCE,
             trying: None,
+            far_too_slow: false,
         }
     }
 
@@ -93,6 +98,14 @@ impl Pacer {
         self
     }
 
+    /// Begins with that quality at full resolution; better steps are tried as soon as there is room.
+    #[must_use]
+    pub fn begin_with(mut self, quality: Quality) -> Self {
+        let step = LADDER.iter().position(|pace| pace.quality == quality).unwrap_or(self.step);
+        self.go_to(step.max(self.best));
+        self
+    }
+
     /// Quality and resolution of the next frame.
     pub fn pace(&self) -> Pace {
         LADDER[self.step]
@@ -101,6 +114,16 @@ impl Pacer {
     /// Takes the drawing time of the last frame, without waits \[s\]; returns how to draw the next one.
     pub fn drawn(&mut self, secs: f64) -> Pace {
         if !secs.is_finite() || secs < 0.0 {
+            return self.pace();
+        }
+        let is_far = secs > FAR_TOO_SLOW * self.budget();
+        let was_far = std::mem::replace(&mut self.far_too_slow, is_far);
+        if was_far && is_far && self.step + 1 < LADDER.len() {
+            if self.trying.take().is_some() {
+                self.patience = (2 * self.patience).min(PATIENCE_MAX);
+            }
+            self.known[self.step] = Some(secs);
+            self.go_to(self.far_below(secs));
             return self.pace();
         }
         self.times[self.count % WINDOW] = secs;
@@ -117,7 +140,7 @@ impl Pacer {
         }
         let typical = self.typical();
         self.known[self.step] = Some(typical);
-        let budget = self.period * self.load_max;
+        let budget = self.budget();
         if typical > TOO_SLOW * budget {
             self.in_time = 0;
             if self.trying.take().is_some() {
@@ -143,7 +166,20 @@ impl Pacer {
         (self.period - secs).max(secs * (1.0 / self.load_max - 1.0))
     }
 
+    /// The time that a frame may take \[s\].
+    fn budget(&self) -> f64 {
+        self.period * self.load_max
+    }
+
+    /// The first step below this one that should be in time where a frame takes `secs` now; the cheapest if none is.
+    fn far_below(&self, secs: f64) -> usize {
+        let share = |step: usize| cost(&LADDER[step]) / cost(&LADDER[self.step]);
+        let fits = |step: &usize| secs * share(*step) <= TOO_SLOW * self.budget();
+        (self.step + 1..LADDER.len()).find(fits).unwrap_or(LADDER.len() - 1)
+    }
+
     fn go_to(&mut self, step: usize) {
+        self.far_too_slow = false;
         (self.step, self.count, self.in_time) = (step, 0, 0);
     }
 
@@ -170,6 +206,16 @@ impl Pacer {
         };
         expected <= ROOM * budget
     }
+}
+
+/// Assumed cost of a step, in frames of [`Quality::PLAIN`] at full resolution.
+fn cost(pace: &Pace) -> f64 {
+    let of_quality = match pace.quality {
+        Quality::FINE => GUESS * GUESS_FINE,
+        Quality::FULL => GUESS,
+        _ => 1.0,
+    };
+    of_quality * pace.scale * pace.scale
 }
 
 #[cfg(test)]
@@ -251,6 +297,25 @@ mod tests {
         assert!(loaded.of(&pacer.pace()) * 30.0 <= TOO_SLOW, "{:?}", pacer.pace());
         draw(&mut pacer, &SOFTWARE, 4_000, 0.1);
         assert_eq!(pacer.pace(), LADDER[1]);
+    }
+
+    #[test]
+    fn on_a_machine_that_is_far_too_busy_the_lowest_quality_comes_within_a_few_frames() {
+        // Load 6 on 2 cores, drawn in software: a frame takes half a second.
+        let busy = Costs { fixed: 0.05, fine: 2.4, full: 0.5, plain: 0.2 };
+        let mut pacer = Pacer::new(60.0, 0.6).at_best(Quality::FULL);
+        draw(&mut pacer, &busy, 4, 0.1);
+        assert_eq!(pacer.pace(), LADDER[LADDER.len() - 1], "two seconds, not twenty");
+        // Where a cheaper step should do, it is the next one that does.
+        let mut pacer = Pacer::new(30.0, 1.0);
+        draw(&mut pacer, &Costs { fixed: 0.0, fine: 1.0, full: 0.140, plain: 0.04 }, 2, 0.0);
+        assert_eq!(pacer.pace(), LADDER[7], "0.14 s against 0.033 s");
+        draw(&mut pacer, &SOFTWARE, 6_000, 0.1);
+        assert_eq!(pacer.pace(), LADDER[1], "and back, once the machine is free");
+        let mut pacer = Pacer::new(30.0, 1.0).begin_with(Quality::PLAIN).at_best(Quality::FULL);
+        assert_eq!(pacer.pace(), LADDER[4], "the first picture is a cheap one");
+        draw(&mut pacer, &SOFTWARE, 2_000, 0.1);
+        assert_eq!(pacer.pace(), LADDER[1], "and a fine one where there is time for it");
     }
 
     #[test]

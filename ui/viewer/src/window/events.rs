@@ -38,6 +38,8 @@ pub enum LoopMessage {
     Closed(WindowId, Option<String>),
     /// The player takes control of the instruments in this window.
     TakeHands(WindowId),
+    /// The player's control of the instruments ends: the session is over.
+    GiveBackHands,
     /// Injects a fault into every window's viewer.
     ViewerFault(ViewerFault),
     /// Closes all windows.
@@ -325,6 +327,7 @@ impl ApplicationHandler<LoopMessage> for WindowLoop {
                 }
             }
             LoopMessage::TakeHands(id) => self.take_hands(id),
+            LoopMessage::GiveBackHands => self.give_back_hands(),
             LoopMessage::ViewerFault(trouble) => {
                 self.windows.iter().for_each(|window| window.send(WindowMessage::ViewerFault(trouble)));
             }

@@ -133,6 +133,8 @@ impl WindowActor {
             window_health: WindowHealth::new(opening.health),
             modifiers: Modifiers::default(),
             picture_wanted: false,
+            greeted: false,
+            hands_at_rest: false,
         };
         let mut failures: Vec<Instant> = Vec::new();
         loop {

@@ -15,6 +15,7 @@ pub mod display;
 mod events;
 mod health;
 pub mod keys;
+mod lag;
 mod lifecycle;
 mod mouse;
 pub mod navigate;

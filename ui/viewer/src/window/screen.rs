@@ -16,15 +16,16 @@ use super::canvas::Canvas;
 use super::events::LoopMessage;
 use super::health::WindowHealth;
 use super::keys::{self, Action};
+use super::lag::{self, LagWatch};
 use super::lifecycle::{ViewerFault, WindowActor, WindowMessage};
 use super::mouse::{Gesture, Mouse};
-use super::panel::{Hands, Panels, next_speed, request_all, toggle_play};
+use super::panel::{self, Hands, Panels, WindowState, next_speed, request_all, toggle_play};
 use super::subject::{PlayState, Request};
 use super::surface::{FrameOutcome, WindowSurface};
 use super::view_state::{Choice, QUALITIES, StereoLayout, SubjectView};
 use crate::error::ViewError;
 use crate::gpu::Gpu;
-use crate::pacing::Pacer;
+use crate::pacing::{LADDER, Pacer};
 use crate::quality::Quality;
 
 /// Shortest time between two frames, and between two checks for a new scene.
@@ -48,6 +49,10 @@ pub(super) struct KeptState {
     pub(super) window_health: WindowHealth,
     pub(super) modifiers: Modifiers,
     pub(super) picture_wanted: bool,
+    /// A frame has said that the first picture is being prepared.
+    pub(super) greeted: bool,
+    /// The session's end took the instruments out of the player's hands; the next session gives them back.
+    pub(super) hands_at_rest: bool,
 }
 
 /// A run of a window's actor between two restarts.
@@ -69,6 +74,9 @@ pub(super) struct Screen<'a> {
     hidden: bool,
     closing: bool,
     frames: Vec<Instant>,
+    /// Origin of the clock of `lag_watch`.
+    since: Instant,
+    lag_watch: LagWatch,
     told: Vec<(PlayState, f64, Option<u64>)>,
 }
 
@@ -81,6 +89,7 @@ impl<'a> Screen<'a> {
     ) -> Self {
         let ui = egui::Context::default();
         ui.set_theme(egui::Theme::Dark);
+        ui.set_fonts(panel::fonts());
         let largest = gpu.device.limits().max_texture_dimension_2d as usize;
         let window = &actor.window;
         let input = egui_winit::State::new(
@@ -91,7 +100,12 @@ impl<'a> Screen<'a> {
             None,
             Some(largest),
         );
-        let load = if gpu.is_software() { SOFTWARE_LOAD } else { 1.0 };
+        let frames_per_second = 1.0 / FRAME.as_secs_f64();
+        // Without a graphics card the first picture is a cheap one: it comes in time on a busy machine too.
+        let pacer = match gpu.is_software() {
+            true => Pacer::new(frames_per_second, SOFTWARE_LOAD).begin_with(Quality::PLAIN),
+            false => Pacer::new(frames_per_second, 1.0),
+        };
         Self {
             actor,
             gpu,
@@ -100,13 +114,15 @@ impl<'a> Screen<'a> {
             ui,
             input,
             canvas: Canvas::default(),
-            pacer: Pacer::new(1.0 / FRAME.as_secs_f64(), load).at_best(Quality::FULL),
+            pacer: pacer.at_best(Quality::FULL),
             mouse: Mouse::default(),
             stale: true,
             wanted: None,
             hidden: false,
             closing: false,
             frames: Vec::new(),
+            since: Instant::now(),
+            lag_watch: LagWatch::default(),
             told: Vec::new(),
         }
     }
@@ -153,11 +169,43 @@ impl<'a> Screen<'a> {
                     }
                     let took = now.elapsed().as_secs_f64();
                     self.pacer.drawn(took);
+                    let moves = self.moves();
+                    self.lag_watch.shown(self.since.elapsed().as_secs_f64(), took, moves);
                     next = Instant::now() + Duration::from_secs_f64(self.pacer.rest(took).clamp(0.0, 1.0));
                 }
                 Ok(FrameOutcome::NotNow | FrameOutcome::Again) => self.stale = true,
                 Err(error) => return End::Failed(error.to_string()),
             }
+        }
+    }
+
+    /// Whether a subject's time passes.
+    fn moves(&mut self) -> bool {
+        let runs =
+            |subject_view: &mut SubjectView| subject_view.subject.state().play_state == PlayState::Running;
+        self.kept.subject_views.iter_mut().any(runs)
+    }
+
+    /// How far the pictures lag, and why. While a lower quality is left to try, that is tried first.
+    fn lag(&self) -> Option<[String; 2]> {
+        let lag = self.lag_watch.lag()?;
+        let is_fixed = self.kept.subject_views.iter().any(|subject_view| subject_view.quality.is_some());
+        let is_lowest = self.pacer.pace() == LADDER[LADDER.len() - 1];
+        (is_fixed || is_lowest)
+            .then(|| [lag.to_string(), lag::reason(self.gpu.is_software(), lag::load(), is_fixed)])
+    }
+
+    /// When a session is over, its player needs the window's keys and the pointer; when the next one begins, the
+    /// instruments.
+    fn rest_hands(&mut self) {
+        let moves = self.moves();
+        let over =
+            |subject_view: &mut SubjectView| subject_view.subject.state().play_state == PlayState::Over;
+        if self.kept.hands.taken && self.kept.subject_views.iter_mut().all(over) {
+            self.kept.hands_at_rest = true;
+            self.tell(LoopMessage::GiveBackHands);
+        } else if moves && std::mem::take(&mut self.kept.hands_at_rest) {
+            self.tell(LoopMessage::TakeHands(self.actor.window.id()));
         }
     }
 
@@ -170,6 +218,9 @@ impl<'a> Screen<'a> {
         let told: Vec<_> = self.kept.subject_views.iter_mut().map(said).collect();
         let changed = told != self.told;
         self.told = told;
+        if changed {
+            self.rest_hands();
+        }
         changed
     }
 
@@ -389,14 +440,21 @@ impl<'a> Screen<'a> {
         self.frames.push(now);
         (self.stale, self.wanted) = (false, None);
         let raw = self.input.take_egui_input(&self.actor.window);
-        let (rate, pace) = (self.frames.len() as f64, self.pacer.pace());
+        let (frames, pace) = (self.frames.len() as f64, self.pacer.pace());
+        let state = WindowState { frames, lag: self.lag(), hands: self.kept.hands };
+        let greets = !std::mem::replace(&mut self.kept.greeted, true);
         let mut actions = Vec::new();
         let mut outcome = Ok(());
         let ui = self.ui.clone();
         let output = ui.run_ui(raw, |ui| {
-            let wishes = self.kept.panels.show(ui, &mut self.kept.subject_views, rate, self.kept.hands);
+            let wishes = self.kept.panels.show(ui, &mut self.kept.subject_views, &state);
             actions.extend(wishes.0);
             egui::CentralPanel::no_frame().show(ui, |ui| {
+                if greets {
+                    // The first picture may take seconds: its pipelines are compiled.
+                    ui.centered_and_justified(|ui| ui.label("preparing the first picture …"));
+                    return;
+                }
                 outcome = self.canvas.show(ui, self.gpu, self.painter, &mut self.kept.subject_views, pace);
             });
             self.kept.panels.show_notes(ui);
@@ -421,7 +479,9 @@ impl<'a> Screen<'a> {
             output.textures_delta,
             output.pixels_per_point,
         )?;
-        if std::mem::take(&mut self.kept.picture_wanted) {
+        // After the greeting the picture itself is due.
+        self.stale |= greets;
+        if !greets && std::mem::take(&mut self.kept.picture_wanted) {
             self.screenshot();
         }
         actions.into_iter().for_each(|action| self.act(action));

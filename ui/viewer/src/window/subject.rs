@@ -143,6 +143,19 @@ pub struct SubjectState {
     pub tuning: Tuning,
     /// The last notes, oldest first, each with its number: bounded.
     pub notes: Vec<(u64, Note)>,
+    /// The result of a session that is over, with the session's number.
+    pub verdict: Option<(u64, Verdict)>,
+}
+
+/// The result of a session, for people.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Verdict {
+    /// In a word or two: `completed`.
+    pub title: String,
+    /// Score, errors and their reasons, a line each.
+    pub lines: Vec<String>,
+    /// Whether it failed.
+    pub bad: bool,
 }
 
 /// An event on the timeline.

@@ -8,16 +8,18 @@ use super::super::keys::{KEYS, MOUSE, name};
 pub(super) fn show(ctx: &Context, open: &mut bool, player: &[(String, String)]) {
     egui::Window::new("keys").open(open).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).show(ctx, |ui| {
         egui::ScrollArea::vertical().max_height(520.0).show(ui, |ui| {
+            // Whoever plays looks for these first.
+            if !player.is_empty() {
+                ui.strong("with the instruments in hand");
+                table(ui, "player", player.iter().map(|(key, about)| (key.clone(), about.as_str())));
+                ui.label(RichText::new("F-keys and Ctrl+… stay the window's").weak());
+                ui.separator();
+                ui.strong("of the window");
+            }
             let keys = KEYS.iter().map(|(chord, _, about)| (name(chord), *about));
             table(ui, "keys", keys);
             ui.separator();
             table(ui, "mouse", MOUSE.iter().map(|(what, about)| ((*what).to_owned(), *about)));
-            if !player.is_empty() {
-                ui.separator();
-                ui.strong("with the instruments in hand");
-                table(ui, "player", player.iter().map(|(key, about)| (key.clone(), about.as_str())));
-                ui.label(RichText::new("F-keys and Ctrl+… stay the window's").weak());
-            }
         });
     });
 }

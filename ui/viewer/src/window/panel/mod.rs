@@ -1,8 +1,11 @@
 //! The panels around the scene. They show the subjects' state and send requests; they never change a scene themselves.
 
 mod actors;
+mod hands;
 mod help;
+mod icons;
 mod inspect;
+mod result;
 mod session;
 mod task;
 mod timeline;
@@ -42,6 +45,33 @@ pub(super) struct Panels {
     pub(super) player_help: Vec<(String, String)>,
     notes: Vec<(Instant, Note)>,
     heard: Vec<u64>,
+    /// The session whose result was closed.
+    closed: Option<u64>,
+}
+
+/// The fonts of a window: where the fonts of one family lack a symbol, those of the other give it.
+pub(super) fn fonts() -> egui::FontDefinitions {
+    let mut fonts = egui::FontDefinitions::default();
+    let all: Vec<String> = fonts.families.values().flatten().cloned().collect();
+    for family in fonts.families.values_mut() {
+        for name in &all {
+            if !family.contains(name) {
+                family.push(name.clone());
+            }
+        }
+    }
+    fonts
+}
+
+/// What a window knows of itself.
+#[derive(Clone, Debug, Default)]
+pub(super) struct WindowState {
+    /// Frames a second.
+    pub(super) frames: f64,
+    /// How far the pictures lag, and why.
+    pub(super) lag: Option<[String; 2]>,
+    /// The player.
+    pub(super) hands: Hands,
 }
 
 /// Requests of the panels to the window.
@@ -60,6 +90,7 @@ impl Panels {
             player_help,
             notes: Vec::new(),
             heard: Vec::new(),
+            closed: None,
         }
     }
 
@@ -91,8 +122,7 @@ impl Panels {
         &mut self,
         ui: &mut Ui,
         subject_views: &mut [SubjectView],
-        frames: f64,
-        hands: Hands,
+        state: &WindowState,
     ) -> Wishes {
         let mut wishes = Wishes::default();
         self.listen(subject_views);
@@ -110,7 +140,7 @@ impl Panels {
             egui::Panel::left("session").exact_size(240.0).show(ui, |ui| {
                 ui.spacing_mut().slider_width = 70.0;
                 egui::ScrollArea::vertical().show(ui, |ui| {
-                    session::show(ui, subject_views, frames, hands, &mut wishes);
+                    session::show(ui, subject_views, state, &self.player_help, &mut wishes);
                 });
             });
         }
@@ -121,6 +151,10 @@ impl Panels {
                 ui.separator();
                 self.inspector.show(ui, subject_view);
             });
+        }
+        result::show(ui.ctx(), subject_views, &mut self.closed, &mut wishes);
+        if let Some([lag, why]) = &state.lag {
+            lagging(ui, lag, why);
         }
         if self.help {
             help::show(ui.ctx(), &mut self.help, &self.player_help);
@@ -147,6 +181,20 @@ impl Panels {
                 }
             });
     }
+}
+
+/// Says over the scene that pictures lag, whatever panels are open.
+fn lagging(ui: &Ui, lag: &str, why: &str) {
+    egui::Area::new(egui::Id::unique("lag"))
+        .anchor(egui::Align2::RIGHT_BOTTOM, [-12.0, -12.0])
+        .interactable(false)
+        .show(ui.ctx(), |ui| {
+            egui::Frame::popup(ui.style()).show(ui, |ui| {
+                ui.set_max_width(420.0);
+                ui.label(RichText::new(lag).color(POOR).strong());
+                ui.label(RichText::new(why).color(POOR));
+            });
+        });
 }
 
 /// Whether the player can take control of the instruments, and has done so.
@@ -187,6 +235,87 @@ pub(super) fn clock(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The texts among shapes.
+    pub(super) fn texts(shapes: &[egui::epaint::ClippedShape]) -> String {
+        fn add(shape: &egui::Shape, out: &mut String) {
+            match shape {
+                egui::Shape::Text(text) => {
+                    out.push_str(text.galley.text());
+                    out.push('\n');
+                }
+                egui::Shape::Vec(shapes) => shapes.iter().for_each(|shape| add(shape, out)),
+                _ => {}
+            }
+        }
+        let mut out = String::new();
+        shapes.iter().for_each(|clipped| add(&clipped.shape, &mut out));
+        out
+    }
+
+    #[test]
+    fn that_pictures_lag_is_said_over_the_scene() {
+        let ctx = egui::Context::default();
+        let mut told = String::new();
+        for _ in 0..2 {
+            let output = ctx.run_ui(egui::RawInput::default(), |ui| {
+                lagging(ui, "pictures lag: 1 a second", "the machine is busy");
+            });
+            told = texts(&output.shapes);
+        }
+        assert!(told.contains("pictures lag: 1 a second") && told.contains("the machine is busy"), "{told}");
+    }
+
+    /// Whatever is not ASCII in the sources of what a window shows has a glyph in the fonts that it has, of both kinds.
+    #[test]
+    fn every_symbol_that_a_window_shows_is_in_its_fonts() {
+        fn sources(folder: &std::path::Path, found: &mut Vec<std::path::PathBuf>) {
+            for entry in std::fs::read_dir(folder).expect("a folder") {
+                let path = entry.expect("an entry").path();
+                if path.is_dir() {
+                    sources(&path, found);
+                } else if path.extension().is_some_and(|ending| ending == "rs") {
+                    found.push(path);
+                }
+            }
+        }
+        let ui = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the folder of all rooms");
+        let mut files = vec![
+            ui.join("cli/src/run.rs"),
+            ui.join("cli/src/run_text.rs"),
+            ui.join("../scene/src/readable.rs"),
+            ui.join("../scene/src/components/person.rs"),
+            ui.join("../scene/src/components/task.rs"),
+        ];
+        sources(&ui.join("viewer/src/window"), &mut files);
+        sources(&ui.join("viewer/src/overlay"), &mut files);
+        sources(&ui.join("cli/src/window"), &mut files);
+        let mut symbols = std::collections::BTreeMap::new();
+        for file in &files {
+            let text =
+                std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+            for line in text.lines().filter(|line| !line.trim_start().starts_with("//")) {
+                let code = line.split(" // ").next().unwrap_or(line);
+                for symbol in code.chars().filter(|symbol| !symbol.is_ascii()) {
+                    symbols.entry(symbol).or_insert_with(|| file.display().to_string());
+                }
+            }
+        }
+        assert!(symbols.contains_key(&'→') && symbols.contains_key(&'µ'), "{symbols:?}");
+        let ctx = egui::Context::default();
+        ctx.set_fonts(fonts());
+        let _ = ctx.run_ui(egui::RawInput::default(), |_| {});
+        let missing: Vec<String> = symbols
+            .iter()
+            .flat_map(|(symbol, file)| {
+                let fonts = [egui::FontId::proportional(13.0), egui::FontId::monospace(13.0)];
+                let lacks = |font: &egui::FontId| !ctx.fonts_mut(|fonts| fonts.has_glyph(font, *symbol));
+                let told = move |font: egui::FontId| format!("{symbol:?} of {file} in {:?}", font.family);
+                fonts.into_iter().filter(lacks).map(told).collect::<Vec<_>>()
+            })
+            .collect();
+        assert_eq!(missing, [] as [String; 0]);
+    }
 
     #[test]
     fn speeds_are_doubled_and_halved_and_end() {

@@ -7,14 +7,14 @@ use super::super::subject::{PlayState, Request};
 use super::super::view_state::{Look, QUALITIES, StereoLayout, SubjectView};
 use crate::overlay::Overlay;
 
-use super::{Hands, SPEEDS, Wishes, clock, request_all, task, toggle_play};
+use super::{POOR, SPEEDS, WindowState, Wishes, clock, hands, request_all, task, toggle_play};
 
 /// Draws the panel.
 pub(super) fn show(
     ui: &mut Ui,
     subject_views: &mut [SubjectView],
-    frames: f64,
-    hands: Hands,
+    state: &WindowState,
+    player_help: &[(String, String)],
     wishes: &mut Wishes,
 ) {
     for subject_view in subject_views.iter_mut() {
@@ -22,14 +22,18 @@ pub(super) fn show(
         time(ui, subject_view);
     }
     controls(ui, subject_views, wishes);
-    if hands.there {
-        let text = if hands.taken { "instruments in hand (Esc)" } else { "take the instruments (F8)" };
-        if ui.add_enabled(!hands.taken, egui::Button::new(text)).clicked() {
-            wishes.0.push(Action::Hands);
-        }
+    if state.hands.there
+        && let Some(subject_view) = subject_views.first()
+    {
+        ui.separator();
+        hands::charge(ui, &subject_view.scene, state.hands, wishes);
     }
     for subject_view in subject_views.iter() {
         task::show(ui, &subject_view.scene);
+    }
+    if state.hands.there {
+        ui.separator();
+        hands::keys(ui, player_help);
     }
     ui.separator();
     view(ui, subject_views);
@@ -44,7 +48,8 @@ pub(super) fn show(
     });
     ui.separator();
     ui.horizontal(|ui| {
-        ui.label(RichText::new(format!("{frames:.0} frames/s")).weak());
+        let frames = RichText::new(format!("{:.0} frames/s", state.frames));
+        ui.label(if state.lag.is_some() { frames.color(POOR) } else { frames.weak() });
         if ui.link("keys (F1)").clicked() {
             wishes.0.push(Action::Help);
         }

@@ -24,13 +24,16 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
             ui.label(&task.phase);
         }
         if let Some(score) = task.score {
-            ui.label(format!("score {score:.1} / 100")).on_hover_text("FLS-style, not clinically validated");
+            ui.label(format!("score {score:.1} / 100")).on_hover_text(task.score_kind().words());
         }
         if !task.errors.is_empty() {
             let title = format!("{} errors", task.errors.len());
             egui::CollapsingHeader::new(RichText::new(title).color(BAD)).show(ui, |ui| {
                 for error in task.errors.iter().rev().take(50) {
-                    ui.label(format!("{}  {}", clock(error.at_secs), error.kind.replace('_', " ")));
+                    // A sentence names quantities by their own names.
+                    let is_sentence = error.kind.contains(' ');
+                    let kind = if is_sentence { error.kind.clone() } else { error.kind.replace('_', " ") };
+                    ui.label(format!("{}  {kind}", clock(error.at_secs)));
                 }
             });
         }

@@ -6,6 +6,7 @@ use trocar_scene::SimTime;
 use super::super::keys::Action;
 use super::super::subject::{PlayState, Request};
 use super::super::view_state::SubjectView;
+use super::icons::{Icon, button};
 use super::{BAD, Wishes, clock, request_all, toggle_play};
 
 /// A seek bar from the beginning to the end, with marks at events.
@@ -19,15 +20,18 @@ pub(super) fn show(ui: &mut Ui, subject_views: &mut [SubjectView], wishes: &mut 
         .max()
         .unwrap_or_default();
     ui.horizontal(|ui| {
-        let text = if state.play_state == PlayState::Running { "⏸" } else { "▶" };
-        if ui.button(text).on_hover_text("Space").clicked() {
+        let (icon, name) = match state.play_state {
+            PlayState::Running => (Icon::Pause, "pause (Space)"),
+            PlayState::Paused | PlayState::Over => (Icon::Play, "go on (Space)"),
+        };
+        if button(ui, icon, name).clicked() {
             toggle_play(subject_views);
         }
-        if ui.button("⏮").on_hover_text("Backspace").clicked() {
+        if button(ui, Icon::Start, "from the beginning (Backspace)").clicked() {
             request_all(subject_views, &Request::Reset);
         }
         let mut looped = state.looped;
-        if ui.toggle_value(&mut looped, "🔁").on_hover_text("L: begin anew at the end").changed() {
+        if ui.toggle_value(&mut looped, "loop").on_hover_text("L: begin anew at the end").changed() {
             wishes.0.push(Action::Loop);
         }
         ui.monospace(format!("{} / {}", clock(now.as_secs_f64()), clock(length.as_secs_f64())));
