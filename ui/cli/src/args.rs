@@ -280,7 +280,7 @@ pub struct TuneArgs {
     /// What to do
     #[command(subcommand)]
     pub command: TuneCommand,
-    /// Process number of the session, when several are running
+    /// Process number of the session, when it was started in another folder, or several run in this one
     #[arg(long, global = true, allow_negative_numbers = true, value_name = "PID")]
     pub session: Option<u32>,
     /// Print exactly one JSON object on stdout

@@ -199,3 +199,28 @@ fn without_a_session_there_is_nothing_to_tune() {
     assert_eq!(output.status.code(), Some(4));
     assert!(said(&output).contains("no session of yours is running"), "{}", said(&output));
 }
+
+#[test]
+fn a_session_of_another_folder_is_not_tuned_in_silence() {
+    let _alone = alone();
+    let session = Session::start();
+    let elsewhere = tempfile::tempdir().unwrap();
+    let runtime = session.folder.path().join("run");
+    let tune = |arguments: &[&str]| {
+        let mut command = Command::new(PROGRAM);
+        command.arg("tune").args(arguments).current_dir(elsewhere.path()).env("NO_COLOR", "1");
+        command.env("TROCAR_RUNTIME_DIR", &runtime).output().expect("the program starts")
+    };
+    let before = session.value("ring.6.rigid_body.mass");
+    let refused = tune(&["set", "ring.6.rigid_body.mass=0.25"]);
+    assert_eq!(refused.status.code(), Some(4), "{}", said(&refused));
+    let folder = std::fs::canonicalize(session.folder.path()).unwrap();
+    let pid = session.process.0.id().to_string();
+    for part in ["peg-transfer", &*folder.display().to_string(), &format!("--session {pid}")] {
+        assert!(said(&refused).contains(part), "'{part}' is not in: {}", said(&refused));
+    }
+    assert_eq!(session.value("ring.6.rigid_body.mass"), before);
+    let named = tune(&["set", "ring.6.rigid_body.mass=0.25", "--session", &pid]);
+    assert_eq!(named.status.code(), Some(0), "{}", said(&named));
+    assert_eq!(session.value("ring.6.rigid_body.mass"), 0.25);
+}

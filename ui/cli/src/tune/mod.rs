@@ -75,21 +75,63 @@ fn attempt(args: &TuneArgs) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
-/// The socket of the session: the only running one, or that of the given process.
+/// The socket of the session: that of the given process, or the only one that was started in this folder.
 fn session(wanted: Option<u32>) -> Result<PathBuf, Failure> {
     let sessions = socket::sessions().map_err(Failure::invalid)?;
-    let known = || sessions.iter().map(|(pid, _)| pid.to_string()).collect::<Vec<_>>().join(", ");
-    match (wanted, sessions.as_slice()) {
-        (_, []) => Err(Failure::invalid("no session of yours is running; `trocar run SCENARIO` starts one")),
-        (None, [(_, only)]) => Ok(only.clone()),
-        (None, _) => {
-            Err(Failure::invalid(format!("several sessions are running: say --session {}", known())))
+    if sessions.is_empty() {
+        return Err(Failure::invalid("no session of yours is running; `trocar run SCENARIO` starts one"));
+    }
+    if let Some(pid) = wanted {
+        let found = sessions.iter().find(|(running, _)| *running == pid);
+        return found.map(|(_, socket)| socket.clone()).ok_or_else(|| {
+            let known: Vec<String> = sessions.iter().map(|(pid, _)| pid.to_string()).collect();
+            Failure::invalid(format!("no session has process {pid}; there are: {}", known.join(", ")))
+        });
+    }
+    let mut told = Vec::with_capacity(sessions.len());
+    for (pid, socket) in sessions {
+        let reply = socket::ask(&socket, &Request::Status {}).ok();
+        told.push(RunningSession { pid, socket, reply });
+    }
+    let here = std::env::current_dir().map_err(Failure::invalid)?;
+    of_folder(&told, &here).cloned()
+}
+
+/// A session of this user, and what it tells of itself.
+struct RunningSession {
+    pid: u32,
+    socket: PathBuf,
+    /// `None` when it does not answer.
+    reply: Option<Reply>,
+}
+
+/// The only session of a folder. One that runs elsewhere is another piece of work: it has to be named.
+fn of_folder<'a>(sessions: &'a [RunningSession], here: &Path) -> Result<&'a PathBuf, Failure> {
+    let whole = |folder: &Path| std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    let here = whole(here);
+    let is_here =
+        |session: &&RunningSession| session.reply.as_ref().is_some_and(|reply| whole(&reply.folder) == here);
+    let found: Vec<&RunningSession> = sessions.iter().filter(is_here).collect();
+    let list = |sessions: &[&RunningSession]| {
+        let line = |session: &&RunningSession| match &session.reply {
+            Some(reply) => {
+                let folder = printable(&reply.folder.display().to_string());
+                format!("  --session {}  '{}' in {folder}", session.pid, printable(&reply.scenario))
+            }
+            None => format!("  --session {}  does not answer", session.pid),
+        };
+        sessions.iter().map(line).collect::<Vec<_>>().join("\n")
+    };
+    match found.as_slice() {
+        [only] => Ok(&only.socket),
+        [] => {
+            let all: Vec<&RunningSession> = sessions.iter().collect();
+            let what = "no session of yours was started in this folder; say which one is meant:";
+            Err(Failure::invalid(format!("{what}\n{}", list(&all))))
         }
-        (Some(pid), _) => {
-            let found = sessions.iter().find(|(running, _)| *running == pid);
-            found.map(|(_, socket)| socket.clone()).ok_or_else(|| {
-                Failure::invalid(format!("no session has process {pid}; there are: {}", known()))
-            })
+        several => {
+            let what = "several sessions were started in this folder; say which one is meant:";
+            Err(Failure::invalid(format!("{what}\n{}", list(several))))
         }
     }
 }
@@ -161,5 +203,39 @@ fn text(command: &TuneCommand, reply: &Reply) -> String {
             let left = reply.left_out.iter().map(|what| format!("\nleft out: {}", printable(what)));
             format!("saved to {file}{}", left.collect::<String>())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn running(pid: u32, scenario: &str, folder: &Path) -> RunningSession {
+        let reply = Reply { scenario: scenario.into(), folder: folder.to_owned(), ..Reply::default() };
+        RunningSession { pid, socket: format!("/run/{pid}.sock").into(), reply: Some(reply) }
+    }
+
+    #[test]
+    fn a_session_of_another_folder_is_tuned_only_when_it_is_named() {
+        let place = tempfile::tempdir().unwrap();
+        let (here, elsewhere) = (place.path().join("a"), place.path().join("b"));
+        std::fs::create_dir_all(&here).unwrap();
+        std::fs::create_dir_all(&elsewhere).unwrap();
+        let refused = |sessions: &[RunningSession]| of_folder(sessions, &here).unwrap_err().message;
+
+        let one = [running(11, "peg-transfer", &elsewhere)];
+        let message = refused(&one);
+        for part in ["--session 11", "peg-transfer", &*elsewhere.display().to_string()] {
+            assert!(message.contains(part), "'{part}' is not in: {message}");
+        }
+        // Of several sessions the one of this folder is meant, also by another way to it.
+        let way = elsewhere.join("../a");
+        let two = [running(11, "peg-transfer", &elsewhere), running(12, "knot", &way)];
+        assert_eq!(of_folder(&two, &here).unwrap(), Path::new("/run/12.sock"));
+        let message = refused(&[running(12, "knot", &here), running(13, "wall", &here)]);
+        assert!(message.contains("several") && message.contains("--session 13"), "{message}");
+        // One that does not answer may be of any folder.
+        let silent = RunningSession { pid: 14, socket: "/run/14.sock".into(), reply: None };
+        assert!(refused(&[silent]).contains("does not answer"));
     }
 }

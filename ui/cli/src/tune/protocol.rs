@@ -51,6 +51,9 @@ pub struct Reply {
     pub error: Option<String>,
     /// Name of the scenario.
     pub scenario: String,
+    /// The folder in which the session was started.
+    #[serde(default)]
+    pub folder: PathBuf,
     /// Time of the session \[s\].
     pub session_secs: f64,
     /// The set in use; `None` after single fields were set.

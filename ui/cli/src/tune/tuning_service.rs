@@ -23,6 +23,8 @@ pub struct TuningService<'a> {
     scenario: &'a Scenario,
     /// The scenario's own file, if it came from one.
     file: Option<PathBuf>,
+    /// The working folder at the start.
+    folder: PathBuf,
     tuner: Tuner,
     server: Option<Server>,
 }
@@ -32,7 +34,8 @@ impl<'a> TuningService<'a> {
     pub fn new(app: &'a App, scenario: &'a Scenario, tuner: Tuner) -> Self {
         // An absolute path, since the working folder may change.
         let file = std::fs::canonicalize(&scenario.file).ok().filter(|file| file.is_file());
-        Self { app, scenario, file, tuner, server: None }
+        let folder = std::env::current_dir().unwrap_or_default();
+        Self { app, scenario, file, folder, tuner, server: None }
     }
 
     /// Opens the socket of this process; without one the session runs, but cannot be tuned.
@@ -71,6 +74,7 @@ impl<'a> TuningService<'a> {
     fn reply(&self, session: &Session) -> Reply {
         Reply {
             scenario: self.scenario.name.clone(),
+            folder: self.folder.clone(),
             session_secs: session.now().as_secs_f64(),
             in_use: self.tuner.in_use().map(str::to_owned),
             sets: self.tuner.sets().names().map(str::to_owned).collect(),

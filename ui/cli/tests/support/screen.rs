@@ -114,6 +114,7 @@ impl Running {
             .arg("tune")
             .args(arguments)
             .arg("--json")
+            .current_dir(&self.folder)
             .env("TROCAR_RUNTIME_DIR", self.folder.join("run"))
             .output()
             .expect("the program starts");
