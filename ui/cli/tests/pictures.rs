@@ -92,6 +92,24 @@ fn without_a_graphics_adapter_the_run_goes_on_and_says_so() {
 }
 
 #[test]
+fn a_picture_that_is_drawn_leaves_nothing_on_stderr_about_displays() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = [&SHORT[..], &["--picture", "run.png", "--no-record", "--size", "64x48", "--quality", "plain"]];
+    let output = Command::new(env!("CARGO_BIN_EXE_trocar"))
+        .args(run.concat())
+        .current_dir(folder.path())
+        .env("NO_COLOR", "1")
+        .env_remove("XDG_RUNTIME_DIR")
+        .env_remove("WAYLAND_DISPLAY")
+        .env_remove("DISPLAY")
+        .output()
+        .expect("the program starts");
+    assert_eq!(output.status.code(), Some(0));
+    assert!(folder.path().join("run.png").is_file());
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "", "nothing went wrong");
+}
+
+#[test]
 fn what_cannot_be_shown_is_refused_before_anything_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     for (arguments, says) in [

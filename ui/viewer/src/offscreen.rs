@@ -28,6 +28,7 @@ impl OffscreenRenderer {
     /// # Errors
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
     pub fn new(folder: Option<PathBuf>) -> Result<Self, ViewError> {
+        crate::window::display::quieten_wayland();
         let gpu = Gpu::headless()?;
         let renderer = Renderer::new(&gpu, folder.clone());
         Ok(Self { gpu, renderer, target: None, folder, quality: Quality::FINE })

@@ -29,6 +29,30 @@ pub fn survive_its_loss() {
     }
 }
 
+/// From now on what the Wayland library has to say goes to the log instead of to stderr. Graphics drivers look for a
+/// Wayland display wherever they start, also for a picture without a window, and where there is none the library calls
+/// that an error. Does nothing without the library.
+pub fn quieten_wayland() {
+    #[cfg(all(unix, not(target_os = "macos")))]
+    {
+        use std::ffi::{c_char, c_void};
+
+        /// The message comes with its arguments, which only C can read.
+        unsafe extern "C" fn log(_: *const c_char, _: *const c_void) {
+            tracing::debug!("the Wayland library: there is no display that it can use");
+        }
+
+        static ONCE: std::sync::Once = std::sync::Once::new();
+        ONCE.call_once(|| {
+            if wayland_sys::client::is_lib_available() {
+                // SAFETY: the handler has the type that the library requires, reads none of its arguments, does not
+                // unwind, and lives as long as the process; the library stays loaded.
+                unsafe { (wayland_sys::client::wayland_client_handle().wl_log_set_handler_client)(log) }
+            }
+        });
+    }
+}
+
 /// Called by Xlib on the thread that detected the broken connection. Xlib ends the process when this returns, and it
 /// must not unwind: the thread stays here, and the others go on.
 #[cfg(all(unix, not(target_os = "macos")))]

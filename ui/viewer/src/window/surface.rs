@@ -31,6 +31,7 @@ impl WindowSurface {
     /// # Errors
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
     pub fn new(window: &Arc<Window>) -> Result<(Gpu, Self), ViewError> {
+        super::display::quieten_wayland();
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
         let surface = instance
             .create_surface(Arc::clone(window))
