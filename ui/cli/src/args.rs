@@ -18,7 +18,7 @@ pub use picture::{PictureArgs, PictureQuality, StereoLayout, WindowArgs, size};
 #[command(
     after_help = "Exit codes: 0 ok, 1 an expectation failed or the exercise was not completed, 2 usage, \
     3 a device is missing, 4 a scenario or file cannot be used, 70 internal error.\n\
-    Scores are FLS-style; none is clinically validated."
+    No score is clinically validated."
 )]
 pub struct Cli {
     /// What to do.
@@ -29,12 +29,24 @@ pub struct Cli {
     pub verbose: u8,
 }
 
+/// The whole command line. Whatever takes a value also takes a number below zero, and says itself what is wrong with it:
+/// nobody means an option by `-1`.
+pub fn command() -> clap::Command {
+    fn with_numbers(command: clap::Command) -> clap::Command {
+        let takes_value = |arg: &clap::Arg| arg.is_positional() || arg.get_action().takes_values();
+        command
+            .mut_args(|arg| if takes_value(&arg) { arg.allow_negative_numbers(true) } else { arg })
+            .mut_subcommands(with_numbers)
+    }
+    with_numbers(<Cli as clap::CommandFactory>::command())
+}
+
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Run a scenario: leaves a score, a recording and a report
     Run(RunArgs),
-    /// List what there is: scenarios, kinds of controllers, components, devices, bench suites, tissues
+    /// List what there is: scenarios, controllers, components, devices, fault plans, suites, tissues, templates
     List(ListArgs),
     /// Play a recording back, commit by commit, and compare the state hash
     Replay(ReplayArgs),
@@ -141,6 +153,9 @@ pub struct RunArgs {
     /// or a TOML file
     #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath, help_heading = "Session")]
     pub faults: Option<String>,
+    /// Pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
     /// Recording (MCAP) [default: SCENARIO.mcap]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub record: Option<PathBuf>,
@@ -153,9 +168,6 @@ pub struct RunArgs {
     /// Write no report
     #[arg(long, conflicts_with = "report", help_heading = "Output")]
     pub no_report: bool,
-    /// Pictures.
-    #[command(flatten)]
-    pub pictures: PictureArgs,
     /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
     #[arg(long, help_heading = "Output")]
     pub json: bool,
@@ -198,21 +210,21 @@ pub struct ReplayArgs {
     /// The recording
     #[arg(value_hint = ValueHint::FilePath)]
     pub file: PathBuf,
-    /// Report (HTML, one file)
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
-    pub report: Option<PathBuf>,
-    /// Pictures.
-    #[command(flatten)]
-    pub pictures: PictureArgs,
     /// Another recording, shown beside this one
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = None::<&str>)]
     pub beside: Option<PathBuf>,
-    /// Windows.
-    #[command(flatten)]
-    pub window: WindowArgs,
     /// The folder of the scenario, where it has textures in files
     #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath, help_heading = None::<&str>)]
     pub folder: Option<PathBuf>,
+    /// Windows.
+    #[command(flatten)]
+    pub window: WindowArgs,
+    /// Pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+    /// Report (HTML, one file)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
+    pub report: Option<PathBuf>,
     /// Print exactly one JSON object on stdout
     #[arg(long, help_heading = "Output")]
     pub json: bool,

@@ -41,7 +41,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use args::{Cli, Command, SchemaOf};
-use clap::{CommandFactory, FromArgMatches};
+use clap::FromArgMatches;
 use failure::Failure;
 use trocar::app::App;
 use trocar::summary::{Exit, SCHEMA};
@@ -49,7 +49,7 @@ use trocar_scene::confined_path::Assets;
 
 /// The whole command line, every command with its options, for tests of the documentation.
 pub fn command_line() -> clap::Command {
-    Cli::command()
+    args::command()
 }
 
 /// Gives an application the whole command line: every command of `trocar`, with its own components and
@@ -65,7 +65,7 @@ impl CommandLine for App {
         let name = std::env::args_os().next().map(PathBuf::from);
         let name =
             name.as_deref().and_then(Path::file_stem).and_then(|stem| stem.to_str()).unwrap_or("trocar");
-        let mut command = Cli::command().name(name.to_owned()).bin_name(name.to_owned());
+        let mut command = args::command().name(name.to_owned()).bin_name(name.to_owned());
         let parsed = command.try_get_matches_from_mut(std::env::args_os());
         let cli = match parsed.and_then(|matches| Cli::from_arg_matches(&matches)) {
             Ok(cli) => cli,

@@ -1,9 +1,7 @@
 //! Tests of the help texts of every command: plain words, and each option under its heading.
 
 use clap::builder::Styles;
-use clap::{Arg, Command, CommandFactory};
-
-use super::Cli;
+use clap::{Arg, Command};
 
 /// Names with a capital inside that are not types.
 const NAMES: [&str; 3] = ["MuJoCo", "PyElastica", "GitHub"];
@@ -54,7 +52,7 @@ fn commands() -> Vec<(String, Command)> {
         found.push((name.clone(), command.clone()));
         command.get_subcommands().for_each(|below| walk(below, &name, found));
     }
-    let mut command = Cli::command().styles(Styles::plain());
+    let mut command = super::command().styles(Styles::plain());
     command.build();
     let mut found = Vec::new();
     walk(&command, "", &mut found);
@@ -130,6 +128,50 @@ fn every_option_stands_under_the_heading_where_it_is_looked_for() {
     }
 }
 
+/// Headings stand in the order in which a run is thought of, and an option that takes a length says its unit.
+#[test]
+fn headings_have_an_order_and_lengths_their_unit() {
+    for (name, mut command) in commands() {
+        let text = command.render_long_help().to_string();
+        let places: Vec<usize> =
+            HEADINGS.iter().filter_map(|(heading, _)| text.find(&format!("\n{heading}:\n"))).collect();
+        assert!(places.is_sorted(), "{name}:\n{text}");
+        for (option, arg) in options(&command) {
+            let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+            let value = arg.get_value_names().and_then(|names| names.first()).map(ToString::to_string);
+            if help.ends_with("in metres") {
+                assert_eq!(value.as_deref(), Some("METRES"), "{name} --{option}");
+            }
+        }
+    }
+}
+
+/// Every option and every place of every command, with a number below zero: nobody means another option by it.
+#[test]
+fn no_number_below_zero_is_taken_for_an_option() {
+    let mut tried = 0;
+    for (name, command) in commands() {
+        let words: Vec<&str> = name.split(' ').collect();
+        let with_value = options(&command).filter(|(_, arg)| arg.get_action().takes_values());
+        let mut lines: Vec<Vec<String>> =
+            with_value.map(|(option, _)| vec![format!("--{option}"), "-1".to_owned()]).collect();
+        if command.get_positionals().next().is_some() {
+            lines.push(vec!["-1".to_owned()]);
+        }
+        for line in lines {
+            tried += 1;
+            let all = words.iter().map(|word| (*word).to_owned()).chain(line.iter().cloned());
+            let Err(error) = super::command().try_get_matches_from(all) else { continue };
+            let text = error.to_string();
+            assert!(
+                !text.contains("-- -1") && !text.contains("unexpected argument"),
+                "{name} {line:?}: {text}"
+            );
+        }
+    }
+    assert!(tried > 40, "{tried} lines");
+}
+
 #[test]
 fn a_number_below_zero_is_refused_as_a_number() {
     let lines = [
@@ -148,7 +190,7 @@ fn a_number_below_zero_is_refused_as_a_number() {
     ];
     for (line, expected) in lines {
         let words = format!("trocar {line} -1");
-        let error = Cli::command().try_get_matches_from(words.split(' ')).expect_err("it is refused");
+        let error = super::command().try_get_matches_from(words.split(' ')).expect_err("it is refused");
         let text = error.to_string();
         assert!(text.contains(expected) && !text.contains("unexpected argument"), "{words}: {text}");
     }

@@ -41,19 +41,19 @@ pub struct PictureArgs {
     #[arg(long, value_name = "WxH", default_value = "960x720", value_parser = size)]
     pub size: (u32, u32),
     /// One eye, how two of them share the picture, or four views
-    #[arg(long, default_value = "one")]
+    #[arg(long, value_name = "LAYOUT", default_value = "one")]
     pub eyes: StereoLayout,
     /// What is shown over the scene, separated by commas; `field=NAME` picks one of several fields
     #[arg(long, value_name = "WHAT", value_delimiter = ',', value_parser = Show)]
     pub show: Vec<String>,
     /// Distance between the two eyes, in metres
-    #[arg(long, allow_negative_numbers = true, default_value_t = 0.0048, value_parser = length)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, default_value_t = 0.0048, value_parser = length)]
     pub interocular: f64,
     /// Depth at which both eyes see the same, in metres
-    #[arg(long, allow_negative_numbers = true, default_value_t = 0.2, value_parser = length)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, default_value_t = 0.2, value_parser = length)]
     pub convergence: f64,
     /// How much care goes into a picture [default: fine; in a window, what the machine can draw]
-    #[arg(long = "quality")]
+    #[arg(long = "quality", value_name = "QUALITY")]
     pub care: Option<PictureQuality>,
 }
 
