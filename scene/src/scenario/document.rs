@@ -317,7 +317,7 @@ impl Params {
                 line: 0,
                 column: 0,
                 key: self.owner.clone(),
-                reason: reason.into(),
+                reason,
             },
         }
     }

@@ -29,6 +29,8 @@ mod pictures;
 mod replay;
 mod report;
 mod run;
+mod run_files;
+mod run_text;
 mod show;
 mod soak;
 mod startup;

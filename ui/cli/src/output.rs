@@ -51,6 +51,11 @@ pub fn print_text(text: &str) -> Result<(), Failure> {
     }
 }
 
+/// An error's kind for people: `drop in view`. A sentence stays as it is: it names quantities by their own names.
+pub fn in_words(kind: &str) -> String {
+    if kind.contains(' ') { kind.to_owned() } else { kind.replace('_', " ") }
+}
+
 /// Columns aligned by the widest cell: text to the left, cells that begin with a digit to the right.
 pub fn columns(head: &[&str], rows: &[Vec<String>]) -> Vec<String> {
     let width_of = |column: usize| {

@@ -14,11 +14,12 @@ use trocar_viewer::window::subject::{Mark, Note};
 
 use crate::args::ReplayArgs;
 use crate::failure::Failure;
+use crate::output::{self, in_words};
 use crate::pictures::Photographer;
 use crate::report::{self, Report};
+use crate::run_text;
 use crate::startup::Startup;
 use crate::window::{self, Findings};
-use crate::{output, run};
 
 /// Interval between two samples of the trace.
 const SAMPLE_EVERY: SimTime = SimTime::from_millis(10);
@@ -47,13 +48,13 @@ fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, 
     summary.recording = Some(args.file.display().to_string());
     let result = attempt(app, args, &mut summary);
     tell(findings(&summary, &result));
-    if let Err(failure) = &result {
-        summary.error = Some(failure.message.clone());
-    }
+    // Of a recording that is cut short, or does not replay, what is whole is told all the same.
+    let is_played = result.as_ref().map_or_else(|failure| failure.exit == Exit::Failed, |_| true);
     if args.json {
+        summary.error = result.as_ref().err().map(|failure| failure.message.clone());
         output::print_json(&summary)?;
-    } else if result.is_ok() {
-        output::print_text(&run::text(&summary))?;
+    } else if is_played {
+        output::print_text(&run_text::text(&summary))?;
         for loss in &summary.losses {
             tracing::warn!("{loss}");
         }
@@ -65,7 +66,7 @@ fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, 
 fn findings(summary: &RunSummary, result: &Result<Exit, Failure>) -> Findings {
     let error = |error: &TaskErrorSummary| Mark {
         time: SimTime::from_secs_f64(error.at_secs),
-        what: error.kind.replace('_', " "),
+        what: in_words(&error.kind),
         bad: true,
     };
     let note = match result {
@@ -140,7 +141,9 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
         .iter()
         .map(|gap| format!("the recording has a gap at {:.3} s", gap.time.as_secs_f64()))
         .collect();
-    failures.extend(recording.truncation().map(|what| format!("the recording is cut short: {what}")));
+    failures.extend(recording.truncation().map(|what| {
+        format!("the recording is cut short: {what}; its first {:.2} s are whole", summary.sim_secs)
+    }));
     failures.extend(diverged.map(|error| error.to_string()));
     if let Some(end) = recording.end()
         && end.complete

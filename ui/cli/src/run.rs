@@ -1,7 +1,7 @@
 //! `trocar run`: a scenario from start to end, with a table while it runs and a report after it.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -9,6 +9,7 @@ use trocar::app::App;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
+use trocar::session::doubts;
 use trocar::summary::{Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::supervision::{Cause, Incident};
@@ -22,9 +23,11 @@ use crate::live_table::{Display, waiting};
 use crate::output;
 use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
+use crate::run_files::RunFiles;
+use crate::run_text::{text, verdict};
 use crate::startup::{self, READING, Startup};
 use crate::tune::{self, TuningService};
-use crate::window::{self, Next, SessionHost, Show};
+use crate::window::{self, Next, SessionHost, Show, Verdict};
 
 /// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
@@ -51,11 +54,13 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
         loop {
             number = number.saturating_add(1);
             let outcome = attempt(app, args, number, Some(&mut host));
-            let (verdict, bad) = match &outcome {
-                Ok((summary, exit)) => (verdict(summary), *exit != Exit::Ok),
-                Err(failure) => (failure.message.clone(), true),
-            };
-            let next = host.wait(verdict, bad);
+            let next = host.wait(match &outcome {
+                Ok((summary, exit)) => verdict(summary, *exit != Exit::Ok),
+                Err(failure) => {
+                    let lines = failure.message.lines().map(printable).collect();
+                    Verdict { title: "failed".to_owned(), lines, bad: true }
+                }
+            });
             let told = told(args, outcome);
             if next == Next::End {
                 return told;
@@ -65,18 +70,6 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
             }
         }
     })
-}
-
-/// The result as a note for the window.
-fn verdict(summary: &RunSummary) -> String {
-    let task = &summary.task;
-    if !task.is_exercise() {
-        return "it has ended; Backspace: once more".to_owned();
-    }
-    let how = if task.completed { "completed" } else { "not completed" };
-    let score = task.score.map_or(String::new(), |score| format!(", score {score:.1}"));
-    let disturbed = summary.too_slow().map_or(String::new(), |slow| format!(" (disturbed: {slow})"));
-    format!("{how}{score}{disturbed}; Backspace: once more")
 }
 
 fn bindings(file: &Path) -> Result<Bindings, Failure> {
@@ -114,21 +107,12 @@ fn attempt(
 ) -> Result<(RunSummary, Exit), Failure> {
     let startup = Startup::new(&args.session.scenario, READING, args.json);
     let (scenario, tuner) = tune::scenario(app, &args.session)?;
-    let stem = file_stem(&scenario);
-    let record = (!args.no_record).then(|| {
-        numbered(args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{stem}.mcap"))), number)
-    });
-    let report_file = (!args.no_report).then(|| {
-        numbered(args.report.clone().unwrap_or_else(|| PathBuf::from(format!("report-{stem}.html"))), number)
-    });
-    for file in record.iter().chain(&report_file) {
-        output::check_writable(file)?;
-    }
+    let files = RunFiles::choose(args, &file_stem(&scenario), number)?;
     let mut options = options(&args.session)?;
     options.lockstep = args.lockstep;
     options.seconds = args.seconds;
     options.faults = args.faults.as_deref().map(plan).transpose()?;
-    options.record = record;
+    options.record = files.record.clone();
     options.play = args.play;
 
     if options.lockstep && app.actors().next().is_some() {
@@ -152,6 +136,14 @@ fn attempt(
         tuning_service.open();
     }
     let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
+    // What was mended, and what is doubtful, in the meshes and values of the scenario is said before anything runs.
+    let known = doubts(&first);
+    if !args.json {
+        known.iter().for_each(|doubt| tracing::warn!("{}", printable(doubt)));
+    }
+    if let Some(host) = &mut host {
+        host.doubt(&known);
+    }
     if args.pictures.are_asked_for() {
         startup.stage("the renderer of the pictures");
     }
@@ -191,10 +183,10 @@ fn attempt(
         host.ended(outcome.kernel.snapshot.clone());
     }
 
-    if let Some(file) = report_file {
+    if let Some(file) = &files.report {
         outcome.summary.report = Some(file.display().to_string());
         let html = html(&scenario, &outcome, force_limits(&outcome));
-        output::write_file(&file, html.as_bytes())?;
+        output::write_file(file, html.as_bytes())?;
     }
     let exit = outcome.exit();
     if outcome.summary.error.is_none() && !outcome.failed_expectations.is_empty() {
@@ -202,9 +194,10 @@ fn attempt(
             Some(format!("expectation failed: {}", outcome.failed_expectations.join("; ")));
     }
     if !args.json {
-        output::print_text(&text(&outcome.summary))?;
-        for loss in &outcome.summary.losses {
-            tracing::warn!("{loss}");
+        let note = files.note().map_or_else(String::new, |note| format!("\n{note}"));
+        output::print_text(&format!("{}{note}", text(&outcome.summary)))?;
+        for loss in outcome.summary.losses.iter().filter(|loss| !known.contains(loss)) {
+            tracing::warn!("{}", printable(loss));
         }
     }
     Ok((outcome.summary, exit))
@@ -216,16 +209,6 @@ fn unready(scene: &Snapshot, host: Option<&SessionHost>) -> Option<String> {
         .map(|(body, share)| format!("the inverse of {} ({:.0} %)", printable(body), 100.0 * share));
     let picture = host.is_some_and(SessionHost::awaits_picture).then(|| "the window".to_owned());
     inverses.chain(picture).next()
-}
-
-/// The file name for a repetition, beside that of the first run.
-fn numbered(file: PathBuf, number: u32) -> PathBuf {
-    if number == 1 {
-        return file;
-    }
-    let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let ending = file.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
-    file.with_file_name(format!("{stem}-{number}{ending}"))
 }
 
 /// Options that every command with a session shares; an interrupt ends the session in an orderly way.
@@ -329,145 +312,4 @@ fn cause(cause: &Cause) -> String {
         Cause::Stall => "stalled".to_owned(),
         Cause::StartTimeout => "did not start in time".to_owned(),
     }
-}
-
-/// Contacts that were not kept that the text names one by one; the others are in report and JSON.
-const UNKEPT_SHOWN: usize = 4;
-
-/// The summary as text for people.
-pub fn text(summary: &RunSummary) -> String {
-    let bold = |text: String| console::style(text).bold().to_string();
-    let task = &summary.task;
-    let verdict = match () {
-        () if task.completed => console::style("completed").green().to_string(),
-        () if task.cut_off => console::style("cut off").yellow().to_string(),
-        () => console::style("not completed").red().to_string(),
-    };
-    let scenario = bold(summary.scenario.clone());
-    let mut lines = if task.is_exercise() {
-        let score = task.score.map_or("–".to_owned(), |score| format!("{score:.1}"));
-        let errors = task.errors.len();
-        vec![
-            format!("{scenario} {verdict} in {:.1} s, {errors} errors", task.seconds),
-            format!("{} / 100  FLS-style score, not clinically validated", bold(format!("score {score}"))),
-        ]
-        .into_iter()
-        .chain(task.disturbed.then(|| "the score is disturbed: it says little about the trainee".to_owned()))
-        .collect()
-    } else {
-        vec![format!("{scenario}: {:.1} s; there is no exercise in it", summary.sim_secs)]
-    };
-    lines.extend(summary.too_slow().map(|slow| console::style(slow).yellow().to_string()));
-    lines.push(String::new());
-    lines.extend(rates(summary));
-    lines.push(String::new());
-    lines.push(format!(
-        "largest force at a driver {} N, deepest penetration {} mm",
-        short(summary.force_newtons_max),
-        short(summary.penetration_max * 1e3)
-    ));
-    if summary.contacts_not_kept > 0 {
-        lines.push(format!("contacts that were not kept: {}", summary.contacts_not_kept));
-        lines.extend(summary.unkept_contacts.iter().take(UNKEPT_SHOWN).map(|contact| format!("  {contact}")));
-    }
-    if !summary.faults.is_empty() {
-        lines.push(format!(
-            "no force was held for longer than {} ms after its last fresh command; {} commands of zombies were refused",
-            short(summary.force_age_max_us * 1e-3),
-            summary.commands_refused
-        ));
-    }
-    for row in summary.controllers.iter().filter(|row| row.lost + row.delayed + row.duplicated > 0) {
-        lines.push(format!(
-            "{}: of {} batches {} were lost, {} came late, {} came twice",
-            row.name, row.sent, row.lost, row.delayed, row.duplicated
-        ));
-    }
-    for fault in &summary.faults {
-        let state = match (fault.injected_secs, fault.recovery_secs()) {
-            (Some(_), Some(took)) => format!("overcome in {:.1} ms", took * 1e3),
-            (Some(_), None) if fault.is_under_way() => "lasted to the end".to_owned(),
-            (Some(_), None) => "not overcome".to_owned(),
-            (None, _) => "did not strike".to_owned(),
-        };
-        lines.push(format!("fault '{}' ({} {}): {state}", fault.id, fault.kind, fault.target));
-    }
-    lines.push(format!(
-        "{:.1} s simulated in {:.1} s; state hash {}",
-        summary.sim_secs,
-        summary.wall_secs,
-        summary.state_hash.as_deref().unwrap_or("–")
-    ));
-    if let Some(file) = &summary.recording {
-        let gaps = if summary.recording_complete { "" } else { " (with gaps)" };
-        lines.push(format!("recording {file}{gaps}"));
-    }
-    if let Some(file) = &summary.report {
-        lines.push(format!("report {file}"));
-    }
-    if let Some(error) = &summary.error {
-        lines.push(console::style(crate::escape::printable(error)).red().to_string());
-    }
-    lines.join("\n")
-}
-
-/// The table of rates.
-fn rates(summary: &RunSummary) -> Vec<String> {
-    let live = summary.mode == Mode::Live;
-    let head: &[&str] = if live {
-        &[
-            "controller",
-            "target Hz",
-            "achieved Hz",
-            "on time",
-            "late p50 µs",
-            "p99",
-            "step p50 µs",
-            "p99",
-            "missed",
-            "restarts",
-            "hits mean",
-            "max",
-            "in ticks",
-        ]
-    } else {
-        &[
-            "controller",
-            "target Hz",
-            "ticks",
-            "step p50 µs",
-            "p99",
-            "rejected",
-            "restarts",
-            "hits mean",
-            "max",
-            "in ticks",
-        ]
-    };
-    let rows: Vec<Vec<String>> = summary
-        .controllers
-        .iter()
-        .map(|row| {
-            let steps = [short(row.step_us.p50), short(row.step_us.p99)];
-            let mut cells = vec![row.name.clone(), short(row.target_hz)];
-            if live {
-                cells.push(format!("{:.1}", row.achieved_hz));
-                cells.push(format!("{:.2} %", row.on_time * 100.0));
-                cells.extend([short(row.lateness_us.p50), short(row.lateness_us.p99)]);
-                cells.extend(steps);
-                cells.push(row.missed.to_string());
-            } else {
-                cells.push(row.scheduled.to_string());
-                cells.extend(steps);
-                cells.push(row.rejected.to_string());
-            }
-            cells.push(row.restarts.to_string());
-            cells.extend(match &row.hits {
-                Some(hits) => [format!("{:.1}", hits.mean), hits.max.to_string(), hits.ticks.to_string()],
-                None => ["–", "–", "–"].map(str::to_owned),
-            });
-            cells
-        })
-        .collect();
-    output::columns(head, &rows)
 }

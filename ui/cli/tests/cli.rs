@@ -198,6 +198,172 @@ fn without_json_a_person_reads_the_score_and_stderr_stays_quiet() {
     assert!(!text.contains('\u{1b}'), "NO_COLOR is respected");
 }
 
+/// An exercise of expectations without any physics: a stone that stays where it is.
+const STONE: &str = "schema = 1\nname = \"stone\"\n[[entity]]\nname = \"stone\"\npose = { translation = [0.1, 0.0, 0.5] }\n\
+    [[controller]]\nname = \"judge\"\nkind = \"outcome\"\nrate_hz = 10\n\
+    [task]\nseconds = 0.2\nexpect = [\n\
+    { measure = \"stone.z_m\", min = 0.6 },\n\
+    { measure = \"stone.z_m\", which = \"largest\", max = 0.25 },\n\
+    { measure = \"stone.x_m\", max = 1.0 },\n\
+    { measure = \"nobody.mass_kg\" },\n]\n";
+
+#[test]
+fn the_summary_names_each_expectation_that_failed_with_its_value_and_its_bound() {
+    let folder = here();
+    std::fs::write(folder.path().join("stone.toml"), STONE).expect("a file");
+    let run = ["run", "stone.toml", "--lockstep", "--no-record"];
+    let output = trocar(folder.path(), &run);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let failed = [
+        "stone.z_m is 0.5, at least 0.6 is expected",
+        "stone.z_m.largest is 0.5, at most 0.25 is expected",
+        "nobody.mass_kg was not measured: nothing in the scene gives 'nobody.mass_kg'",
+    ];
+    let text = stdout(&output);
+    let report = std::fs::read_to_string(folder.path().join("report-stone.html")).expect("a report");
+    for line in failed {
+        assert!(text.contains(&format!("\n  {line}\n")), "'{line}' is not in: {text}");
+        assert!(report.contains(&line.replace('\'', "&#39;")), "'{line}' is not in the report");
+    }
+    assert!(!text.contains("stone.x_m"), "that one holds: {text}");
+    assert!(text.contains("3 errors") && text.contains("score 25.0 / 100"), "{text}");
+    let object = object(&trocar(folder.path(), &[&run[..], &["--no-report", "--json"]].concat()));
+    let told: Vec<&str> = object["task"]["errors"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .filter_map(|error| error["kind"].as_str())
+        .collect();
+    assert_eq!(told, failed);
+}
+
+#[test]
+fn only_the_peg_transfer_calls_its_score_fls_style() {
+    let folder = here();
+    std::fs::write(folder.path().join("stone.toml"), STONE).expect("a file");
+    for (scenario, kind, words) in [
+        ("stone.toml", "expectations", "share of the expectations that were met"),
+        ("peg-transfer", "fls_style", "FLS-style score, not clinically validated"),
+    ] {
+        let run = ["run", scenario, "--lockstep", "--no-record", "--seconds", "0.3"];
+        let text = stdout(&trocar(folder.path(), &run));
+        assert!(text.contains(words), "{scenario}: {text}");
+        assert_eq!(text.contains("FLS"), kind == "fls_style", "{scenario}: {text}");
+        let report = format!("report-{}.html", scenario.trim_end_matches(".toml"));
+        let report = std::fs::read_to_string(folder.path().join(report)).expect("a report");
+        assert_eq!(report.contains("FLS"), kind == "fls_style", "{scenario}: its report");
+        let summary = object(&trocar(folder.path(), &[&run[..], &["--no-report", "--json"]].concat()));
+        assert_valid("run", &summary);
+        assert_eq!(summary["task"]["score_kind"], kind);
+    }
+}
+
+#[test]
+fn a_gauze_that_is_too_fine_for_explicit_steps_says_so_in_few_digits_and_what_helps() {
+    let folder = here();
+    let gauze = "schema = 1\nname = \"gauze\"\ngravity = [0.0, 0.0, 0.0]\n[[entity]]\nname = \"strip\"\n\
+                 mesh = { sheet = { size = [0.020, 0.012], cells = [20, 12] } }\n\
+                 mass_spring = { springs = { surface = { membrane_stiffness = 150.0, bending_stiffness = 2e-6, density = 0.05 } } }\n\
+                 anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [-0.0099, 1.0, 1.0] } }] }\n\
+                 [[controller]]\nname = \"strip\"\nkind = \"mass-spring\"\nrate_hz = 50\n";
+    std::fs::write(folder.path().join("gauze.toml"), gauze).expect("a file");
+    let run = ["run", "gauze.toml", "--lockstep", "--no-record", "--no-report", "--seconds", "0.1"];
+    let message = stderr(&trocar(folder.path(), &run));
+    for part in [
+        "a step of 20 ms takes 137,571 parts of 0.145 µs",
+        "at most 200",
+        "implicit",
+        "'lag'",
+        "cells",
+        "'rate_hz'",
+    ] {
+        assert!(message.contains(part), "'{part}' is not in: {message}");
+    }
+    let digits = message.split(|c: char| !c.is_ascii_digit()).map(str::len).max();
+    assert!(digits <= Some(6), "nobody reads so many digits: {message}");
+}
+
+#[test]
+fn what_is_doubtful_in_a_scenario_is_said_before_it_runs_and_once() {
+    let folder = here();
+    let stiff = "schema = 1\nname = \"stiff\"\n[[entity]]\nname = \"liver\"\ntissue = \"liver\"\n\
+                 mesh = { block = { size = [0.1, 0.1, 0.02], cells = [2, 2, 1] } }\n\
+                 dynamic_fem = { young_modulus = 5e6 }\n";
+    std::fs::write(folder.path().join("stiff.toml"), stiff).expect("a file");
+    let run = ["run", "stiff.toml", "--lockstep", "--no-record", "--no-report", "--seconds", "0.1"];
+    let output = trocar(folder.path(), &run);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let message = stderr(&output);
+    assert_eq!(message.matches("young_modulus of 5 MPa").count(), 1, "{message}");
+    let known = object(&trocar(folder.path(), &[&run[..], &["--json"]].concat()));
+    assert_eq!(known["losses"].as_array().map(Vec::len), Some(1), "{known}");
+    // It is said although the session cannot start.
+    let text = format!(
+        "{stiff}[[controller]]\nname = \"a\"\nkind = \"haptics\"\nrate_hz = 10\nparams = {{ hand = \"left\" }}\n"
+    );
+    std::fs::write(folder.path().join("stiff.toml"), text).expect("a file");
+    let output = trocar(folder.path(), &run);
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let message = stderr(&output);
+    let (doubt, error) = (message.find("young_modulus of 5 MPa"), message.find("no hand is called 'left'"));
+    assert!(doubt.is_some() && doubt < error, "{message}");
+}
+
+#[test]
+fn two_sessions_of_one_scenario_in_one_folder_keep_both_recordings_and_a_later_one_says_what_it_replaces() {
+    let folder = here();
+    let run = ["run", "wall", "--headless", "--no-report", "--seconds", "1"];
+    let start = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_trocar"));
+        command.args(run).current_dir(folder.path()).env("NO_COLOR", "1");
+        command.env("TROCAR_RUNTIME_DIR", folder.path().join("run"));
+        command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped());
+        command.spawn().expect("the program starts")
+    };
+    let both = [start(), start()].map(|child| child.wait_with_output().expect("it ends"));
+    let told: String = both.iter().map(stderr).collect();
+    assert!(both.iter().all(|output| output.status.success()), "{told}");
+    assert!(
+        told.contains("wall.mcap is being written by another session: this one writes wall-2.mcap"),
+        "{told}"
+    );
+    for name in ["wall.mcap", "wall-2.mcap"] {
+        let replayed = trocar(folder.path(), &["replay", name, "--headless"]);
+        assert!(replayed.status.success(), "{name}: {}", stderr(&replayed));
+    }
+    let later = ["run", "wall", "--lockstep", "--no-report", "--seconds", "0.1"];
+    let text = stdout(&trocar(folder.path(), &later));
+    assert!(text.contains("wall.mcap replaces the one of an earlier run; --record"), "{text}");
+}
+
+#[test]
+fn of_a_recording_that_is_cut_short_what_is_whole_is_told() {
+    let folder = here();
+    let run = [
+        "run",
+        "peg-transfer",
+        "--lockstep",
+        "--seconds",
+        "3",
+        "--no-report",
+        "--record",
+        "a.mcap",
+        "--json",
+    ];
+    assert_eq!(trocar(folder.path(), &run).status.code(), Some(0));
+    let file = folder.path().join("a.mcap");
+    let bytes = std::fs::read(&file).expect("a recording");
+    std::fs::write(&file, &bytes[..bytes.len() * 7 / 10]).expect("a file");
+    let replayed = trocar(folder.path(), &["replay", "a.mcap", "--headless"]);
+    assert_eq!(replayed.status.code(), Some(1), "{}", stderr(&replayed));
+    let message = stderr(&replayed);
+    let whole =
+        message.split("its first ").nth(1).and_then(|rest| rest.split(' ').next()?.parse::<f64>().ok());
+    assert!(whole.is_some_and(|secs| (0.5..3.0).contains(&secs)), "{message}");
+    let text = stdout(&replayed);
+    assert!(text.contains("peg-transfer cut off") && text.contains("state hash"), "{text}");
+}
+
 /// A command that fails, its exit code, and what the message must name.
 fn assert_fails(arguments: &[&str], code: i32, named: &[&str]) {
     let folder = here();
@@ -250,9 +416,29 @@ fn wrong_files_are_refused_with_their_place() {
     write("broken.toml", "schema = 1\nname = \"x\"\ntitle = \"X\"\ncolour = \"red\"\n");
     write("faults.toml", "schema = 1\n[[fault]]\nat_secs = 1.0\ntarget = \"nobody\"\nkind = \"kill\"\n");
     write("noise.mcap", "this is no recording");
+    let controller =
+        "schema = 1\nname = \"x\"\n[[controller]]\nname = \"a\"\nkind = \"rapeir\"\nrate_hz = 10\n";
+    write("kind.toml", controller);
+    write(
+        "params.toml",
+        &controller.replace("rapeir", "outcome").replace("[[", "[task]\nexpect = []\nseconds = -2.0\n[["),
+    );
     write("hand.csv", "t,x,y,z,qw,qx,qy,qz,gripper\n0,0,0,0,1,0,0,0,0\n0.001,NaN,0,0,1,0,0,0,0\n");
-    let cases: [(&[&str], &[&str]); 4] = [
+    let soft = "schema = 1\nname = \"x\"\n[[entity]]\nname = \"board\"\n[[entity]]\nname = \"liver\"\ndynamic_fem = {}\n\
+                [[controller]]\nname = \"soft\"\nkind = \"dynamic-fem\"\nrate_hz = 60\n";
+    write("bare.toml", soft);
+    write("bench.toml", &soft.replace("dynamic_fem = {}", "").replace("dynamic-fem", "peg-transfer"));
+    let cases: [(&[&str], &[&str]); 9] = [
+        // What only a controller finds when it starts.
+        (
+            &["run", "bare.toml", "--lockstep"],
+            &["bare.toml:6:8", "'liver' has no vertices", "give it a mesh"],
+        ),
+        (&["run", "bare.toml", "--headless"], &["bare.toml:6:8", "'liver' has no vertices"]),
+        (&["run", "bench.toml", "--lockstep"], &["bench.toml:8:1", "soft did not start", "torus"]),
         (&["run", "broken.toml", "--json"], &["broken.toml:4:1", "colour"]),
+        (&["run", "kind.toml"], &["kind.toml:5:8", "unknown kind 'rapeir'", "rapier"]),
+        (&["run", "params.toml"], &["params.toml:5:11", "seconds", "-2 is out of range"]),
         (&["run", "peg-transfer", "--faults", "faults.toml"], &["nobody", "haptics.left"]),
         (&["replay", "noise.mcap"], &["noise.mcap"]),
         (&["run", "peg-transfer", "--hand", "left=replay:hand.csv"], &["hand.csv", "3"]),
@@ -265,7 +451,7 @@ fn wrong_files_are_refused_with_their_place() {
             assert!(message.contains(name), "{arguments:?}: '{name}' is not in: {message}");
         }
     }
-    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 4, "something was written");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 8, "something was written");
 }
 
 #[test]

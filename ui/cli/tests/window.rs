@@ -178,6 +178,31 @@ fn without_a_graphics_adapter_the_window_is_given_up_and_the_session_goes_on() {
 }
 
 #[test]
+fn the_window_stays_when_a_played_session_is_over_and_takes_the_keys_back_for_the_next_one() {
+    let _alone = alone();
+    let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
+    let run = [&WALL[..], &["--play", "--window", "--seconds", "1.5"]].concat();
+    let mut running = Running::start(&screen, folder.path(), &run);
+    // A session that is over does not answer any more.
+    let over = |running: &mut Running| running.until("it is over", |running| running.seconds() < 0.0);
+    running.until("time passes", |running| running.seconds() > 0.1);
+    over(&mut running);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    assert_eq!(screen.windows().len(), 1, "the result can be read");
+    // The instruments were in hand: their keys would be the session's. Now they are the window's again.
+    running.until("the next one begins", |running| {
+        screen.act("key BackSpace sleep 0.3");
+        running.seconds() >= 0.0
+    });
+    over(&mut running);
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    screen.act("key ctrl+q");
+    let (code, printed) = running.end();
+    assert_eq!(code, Some(0), "{printed}");
+    assert_eq!(printed.matches("state hash").count(), 2, "{printed}");
+}
+
+#[test]
 fn a_session_begins_anew_and_keeps_what_was_recorded_before() {
     let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));

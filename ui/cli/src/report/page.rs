@@ -87,10 +87,11 @@ fn header(out: &mut String, report: &Report) {
         out,
         "<header><div><h1>{}</h1><p class=\"sub\"><span class=\"verdict {class}\">{verdict}</span>{} · {how} · \
          seed {}</p></div><div class=\"score\"><b>{score}</b><span> / 100</span>\
-         <p>FLS-style score,<br>not clinically validated{disturbed}</p></div></header>",
+         <p>{}{disturbed}</p></div></header>",
         escape(report.title),
         escape(&summary.scenario),
         summary.seed,
+        escape(summary.task.score_kind.words()).replace(", ", ",<br>"),
     );
 }
 
@@ -216,7 +217,7 @@ fn footer(out: &mut String, report: &Report) {
     let json = serde_json::to_string(summary).unwrap_or_default();
     let _ = write!(
         out,
-        "<footer><p>Scores and metrics describe this run in simulation. They are FLS-style and not clinically \
+        "<footer><p>Scores and metrics describe this run in simulation. They are not clinically \
          validated.</p><p>Trocar {} · {} · state hash <code>{}</code></p></footer>\
          <script type=\"application/json\" id=\"summary\">{}</script>",
         escape(&summary.version),

@@ -8,6 +8,7 @@ use trocar::summary::{ControllerSummary, FaultSummary};
 use super::Report;
 use super::scale::short;
 use crate::escape::escape;
+use crate::output::in_words;
 
 /// Rates, lateness, step times and losses of every controller.
 pub fn controllers(report: &Report) -> String {
@@ -145,9 +146,10 @@ fn metric_label(name: &str) -> String {
 
 /// Errors of the trainee.
 pub fn errors(report: &Report) -> String {
-    let rows = report.summary.task.errors.iter().map(|error| {
-        vec![Cell::text(&error.kind.replace('_', " ")), Cell::plain(format!("{:.2}", error.at_secs))]
-    });
+    let rows =
+        report.summary.task.errors.iter().map(|error| {
+            vec![Cell::text(&in_words(&error.kind)), Cell::plain(format!("{:.2}", error.at_secs))]
+        });
     table(&["error", "at [s]"], rows, "")
 }
 

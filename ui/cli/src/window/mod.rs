@@ -26,6 +26,7 @@ use crate::failure::Failure;
 use link::{Shared, ViewerPresence, WindowLink};
 pub use playback::Findings;
 pub use session_host::{Next, SessionHost};
+pub use trocar_viewer::window::subject::Verdict;
 
 /// Connects to the display; `None` where there is none, or no window is wanted.
 ///

@@ -9,11 +9,12 @@ use trocar::run::{Progress, RunOptions};
 use trocar::session::Session;
 use trocar_kernel::spec::VIEWER;
 use trocar_scene::{Access, EntitySet, PersonInput, SimTime, Snapshot};
-use trocar_viewer::window::subject::{Abilities, PlayState, Request, SubjectState, Tune, Tuning};
+use trocar_viewer::window::subject::{Abilities, PlayState, Request, SubjectState, Tune, Tuning, Verdict};
 
 use super::actors::actors;
 use super::faults::Viewers;
 use super::link::{PlayerGuest, SessionLink, ViewerPresence};
+use crate::escape::printable;
 use crate::tune::TuningService;
 use crate::tune::protocol::Request as TuneRequest;
 
@@ -21,6 +22,8 @@ use crate::tune::protocol::Request as TuneRequest;
 const TELL_EVERY: Duration = Duration::from_millis(250);
 /// Longest wait for a request before the session checks whether it shall go on.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Doubts about a scenario that a window shows at most.
+const DOUBTS_MAX: usize = 3;
 /// Session time of a single step.
 const STEP: SimTime = SimTime::from_millis(10);
 
@@ -47,6 +50,8 @@ pub struct SessionHost {
     paused: bool,
     again: bool,
     told: Option<Instant>,
+    /// Sessions that are over.
+    sessions: u64,
 }
 
 impl SessionHost {
@@ -62,6 +67,7 @@ impl SessionHost {
             paused: false,
             again: false,
             told: None,
+            sessions: 0,
         }
     }
 
@@ -123,7 +129,7 @@ impl SessionHost {
         self.link.read_from(reader);
         let abilities = Abilities { pause: true, step: true, speed, reset: true, seek: false, tune: true };
         self.link.tell(|state| {
-            (state.play_state, state.abilities) = (PlayState::Running, abilities);
+            (state.play_state, state.abilities, state.verdict) = (PlayState::Running, abilities, None);
         });
         self.tell_tuning(session, tuning_service);
         if self.plays
@@ -240,13 +246,25 @@ impl SessionHost {
         self.link.tell(|state| state.actors = actors);
     }
 
-    /// After the session: shows its last scene until the user restarts it or closes the window.
-    pub fn wait(&mut self, verdict: String, bad: bool) -> Next {
+    /// Shows what is doubtful in the scenario's meshes and values.
+    pub fn doubt(&mut self, doubts: &[String]) {
+        for doubt in doubts.iter().take(DOUBTS_MAX) {
+            self.link.note(printable(doubt), true);
+        }
+        if doubts.len() > DOUBTS_MAX {
+            self.link.note(format!("{} more doubts are on the terminal", doubts.len() - DOUBTS_MAX), true);
+        }
+    }
+
+    /// After the session: shows its last scene and its result until the user restarts it or closes the window.
+    pub fn wait(&mut self, verdict: Verdict) -> Next {
         if self.again {
             return Next::Again;
         }
-        self.link.note(verdict, bad);
+        self.sessions += 1;
+        let number = self.sessions;
         self.link.tell(|state: &mut SubjectState| {
+            state.verdict = Some((number, verdict));
             state.play_state = PlayState::Over;
             state.abilities = Abilities { reset: true, ..Abilities::default() };
         });
