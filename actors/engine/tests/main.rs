@@ -5,6 +5,7 @@
 
 mod impulse_world;
 mod rapier_world;
+mod sliding;
 mod soft_bodies;
 #[path = "../../simulator/tests/support/stage/mod.rs"]
 mod stage;
