@@ -346,6 +346,16 @@ fn hands_and_tasks(formats: &mut Formats) {
     formats.check(DeviceForce { force: v(2.0), torque: v(0.01), at: SimTime(7) }, true);
     formats.check(HandTarget { handle_in_device: pose(), gripper: 0.6 }, true);
     formats.check(
+        VirtualFixture {
+            force: v(0.5),
+            center_in_world: v(0.02).into(),
+            stiffness: 50.0,
+            damping: 1.0,
+            at: SimTime(9),
+        },
+        true,
+    );
+    formats.check(
         HapticStatus {
             energy: 0.1,
             energy_min: -0.01,
