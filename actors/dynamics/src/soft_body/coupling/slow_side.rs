@@ -55,7 +55,8 @@ impl SlowSide {
     }
 
     /// Takes the outstanding impulses as forces on vertices over the step, in the body's frame \[N\]; after missed
-    /// steps their mean force ([`share_of_a_step`](crate::coupling::GhostNodes::share_of_a_step)). Velocities are those before the step \[m/s\].
+    /// steps their mean force ([`share_of_a_step`](crate::coupling::GhostNodes::share_of_a_step)). Velocities are those
+    /// before the step \[m/s\].
     pub fn take(
         &mut self,
         site: &StepContext<'_>,
