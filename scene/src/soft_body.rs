@@ -8,6 +8,8 @@
 pub struct SoftAbilities {
     /// Its controller responds to detected contacts.
     pub responds_to_contacts: bool,
+    /// Its controller answers contacts with rigid bodies that move, for both sides.
+    pub bears: bool,
     /// It may be `coupled` with other bodies: those of its own method are solved as one system, those of other methods
     /// get impulses.
     pub couples: bool,
@@ -23,6 +25,7 @@ impl SoftAbilities {
     /// A body without any of these abilities.
     pub const NONE: Self = Self {
         responds_to_contacts: false,
+        bears: false,
         couples: false,
         answers_couplings: false,
         is_pinnable: false,

@@ -7,6 +7,8 @@
 //! scene: after a restart the body resumes from the same positions and velocities, within the solver's tolerance and
 //! not bit-identically.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Matrix3, Point3, Vector3};
 use rapier3d_f64::dynamics::{
     SoftBody, SoftBodyBuilder, SoftBodyCellModel, SoftBodyHandle, SoftBodyMaterial, SoftBodySolver,
@@ -15,7 +17,8 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
-use trocar_dynamics::soft_body::method::{Measures, StepContext};
+use trocar_dynamics::soft_body::bearing::rigid_motion::{PressedNodes, RigidMotion, press, press_as_before};
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, StepContext, bearing_stiffness};
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
@@ -37,7 +40,10 @@ pub enum EngineSoftSolver {
 
 /// A soft volume of the engine. It needs a tetrahedral mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "engine_soft", check = Self::ranges, schema, soft_body = SoftAbilities::NONE)]
+#[component(
+    name = "engine_soft", check = Self::ranges, schema,
+    soft_body = SoftAbilities { responds_to_contacts: true, bears: true, ..SoftAbilities::NONE },
+)]
 #[serde(default, deny_unknown_fields)]
 pub struct EngineSoftBody {
     /// Young's modulus \[Pa\].
@@ -97,6 +103,10 @@ pub struct EngineSoftMethod {
     handle: SoftBodyHandle,
     mesh: TetMesh,
     masses: Vec<f64>,
+    /// Inverse mass of each vertex, 0 where it is fixed \[1/kg\].
+    mobility: Vec<f64>,
+    /// Stiffness of each contact with a rigid body that moves \[N/m\].
+    bearing_stiffness: f64,
     /// Fixed vertices, ascending.
     pinned: Vec<u32>,
     /// Vertices held by jaws, ascending.
@@ -196,6 +206,26 @@ impl EngineSoftMethod {
     }
 }
 
+/// The vertices before a substep, with the contacts' forces on them.
+struct PushedNodes<'a> {
+    of: &'a EngineSoftMethod,
+    h: f64,
+    pushes: BTreeMap<u32, Vector3<f64>>,
+}
+
+impl PressedNodes for PushedNodes<'_> {
+    fn at_end(&self, node: u32) -> (Vector3<f64>, Vector3<f64>, f64) {
+        let (index, mobility) = (node as usize, self.of.mobility[node as usize]);
+        let push = self.pushes.get(&node).copied().unwrap_or_default();
+        let velocity = self.of.velocities[index] + push * (mobility * self.h);
+        (self.of.positions[index].coords + velocity * self.h, velocity, mobility)
+    }
+
+    fn push(&mut self, node: u32, force: &Vector3<f64>) {
+        *self.pushes.entry(node).or_default() += force;
+    }
+}
+
 /// Nodes and weights of a contact.
 fn joint(touch: &RodContact) -> impl Iterator<Item = (u32, f64)> {
     touch.nodes.into_iter().zip(touch.weights).filter(|(_, weight)| *weight != 0.0)
@@ -260,12 +290,17 @@ impl SoftMethod for EngineSoftMethod {
             }
         }
         let (positions, velocities) = (body.positions.to_vec(), body.velocities.to_vec());
+        let mut mobility: Vec<f64> = masses.iter().map(|mass| mass.recip()).collect();
+        pinned.iter().for_each(|&vertex| mobility[vertex as usize] = 0.0);
+        let bearing_stiffness = bearing_stiffness(kind.contact_stiffness, kind.young_modulus, body);
         Ok(Self {
             kind: *kind,
             world,
             handle,
             mesh,
             masses,
+            mobility,
+            bearing_stiffness,
             pinned,
             driven: Vec::new(),
             positions,
@@ -281,6 +316,12 @@ impl SoftMethod for EngineSoftMethod {
         &self.velocities
     }
 
+    fn terms(&self) -> Option<ContactParams<'_>> {
+        let EngineSoftBody { contact_stiffness: stiffness, friction, .. } = self.kind;
+        let (masses_inverse, bearing_stiffness) = (&self.mobility[..], self.bearing_stiffness);
+        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, friction })
+    }
+
     fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
         let triangles = &body.triangles[..];
         ContactSurface { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
@@ -294,6 +335,12 @@ impl SoftMethod for EngineSoftMethod {
     ) -> Result<(), String> {
         self.lead(site)?;
         let parts = self.kind.parts;
+        let mut moving: Vec<RigidMotion> =
+            site.rigid.bodies.iter().map(|body| RigidMotion::of(body, site.period_secs())).collect();
+        let began: Vec<Vector3<f64>> =
+            site.rigid.contacts.iter().map(|contact| contact.place(&self.positions)).collect();
+        let mut borne = vec![0.0; began.len()];
+        let mut now: Vec<f64> = site.rigid.contacts.iter().map(|contact| contact.force).collect();
         let h = site.period_secs() / f64::from(parts);
         self.world.integration_parameters.dt = h;
         self.world.gravity = vector_to_rapier(&site.gravity);
@@ -319,6 +366,16 @@ impl SoftMethod for EngineSoftMethod {
                     body.add_particle_force(node as usize, vector_to_rapier(&(push * share)), false);
                 }
             }
+            let mut nodes = PushedNodes { of: self, h, pushes: BTreeMap::new() };
+            press_as_before(site.rigid.contacts, &now, &mut moving, &mut nodes);
+            press(site.rigid.contacts, &began, &mut now, &mut moving, h, &mut nodes);
+            let pushes = nodes.pushes;
+            let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+            for (node, push) in pushes {
+                body.add_particle_force(node as usize, vector_to_rapier(&push), false);
+            }
+            borne.iter_mut().zip(&now).for_each(|(total, force)| *total += force * h);
+            moving.iter_mut().for_each(|motion| motion.end(h));
             let share = f64::from(part + 1) / f64::from(parts);
             for (driven, from) in site.driven.iter().zip(&from) {
                 let target = from + (driven.position_in_body - from) * share;
@@ -327,6 +384,8 @@ impl SoftMethod for EngineSoftMethod {
             self.part()?;
         }
         forces.extend(pressed.iter().map(|of| of.impulse / site.period_secs()));
+        let of_rigid = site.rigid.contacts.iter().zip(&borne);
+        forces.extend(of_rigid.map(|(contact, impulse)| contact.normal * (impulse / site.period_secs())));
         Ok(())
     }
 

@@ -2,6 +2,7 @@
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
@@ -25,8 +26,13 @@ fn cloth(n: u32, config: Config) -> MassSpring {
     MassSpring::new(network, points, &[0, n], config).expect("a cloth")
 }
 
-const INPUT: Input<'static> =
-    Input { gravity: Vector3::new(0.0, 0.0, -9.81), forces: &[], prescribed: &[], contacts: &[] };
+const INPUT: Input<'static> = Input {
+    gravity: Vector3::new(0.0, 0.0, -9.81),
+    forces: &[],
+    prescribed: &[],
+    contacts: &[],
+    rigid: RigidPresses { bodies: &[], contacts: &[] },
+};
 
 fn mass_spring(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("mass_spring");

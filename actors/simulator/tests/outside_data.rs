@@ -111,7 +111,12 @@ fn elements_that_name_vertices_that_there_are_not_are_refused_by_every_controlle
     );
     let held = "linear_fem = {}\nanchors = { regions = [{ box = { min = [-1.0, -1.0, 0.0099], \
                 max = [1.0, 1.0, 1.0] } }] }";
-    refused(&body(BLOCK, held), |context| LinearFemController::new(None, context), tets(), &tet);
+    refused(
+        &body(BLOCK, held),
+        |context| LinearFemController::new(Vector3::zeros(), None, context),
+        tets(),
+        &tet,
+    );
     let cauterised = "cauterised = {}";
     let burns = |context: &BuildContext<'_>| ElectrosurgeryController::new(context);
     refused(&body(BLOCK, cauterised), burns, tets(), &tet);

@@ -9,7 +9,7 @@ use trocar::app::App;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
-use trocar::session::doubts;
+use trocar::session::{doubts, forecast};
 use trocar::summary::{Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::supervision::{Cause, Incident};
@@ -136,8 +136,10 @@ fn attempt(
         tuning_service.open();
     }
     let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
-    // What was mended, and what is doubtful, in the meshes and values of the scenario is said before anything runs.
-    let known = doubts(&first);
+    // What was mended, and what is doubtful, in the meshes and values of the scenario, and what its methods cannot bear, is
+    // said before anything runs.
+    let mut known = doubts(&first);
+    known.extend(forecast(&first, &scenario));
     if !args.json {
         known.iter().for_each(|doubt| tracing::warn!("{}", printable(doubt)));
     }

@@ -344,8 +344,10 @@ fn of_the_scene<C: Controller>(build: fn(&BuildContext<'_>) -> Result<C, Control
 
 fn linear_fem(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     nothing(&context.entry.params)?;
-    let cache = cache_folder();
-    Ok(plain(RuntimeClass::Simulation, move |context| LinearFemController::new(cache.clone(), context)))
+    let (gravity, cache) = (context.scenario.gravity_in_world, cache_folder());
+    Ok(plain(RuntimeClass::Simulation, move |context| {
+        LinearFemController::new(gravity, cache.clone(), context)
+    }))
 }
 
 fn thread(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {

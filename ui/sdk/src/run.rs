@@ -18,7 +18,7 @@ use crate::assembly::{Assembly, AssemblyError};
 pub use crate::error::RunError;
 use crate::graph::ActorGraph;
 pub use crate::options::{FaultTargets, RunOptions};
-use crate::session::{Finished, Session, doubts};
+use crate::session::{Finished, Session, doubts, forecast};
 use crate::summary::{Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 use crate::watch::contacts::ContactWatch;
@@ -137,6 +137,7 @@ pub fn run(
     let mut session = start(app, scenario, options)?;
     let mut trace = RunTrace::new();
     trace.sample(&session.snapshot());
+    let warnings = forecast(&session.snapshot(), scenario);
     let mut health = session.health();
     let (mut motions, mut contacts) = (HandMotions::default(), ContactWatch::default());
     let rows = session.reports();
@@ -193,6 +194,7 @@ pub fn run(
     summary.task.disturbed = !summary.slow_actors.is_empty();
     motions.complete(&mut summary.task.metrics);
     (summary.unkept_contacts, summary.contacts_not_kept) = contacts.found();
+    summary.warnings = warnings;
     let failed_expectations = options.faults.as_ref().map_or_else(Vec::new, |plan| {
         let measured = Measured {
             force_newtons_max: finished.force_newtons_max,

@@ -1,9 +1,11 @@
 //! A running session, in virtual or real time.
 
+mod forecast;
 mod losses;
 mod pause;
 pub(crate) mod plan;
 
+pub use forecast::forecast;
 pub use losses::doubts;
 
 use std::sync::Arc;

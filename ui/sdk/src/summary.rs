@@ -110,6 +110,8 @@ pub struct RunSummary {
     /// taken away on the way; bodies that stand still because their solver could not go on, and those that moved beyond
     /// what their method is right for.
     pub losses: Vec<String>,
+    /// What was told before the start, one sentence each: what the scenario's methods cannot bear.
+    pub warnings: Vec<String>,
     /// What went wrong, in words.
     pub error: Option<String>,
 }
@@ -142,6 +144,7 @@ impl RunSummary {
             report: None,
             pictures: Vec::new(),
             losses: Vec::new(),
+            warnings: Vec::new(),
             error: None,
         }
     }

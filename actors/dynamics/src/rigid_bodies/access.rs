@@ -74,7 +74,7 @@ pub(crate) fn declared_access(
     let access = match meets_soft_bodies(scene) {
         true => access
             .reads::<SoftContacts>()
-            .reads_named(scene.registry().soft_bodies_that(|of| of.responds_to_contacts))
+            .reads_named(scene.registry().soft_bodies_that(|of| of.bears))
             .reads::<RigidContacts>()
             .writes::<RigidContacts>(on(moved)),
         false => access,

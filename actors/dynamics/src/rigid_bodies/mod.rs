@@ -31,6 +31,7 @@ use crate::instrument::mechanism::MechanismState;
 use crate::instrument::state::{InstrumentState, JawOpening};
 use crate::instrument::target_track::TargetTrack;
 use crate::rigid_world::{World, WorldError};
+use crate::soft_body::bearing;
 use crate::soft_body::contact::RigidContacts;
 use access::{declared_access, declared_rows, meets_soft_bodies, moved_entities};
 use external_contact_model::{held_by, modelled_by_others};
@@ -401,12 +402,23 @@ impl<W: World> Controller for RigidBodiesController<W> {
         let at_once = (2.0 * tick.period.as_secs_f64()).clamp(TICK_SECS_MAX, CATCH_UP_SECS_MAX);
         let steps = (behind.min(at_once) / step_secs + 1e-6).floor();
         if steps > 0.0 {
-            // Half a step before the end of the last one: step lengths are rounded to whole nanoseconds.
-            let until = self.world.now() + SimTime::from_secs_f64((steps - 0.5) * step_secs);
+            // In a long tick the soft bodies' impulses are taken as they were given in its course.
+            let parts = match self.meets_soft_bodies {
+                true => (steps * step_secs / bearing::STEP_MAX - 1e-6).ceil().clamp(1.0, steps),
+                false => 1.0,
+            };
             let failed = |error: WorldError| ControllerError::Failed(error.to_string());
-            self.apply_soft_impulses(scene, steps * step_secs).map_err(failed)?;
-            self.step_to(until).map_err(failed)?;
-            self.clear_soft_impulses(steps * step_secs).map_err(failed)?;
+            let (begin, mut done) = (self.world.now(), 0.0);
+            for part in 1..=parts as u32 {
+                let all = (steps * f64::from(part) / parts).round();
+                // Half a step before the end of the last one: step lengths are rounded to whole nanoseconds.
+                let until = begin + SimTime::from_secs_f64((all - 0.5) * step_secs);
+                let secs = (all - done) * step_secs;
+                self.apply_soft_impulses(scene, secs).map_err(failed)?;
+                self.step_to(until).map_err(failed)?;
+                self.clear_soft_impulses(secs).map_err(failed)?;
+                done = all;
+            }
         }
         self.write_frozen(scene, tick, out);
         self.write_bodies(scene, out);

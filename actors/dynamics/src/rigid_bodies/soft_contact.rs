@@ -10,9 +10,9 @@ use trocar_scene::time::SimTime;
 
 use super::RigidBodiesController;
 use crate::rigid_world::{World, WorldError};
+use crate::soft_body::bearing::bears;
 use crate::soft_body::contact::RigidContacts;
 use crate::soft_body::contact::rigid::motion;
-use crate::soft_body::contact::tracking::answers;
 
 impl<W: World> RigidBodiesController<W> {
     /// Publishes the bodies' inertia for steps of this length \[s\]. Once it is published, soft bodies answer the
@@ -21,7 +21,7 @@ impl<W: World> RigidBodiesController<W> {
         if !self.meets_soft_bodies || period_secs <= 0.0 {
             return;
         }
-        let is_any_soft = scene.has_soft_body_that(|of| of.responds_to_contacts);
+        let is_any_soft = scene.has_soft_body_that(|of| of.bears);
         for (entity, known) in &mut self.bodies {
             if known.contacts.is_none() && !is_any_soft {
                 continue;
@@ -34,11 +34,12 @@ impl<W: World> RigidBodiesController<W> {
             }
             let (told, inertia) =
                 (known.contacts.get_or_insert_with(Default::default), inertia.unwrap_or_default());
-            if told.inertia == inertia && told.step == period_secs {
+            let steps = (period_secs, self.step_secs);
+            if told.inertia == inertia && (told.step, told.substep) == steps {
                 continue;
             }
             let before = told.gives_way();
-            (told.inertia, told.step) = (inertia, period_secs);
+            (told.inertia, (told.step, told.substep)) = (inertia, steps);
             known.is_told = false;
             if told.gives_way() != before {
                 // The soft bodies answer these contacts now.
@@ -50,7 +51,7 @@ impl<W: World> RigidBodiesController<W> {
     /// Whether the soft body of this pair answers the contact for both.
     pub(crate) fn is_answered_for(&self, scene: &Snapshot, one: Entity, other: Entity) -> bool {
         let contacts = self.bodies.get(&one).and_then(|known| known.contacts.as_ref());
-        contacts.is_some_and(RigidContacts::gives_way) && answers(scene, other)
+        contacts.is_some_and(RigidContacts::gives_way) && bears(scene, other)
     }
 
     /// Applies the soft bodies' impulses over the steps of the next `secs` seconds.

@@ -155,7 +155,7 @@ pub trait World: Send + Sized + 'static {
     fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>);
 
     /// Applies a constant wrench to a body from the next step on, until the next call: force \[N\], and torque about
-    /// the world origin \[N·m\]. A sleeping body wakes.
+    /// its centre of mass \[N·m\]. A sleeping body wakes.
     ///
     /// # Errors
     /// No such body; a non-finite force.

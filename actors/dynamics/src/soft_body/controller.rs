@@ -14,9 +14,12 @@ use trocar_scene::{
     Snapshot, Tick, Velocity,
 };
 
-use super::contact::SoftContacts;
+use super::bearing::joint::joints;
+use super::bearing::rigid_response::{PlaneContact, RigidInStep, RigidPresses};
+use super::bearing::{self, Bearer, Bearing, Bearings, BorneBody};
 use super::contact::penalty::{self, RespondingBody};
 use super::contact::tracking::{self, AdjacencyCache, Shape};
+use super::contact::{BorneContact, SoftContacts};
 use super::coupling::slow_side::SlowSide;
 use super::frozen::{FrozenPart, RejectedBody};
 use super::grasp::{Grips, Holder};
@@ -38,6 +41,7 @@ struct Body<M> {
     inputs: StepInputs,
     /// Detected contacts: their persistent state, the sum of the force magnitudes \[N\], and the number of active ones.
     contacts: SoftContacts,
+    contacts_changed: bool,
     pressed: (f64, usize),
 }
 
@@ -48,9 +52,14 @@ struct StepInputs {
     gravity: Vector3<f64>,
     rods: Vec<Rod>,
     touches: Vec<RodContact>,
+    presses: Vec<PlaneContact>,
+    rigid: Vec<RigidInStep>,
     driven: Vec<DrivenVertex>,
     given: Vec<(u32, Vector3<f64>)>,
+    /// Length of that list without the friction of rigid bodies, which changes from part to part of a tick.
+    given_before: usize,
     forces: Vec<Vector3<f64>>,
+    step_secs: f64,
 }
 
 impl StepInputs {
@@ -58,10 +67,12 @@ impl StepInputs {
         StepContext {
             scene,
             tick,
+            step_secs: self.step_secs,
             world_from_body: &self.world_from_body,
             gravity: self.gravity,
             rods: &self.rods,
             touches: &self.touches,
+            rigid: RigidPresses { bodies: &self.rigid, contacts: &self.presses },
             forces: &self.given,
             driven: &self.driven,
         }
@@ -74,6 +85,7 @@ pub struct SoftController<M> {
     bodies: Vec<Body<M>>,
     refused: Vec<RejectedBody>,
     surroundings: AdjacencyCache,
+    bearings: Bearings,
     registry: Arc<Registry>,
 }
 
@@ -96,11 +108,11 @@ impl<M: SoftMethod> SoftController<M> {
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
         let (surroundings, registry) = (AdjacencyCache::default(), context.scene.registry().clone());
-        Ok(Self { gravity_in_world, bodies, refused, surroundings, registry })
+        Ok(Self { gravity_in_world, bodies, refused, surroundings, bearings: Bearings::default(), registry })
     }
 
     /// Answers the detected contacts of its bodies.
-    fn answer_found(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
+    fn answer_found(&mut self, scene: &Snapshot, tick: &Tick<'_>) {
         let mut own = Vec::new();
         for of in self.bodies.iter_mut().filter(|of| !of.frozen) {
             let Body { body, method, inputs, contacts, .. } = of;
@@ -132,10 +144,94 @@ impl<M: SoftMethod> SoftController<M> {
             own.into_iter().map(|own| (own.forces, own.memory, own.pressed, own.changed)).collect();
         let bodies = self.bodies.iter_mut().filter(|of| !of.frozen && of.method.terms().is_some());
         for (of, (forces, memory, pressed, changed)) in bodies.zip(answered) {
-            if changed {
-                out.put(of.body.entity, memory.clone());
-            }
+            of.contacts_changed = changed;
             (of.inputs.given, of.contacts, of.pressed) = (forces, memory, pressed);
+        }
+    }
+
+    /// Finds the contacts of its bodies with rigid ones that move, and makes them part of the bodies' next step.
+    fn press(&mut self, borne: &[BorneBody]) -> Vec<Bearing> {
+        let Self { bodies, bearings, .. } = self;
+        let answering: Vec<usize> = (0..bodies.len())
+            .filter(|&at| !bodies[at].frozen && bodies[at].method.terms().is_some())
+            .collect();
+        let Some(step) = answering.first().map(|&at| bodies[at].inputs.step_secs) else { return Vec::new() };
+        for &at in &answering {
+            let inputs = &mut bodies[at].inputs;
+            inputs.presses.clear();
+            inputs.rigid.clear();
+            inputs.given.truncate(inputs.given_before);
+        }
+        if borne.is_empty() {
+            return Vec::new();
+        }
+        let bearers: Vec<Bearer<'_>> = answering.iter().filter_map(|&at| bodies[at].bearer()).collect();
+        let mut found = bearings.find(&bearers, borne, step);
+        let mut inputs = Vec::with_capacity(bearers.len());
+        for (index, of) in bearers.iter().enumerate() {
+            let own = || found.iter().filter(|bearing| bearing.bearer == index);
+            let mut presses: Vec<PlaneContact> = own().map(|bearing| bearing.plane).collect();
+            let rubbed: Vec<(u32, Vector3<f64>)> =
+                own().flat_map(|bearing| bearing.friction_on(of)).collect();
+            let others =
+                bearers.iter().filter(|other| other.entity != of.entity).flat_map(|other| other.last);
+            let others = others.copied().chain(own().filter_map(|bearing| bearing.friction_given(step)));
+            let rigid = of.rigid_in_step(&mut presses, borne, others, step);
+            inputs.push((presses, rigid, rubbed));
+        }
+        for bearing in &mut found {
+            bearing.bearer = answering[bearing.bearer];
+        }
+        for (at, (presses, rigid, rubbed)) in answering.into_iter().zip(inputs) {
+            let inputs = &mut bodies[at].inputs;
+            (inputs.presses, inputs.rigid) = (presses, rigid);
+            inputs.given.extend(rubbed);
+        }
+        found
+    }
+
+    /// After a part of a tick: gives the rigid bodies their impulses, and moves them on.
+    fn bear(&mut self, mut found: Vec<Bearing>, borne: &mut [BorneBody], tick: &Tick<'_>, is_last: bool) {
+        let bodies = &mut self.bodies;
+        let mut next: Vec<usize> = bodies.iter().map(|of| of.inputs.touches.len()).collect();
+        let mut kept: Vec<Vec<BorneContact>> = vec![Vec::new(); bodies.len()];
+        let mut impulses = vec![[Vector3::zeros(); 2]; borne.len()];
+        bodies.iter_mut().for_each(|of| of.contacts.last_given.clear());
+        for bearing in &mut found {
+            let at = bearing.bearer;
+            let Body { inputs, contacts, pressed, frozen, .. } = &mut bodies[at];
+            if *frozen {
+                continue;
+            }
+            let force = inputs.forces.get(next[at]);
+            let normal = force.map_or(0.0, |force| force.dot(&bearing.plane.normal).max(0.0));
+            next[at] += 1;
+            let SoftContacts { given_whole, last_given, .. } = contacts;
+            let force =
+                bearing.end_step(normal, borne, inputs.step_secs, given_whole, last_given, &mut impulses);
+            if force != Vector3::zeros() {
+                kept[at].push(bearing.contact);
+                if is_last {
+                    contacts.force_in_world += force;
+                    *pressed = (pressed.0 + force.norm(), pressed.1 + 1);
+                }
+            }
+        }
+        for (of, kept) in bodies.iter_mut().zip(kept) {
+            of.inputs.forces.truncate(of.inputs.touches.len());
+            if !(kept.is_empty() && of.contacts.borne.is_empty()) {
+                if let Some(terms) = of.method.terms()
+                    && *of.contacts.masses_inverse != terms.masses_inverse
+                {
+                    of.contacts.masses_inverse = terms.masses_inverse.to_vec().into();
+                }
+                of.contacts.borne = kept;
+                of.contacts.step = tick.period.as_secs_f64();
+                of.contacts_changed = true;
+            }
+        }
+        if let Some(step) = bodies.first().map(|of| of.inputs.step_secs) {
+            bearing::advance(borne, step, &impulses);
         }
     }
 }
@@ -154,24 +250,49 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
         let access = SlowSide::access(access, &self.registry, &bodies);
-        M::access(tracking::access(access, &self.registry, &bodies), &bodies)
+        let access = tracking::access(access, &self.registry);
+        M::access(bearing::access(access, &bodies), &bodies)
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let period = tick.period.as_secs_f64();
+        self.bodies.iter_mut().for_each(|of| of.inputs.step_secs = period);
         for body in self.bodies.iter_mut().filter(|body| !body.frozen) {
             if let Err(reason) = body.begin(&self.gravity_in_world, scene, tick, out) {
                 body.freeze(&reason, tick, out);
             }
         }
-        self.answer_found(scene, tick, out);
-        let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
-        let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
-        M::step_all(&mut steps);
-        let done: Vec<_> = steps.into_iter().map(|step| (step.done, step.forces)).collect();
-        for (body, (done, forces)) in self.bodies.iter_mut().filter(|body| !body.frozen).zip(done) {
-            body.inputs.forces = forces;
-            if let Err(reason) = done.and_then(|()| body.is_finite()) {
-                body.freeze(&reason, tick, out);
+        self.answer_found(scene, tick);
+        self.bodies.iter_mut().for_each(|of| of.inputs.given_before = of.inputs.given.len());
+        let given = self.bodies.iter().map(|of| (of.body.entity, &of.contacts.given_whole[..]));
+        let when = (tick.time, period);
+        let mut borne = self.bearings.borne_bodies(scene, when, &self.gravity_in_world, given, false);
+        let bearers: Vec<Bearer<'_>> =
+            self.bodies.iter().filter(|of| !of.frozen).filter_map(Body::bearer).collect();
+        let parts = self.bearings.parts(&bearers, &borne, period);
+        self.bodies.iter_mut().for_each(|of| of.inputs.step_secs = period / f64::from(parts));
+        self.bodies.iter_mut().for_each(|of| of.contacts.course.clear());
+        for part in 0..parts {
+            if parts > 1 {
+                let all = self.bodies.iter_mut().map(|of| &mut of.contacts);
+                all.for_each(|contacts| contacts.course.push(contacts.given_whole.clone()));
+            }
+            let pressed = self.press(&borne);
+            let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
+            let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
+            M::step_all(&mut steps);
+            let done: Vec<_> = steps.into_iter().map(|step| (step.done, step.forces)).collect();
+            for (body, (done, forces)) in self.bodies.iter_mut().filter(|body| !body.frozen).zip(done) {
+                body.inputs.forces = forces;
+                if let Err(reason) = done.and_then(|()| body.is_finite()) {
+                    body.freeze(&reason, tick, out);
+                }
+            }
+            self.bear(pressed, &mut borne, tick, part + 1 == parts);
+        }
+        for of in &mut self.bodies {
+            if std::mem::take(&mut of.contacts_changed) {
+                out.put(of.body.entity, of.contacts.clone());
             }
         }
         let mut found = TickContacts::default();
@@ -214,6 +335,27 @@ struct TickContacts {
 }
 
 impl<M: SoftMethod> Body<M> {
+    /// The body as one that bears rigid ones.
+    fn bearer(&self) -> Option<Bearer<'_>> {
+        let Self { body, method, inputs, contacts, .. } = self;
+        let surface = method.contact_surface(body);
+        let (thickness, closed) = (surface.thickness, surface.closed);
+        Some(Bearer {
+            entity: body.entity,
+            world_from_body: inputs.world_from_body,
+            positions: method.positions(),
+            velocities: method.velocities(),
+            triangles: &body.triangles,
+            segments: &body.segments,
+            thickness,
+            closed,
+            terms: method.terms()?,
+            known: &contacts.borne,
+            last: &contacts.last_given,
+            joints: &contacts.joints,
+        })
+    }
+
     fn read(kind: &M::Kind, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
         let mut body = Deformable::read(scene, entity)?;
         let method = M::build(kind, &mut body, scene)
@@ -226,9 +368,27 @@ impl<M: SoftMethod> Body<M> {
         let frozen = scene.get::<Frozen>(entity).is_some();
         let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
         let slow_side = if answers { SlowSide::new(&body, scene) } else { None };
-        let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
+        let contacts = match scene.get::<SoftContacts>(entity) {
+            Some(known) => known.clone(),
+            None => {
+                let wrong = |why| ControllerError::Scene(format!("'{}': {why}", body.name));
+                SoftContacts { joints: joints(&body, scene).map_err(wrong)?, ..SoftContacts::default() }
+            }
+        };
         let (inputs, pressed) = (StepInputs::default(), (0.0, 0));
-        Ok(Self { body, method, is_pinned, grips, slow_side, frozen, inputs, contacts, pressed })
+        let contacts_changed = false;
+        Ok(Self {
+            body,
+            method,
+            is_pinned,
+            grips,
+            slow_side,
+            frozen,
+            inputs,
+            contacts,
+            contacts_changed,
+            pressed,
+        })
     }
 
     /// Checks that all values which others will read of the body are finite: the Model rejects the controller's whole

@@ -10,6 +10,7 @@ use trocar_scene::{
 };
 
 use super::PinnedBody;
+use super::bearing::joint::is_with_rigid_only;
 use super::coupling::CoupledBody;
 use crate::faulty::Faulty;
 
@@ -65,7 +66,8 @@ impl Deformable {
         let Some(vertices) = scene.get::<VertexPositions>(entity) else {
             return Err(wrong("has no vertices to move: give it a mesh"));
         };
-        let is_coupled = scene.get::<CoupledBody>(entity).is_some();
+        let coupled = scene.get::<CoupledBody>(entity);
+        let is_coupled = coupled.is_some_and(|coupled| !is_with_rigid_only(scene, coupled));
         let can = scene.soft_body(entity).map_or(SoftAbilities::NONE, |(_, can)| can);
         let those = |ability: fn(&SoftAbilities) -> bool| one_of(&scene.registry().soft_bodies_that(ability));
         if is_coupled && !can.couples {

@@ -6,6 +6,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Access, Commands, Component, Entity, Snapshot, Tick};
 
 use super::Deformable;
+use super::bearing::rigid_response::RigidPresses;
 use super::instrument_rods::Rod;
 use super::rod_contact::{ContactSurface, RodContact};
 use crate::picking::DrivenVertex;
@@ -17,6 +18,8 @@ pub struct StepContext<'a> {
     pub scene: &'a Snapshot,
     /// The tick.
     pub tick: &'a Tick<'a>,
+    /// Length of the step \[s\]: the tick's period, or an equal part of it.
+    pub step_secs: f64,
     /// Pose of the body.
     pub world_from_body: &'a Isometry3<f64>,
     /// Gravity \[m/s²\].
@@ -25,6 +28,8 @@ pub struct StepContext<'a> {
     pub rods: &'a [Rod],
     /// Contacts of rods with the body.
     pub touches: &'a [RodContact],
+    /// Contacts with rigid bodies that move.
+    pub rigid: RigidPresses<'a>,
     /// External forces on vertices \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices held by jaws, with their prescribed positions at the end of the tick; ascending, without anchored ones.
@@ -35,7 +40,7 @@ impl StepContext<'_> {
     /// Length of the step \[s\].
     #[must_use]
     pub fn period_secs(&self) -> f64 {
-        self.tick.period.as_secs_f64()
+        self.step_secs
     }
 }
 
@@ -97,7 +102,8 @@ pub trait SoftMethod: Send + Sized + 'static {
         Ok(None)
     }
 
-    /// One step. Fills `forces` with the force of each rod contact on the body \[N\].
+    /// One step. Fills `forces` with the force on the body of each rod contact, then of each contact with a rigid body
+    /// \[N\].
     ///
     /// # Errors
     /// Why it cannot continue; the body keeps its previous state.
@@ -164,7 +170,7 @@ pub struct Step<'a, M> {
     pub body: &'a Deformable,
     /// Its input.
     pub site: StepContext<'a>,
-    /// Force of each rod contact on it \[N\], to be filled.
+    /// Force on it of each rod contact, then of each contact with a rigid body \[N\], to be filled.
     pub forces: Vec<Vector3<f64>>,
     /// Whether it was stepped, or the reason; then it keeps its previous state.
     pub done: Result<(), String>,
@@ -177,8 +183,29 @@ pub struct ContactParams<'a> {
     pub masses_inverse: &'a [f64],
     /// Stiffness of each contact: force per depth \[N/m\].
     pub stiffness: f64,
+    /// The same of each contact with a rigid body that moves: well above that of the body itself between neighbouring
+    /// vertices, so that what lies on it does not sink in \[N/m\].
+    pub bearing_stiffness: f64,
     /// Coulomb friction coefficient.
     pub friction: f64,
+}
+
+/// How much stiffer a contact with a rigid body is than the tissue between two neighbouring vertices. With a handful of
+/// contacts the body sinks in by a few hundredths of the tissue's own depth.
+const STIFFER: f64 = 10.0;
+
+/// Stiffness of each contact of a volume with a rigid body that moves \[N/m\]: at least this contact stiffness, and
+/// well above that of tissue of this Young's modulus \[Pa\] over the mean edge of its surface.
+#[must_use]
+pub fn bearing_stiffness(contact_stiffness: f64, young_modulus: f64, body: &Deformable) -> f64 {
+    let edges = body.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+    let lengths = edges.map(|[a, b]| (body.rest[a as usize] - body.rest[b as usize]).norm());
+    let (sum, count) = lengths.fold((0.0, 0.0), |(sum, count), length| (sum + length, count + 1.0));
+    if count == 0.0 {
+        contact_stiffness
+    } else {
+        contact_stiffness.max(STIFFER * young_modulus * sum / count)
+    }
 }
 
 /// Prediction of a body's next step.

@@ -7,8 +7,10 @@
 //! | a body's state in the scene | `deformable.rs`, `pinned.rs`, `frozen.rs` |
 //! | instruments as rods, their contacts, grasps | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
 //! | contacts that detectors find | `contact/` |
+//! | contact with the rigid bodies that move | `bearing/` |
 //! | the slower side of a coupling | `coupling/` |
 
+pub mod bearing;
 pub mod contact;
 pub mod controller;
 pub mod coupling;

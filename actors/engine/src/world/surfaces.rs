@@ -96,7 +96,7 @@ impl RigidWorld {
     }
 
     /// Applies a constant wrench to a body from the next step on, until the next call: force \[N\], and torque about
-    /// the world origin \[N·m\].
+    /// its centre of mass \[N·m\].
     ///
     /// # Errors
     /// [`EngineError::Unknown`]; a non-finite force.
@@ -132,7 +132,7 @@ impl RigidWorld {
         for body in self.bodies.values().filter(|body| body.push != Wrench::default()) {
             let Some(rigid) = self.physics.bodies.get_mut(body.handle) else { continue };
             let force = vector_to_rapier(&body.push.force);
-            let torque = vector_to_rapier(&body.push.torque) - rigid.center_of_mass().cross(force);
+            let torque = vector_to_rapier(&body.push.torque);
             rigid.add_force(force, true);
             rigid.add_torque(torque, true);
         }

@@ -216,13 +216,12 @@ fn what_pushes_a_body_moves_it_by_the_inertia_that_it_tells() {
     let force = Vector3::new(0.01, 0.02, -0.005);
     for entity in [BLOCK, OTHER] {
         let inertia = world.inertia(entity).expect("it gives way");
-        let centre = world.pose(entity).expect("a pose").isometry() * inertia.centre_in_body;
         assert!((inertia.mass_inverse * MASS - 1.0).abs() < 1e-9, "{inertia:?}");
         let of_cube = 1.5 / (MASS * HALF * HALF);
         let off = inertia.inertia_inverse_in_body - Matrix3::identity() * of_cube;
         assert!(off.norm() < 1e-6 * of_cube, "{inertia:?}");
         let lever = Vector3::new(0.002, 0.0, 0.003);
-        let torque = (centre.coords + lever).cross(&force);
+        let torque = lever.cross(&force);
         world.push(entity, &Wrench { force, torque }).expect("a push");
         (0..20).for_each(|_| world.step().expect("a step"));
         world.push(entity, &Wrench::default()).expect("none");

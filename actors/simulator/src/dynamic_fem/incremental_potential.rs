@@ -1,6 +1,7 @@
 //! The incremental potential of a backward Euler step and its gradient.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::soft_body::bearing::rigid_response::{PlaneContact, RigidPresses, RigidResponse};
 use trocar_dynamics::tet_mesh::{TetMesh, gradients, shape};
 
 use super::constitutive::Material;
@@ -44,6 +45,8 @@ pub struct Inputs<'a> {
     pub springs: &'a [Spring],
     /// Contacts.
     pub contacts: &'a [Contact],
+    /// Contacts with rigid bodies that move.
+    pub rigid: RigidPresses<'a>,
 }
 
 /// Data of an element, contiguous in memory.
@@ -182,12 +185,53 @@ pub(super) fn add_springs(inputs: &Inputs, positions: &[Point3<f64>], gradient: 
     energy
 }
 
+/// Energy of contacts with rigid bodies, the bodies' own motion included, in a step of `dt` seconds that began at `from`
+/// \[J\]; adds its gradient.
+pub(super) fn add_rigid(
+    rigid: &RigidPresses<'_>,
+    dt: f64,
+    from: &[Point3<f64>],
+    positions: &[Point3<f64>],
+    response: &mut RigidResponse,
+    gradient: &mut [Vector3<f64>],
+) -> f64 {
+    if rigid.contacts.is_empty() {
+        return 0.0;
+    }
+    let moved = |index: usize| {
+        let contact: &PlaneContact = &rigid.contacts[index];
+        contact.normal.dot(&(contact.place(positions) - contact.place(from)))
+    };
+    rigid.answer(dt, moved, response);
+    for (contact, force) in rigid.contacts.iter().zip(&response.forces).filter(|(_, force)| **force > 0.0) {
+        for (node, weight) in contact.joint() {
+            gradient[node as usize] -= contact.normal * (force * weight);
+        }
+    }
+    response.energy
+}
+
 /// Stiffness of a spring or contact: nodes with weights, and the block \[N/m\] multiplied by the products of the
 /// weights.
 pub type Coupling = ([(u32, f64); 4], Matrix3<f64>);
 
-pub(super) fn couplings(inputs: &Inputs, positions: &[Point3<f64>], out: &mut Vec<Coupling>) {
+/// Those of springs and contacts at these positions \[m\]; of contacts with rigid bodies, those that pressed in the last
+/// evaluation, in a step of `dt` seconds.
+pub(super) fn couplings(
+    inputs: &Inputs,
+    positions: &[Point3<f64>],
+    (dt, response): (f64, &RigidResponse),
+    out: &mut Vec<Coupling>,
+) {
     out.clear();
+    let presses = |index: usize| response.forces.get(index).is_some_and(|force| *force > 0.0);
+    let mut stiffnesses = Vec::new();
+    inputs.rigid.stiffnesses(dt, presses, &mut stiffnesses);
+    let rigid = inputs.rigid.contacts.iter().zip(stiffnesses).enumerate();
+    out.extend(rigid.filter(|(index, _)| presses(*index)).map(|(_, (contact, stiffness))| {
+        let [a, b, c] = contact.joint();
+        ([a, b, c, (a.0, 0.0)], contact.normal * contact.normal.transpose() * stiffness)
+    }));
     let springs = inputs.springs.iter();
     out.extend(springs.map(|spring| (spring.weights, Matrix3::from_diagonal_element(spring.stiffness))));
     for contact in inputs.contacts {

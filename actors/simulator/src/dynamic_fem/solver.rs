@@ -2,13 +2,14 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidResponse;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::config::{Config, DynamicFemError, Energies, Report, StepError};
 use super::constitutive::Material;
 use super::incremental_potential::{
-    Coupling, Damping, Element, ElementForces, Inputs, Mass, add_couplings, add_hessian, add_springs,
-    couplings, frames,
+    Coupling, Damping, Element, ElementForces, Inputs, Mass, add_couplings, add_hessian, add_rigid,
+    add_springs, couplings, frames,
 };
 use super::lbfgs::{Memory, dot};
 use super::stale_factor::{self, StaleFactor};
@@ -83,6 +84,8 @@ pub(super) struct Workspace {
     pub flat: Vec<f64>,
     /// The last evaluation was that of a rejected trial.
     refused: bool,
+    /// Of the rigid bodies to contacts, in the last evaluation.
+    rigid: RigidResponse,
 }
 
 /// The potential at an iterate.
@@ -182,6 +185,12 @@ impl DynamicFem {
         &self.work.reactions
     }
 
+    /// Forces of the contacts with rigid bodies in the last step, along their normals \[N\].
+    #[must_use]
+    pub fn rigid_forces(&self) -> &[f64] {
+        &self.work.rigid.forces
+    }
+
     /// Number of entries of the factor: what a solve reads.
     #[must_use]
     pub fn factor_entries(&self) -> usize {
@@ -251,8 +260,10 @@ impl DynamicFem {
             self.settle()?;
         }
         if is_none || (self.debt >= DEBT_MAX && self.lent.is_none()) {
+            // Which contacts press, of this step's.
+            inputs.rigid.answer(dt, |_| 0.0, &mut work.rigid);
             let begin = FactoredAt { positions: self.positions.clone(), dt, couplings: Vec::new() };
-            self.refactor(begin, inputs)?;
+            self.refactor(begin, inputs, &work.rigid)?;
             report.factorisations += 1;
         }
         let value = self.minimise(dt, inputs, work, &mut report)?;
@@ -357,10 +368,15 @@ impl DynamicFem {
     }
 
     /// Computes the factor at a state, with the couplings that fit the sparsity pattern.
-    pub(super) fn refactor(&mut self, at: FactoredAt, inputs: &Inputs) -> Result<(), FactorError> {
+    pub(super) fn refactor(
+        &mut self,
+        at: FactoredAt,
+        inputs: &Inputs,
+        rigid: &RigidResponse,
+    ) -> Result<(), FactorError> {
         let mut at = at;
-        if !(inputs.springs.is_empty() && inputs.contacts.is_empty()) {
-            couplings(inputs, &at.positions, &mut at.couplings);
+        if !(inputs.springs.is_empty() && inputs.contacts.is_empty() && inputs.rigid.contacts.is_empty()) {
+            couplings(inputs, &at.positions, (at.dt, rigid), &mut at.couplings);
         }
         let mut hessian = std::mem::replace(&mut self.hessian, BlockMatrix::zeros(Default::default()));
         hessian.values_mut().fill(0.0);
@@ -396,9 +412,12 @@ impl DynamicFem {
     ) -> PotentialValue {
         let mut gradient = std::mem::take(&mut work.next);
         gradient.fill(Vector3::zeros());
+        let mut rigid = std::mem::take(&mut work.rigid);
         let place = at(work);
         let inner = self.element_forces(dt, &work.before).add(place, &mut gradient)
-            + add_springs(inputs, place, &mut gradient);
+            + add_springs(inputs, place, &mut gradient)
+            + add_rigid(&inputs.rigid, dt, &self.positions, place, &mut rigid, &mut gradient);
+        work.rigid = rigid;
         let inner_norm = dot(&gradient, &gradient).sqrt();
         let mut apart = std::mem::take(&mut work.apart);
         for (node, apart) in apart.iter_mut().enumerate() {
@@ -462,7 +481,7 @@ impl DynamicFem {
                 (stuck, fresh) = (false, true);
             } else if self.lent.is_none() && (stuck || since_factor >= REFACTOR_AFTER) {
                 let here = FactoredAt { positions: work.now.clone(), dt, couplings: Vec::new() };
-                self.refactor(here, inputs)?;
+                self.refactor(here, inputs, &work.rigid)?;
                 self.memory.forget();
                 report.factorisations += 1;
                 (since_factor, fresh, stuck) = (0, true, false);

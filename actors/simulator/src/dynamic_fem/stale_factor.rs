@@ -6,6 +6,7 @@
 //! nothing jumps when it arrives.
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidResponse;
 use trocar_dynamics::tet_mesh::{NodeOrigin, TetMesh};
 
 use super::config::DynamicFemError;
@@ -87,7 +88,8 @@ impl DynamicFem {
             return Err(DynamicFemError::State("what its factor is to be computed from is of another body"));
         }
         let (positions, couplings) = (positions.to_vec(), couplings.to_vec());
-        Ok(self.refactor(FactoredAt { positions, dt, couplings }, &Inputs::default())?)
+        let at = FactoredAt { positions, dt, couplings };
+        Ok(self.refactor(at, &Inputs::default(), &RigidResponse::default())?)
     }
 
     /// Extracts the factor.

@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidResponse;
 
 use super::config::DynamicFemError;
 use super::incremental_potential::{Coupling, Inputs};
@@ -77,10 +78,10 @@ impl DynamicFem {
                 dt: state.factor_dt,
                 couplings: state.factor_couplings.clone(),
             };
-            if let Err(error) = self.refactor(at, &Inputs::default()) {
+            if let Err(error) = self.refactor(at, &Inputs::default(), &RigidResponse::default()) {
                 // The former state could be factorised.
                 if !before.positions.is_empty() {
-                    self.refactor(before, &Inputs::default())?;
+                    self.refactor(before, &Inputs::default(), &RigidResponse::default())?;
                 }
                 return Err(error.into());
             }

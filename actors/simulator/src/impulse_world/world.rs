@@ -251,7 +251,7 @@ impl ImpulseWorld {
             wrenches[slot].torque += state.angular_momentum * slowed(body.component.angular_damping);
             let Wrench { force, torque } = body.push;
             wrenches[slot].force += force;
-            wrenches[slot].torque += torque - state.position.coords.cross(&force);
+            wrenches[slot].torque += torque;
         }
         for tool in tools.values() {
             // The hand carries its weight.

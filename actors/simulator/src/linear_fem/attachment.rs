@@ -20,6 +20,18 @@ pub enum Hold {
     /// Unilateral: its component along a direction is kept from falling below the target, as by a tool that may lift
     /// off; the force acts along the direction only, never against it.
     AtLeast(Unit<Vector3<f64>>),
+    /// The same, by a body that gives way: all targets that it sets move with its six unknowns.
+    AtLeastOnBody {
+        /// The direction.
+        along: Unit<Vector3<f64>>,
+        /// How far the contact alone yields per force \[m/N\], 0 or more.
+        compliance: f64,
+        /// The body, and how it moves the target: two constraints of one body are coupled by the product of these
+        /// vectors \[√(m/N)\].
+        body: u32,
+        /// See above.
+        motion: [f64; 6],
+    },
 }
 
 impl Hold {
@@ -27,8 +39,35 @@ impl Hold {
     pub(super) fn directions(&self) -> ([Vector3<f64>; 3], usize) {
         match self {
             Self::Point => ([Vector3::x(), Vector3::y(), Vector3::z()], 3),
-            Self::Along(along) | Self::AtLeast(along) => ([along.into_inner(); 3], 1),
+            Self::Along(along) | Self::AtLeast(along) | Self::AtLeastOnBody { along, .. } => {
+                ([along.into_inner(); 3], 1)
+            }
         }
+    }
+
+    /// Whether it can lift off.
+    pub(crate) fn is_one_sided(&self) -> bool {
+        matches!(self, Self::AtLeast(_) | Self::AtLeastOnBody { .. })
+    }
+
+    /// How far the target moves back per force on another constraint, or on itself \[m/N\].
+    pub(super) fn coupling(&self, other: &Self, is_itself: bool) -> f64 {
+        match (self, other) {
+            (
+                Self::AtLeastOnBody { compliance, body, motion, .. },
+                Self::AtLeastOnBody { body: with, motion: moves, .. },
+            ) if body == with => {
+                let together: f64 = motion.iter().zip(moves).map(|(a, b)| a * b).sum();
+                together + if is_itself { *compliance } else { 0.0 }
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Whether its numbers are valid.
+    pub(super) fn is_finite(&self) -> bool {
+        let Self::AtLeastOnBody { compliance, motion, .. } = self else { return true };
+        *compliance >= 0.0 && compliance.is_finite() && motion.iter().all(|x| x.is_finite())
     }
 }
 

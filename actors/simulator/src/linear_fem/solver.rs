@@ -7,7 +7,7 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::active_set::{ActiveSet, Packed};
-use super::attachment::{Attachment, Handle, Hold, check_weights};
+use super::attachment::{Attachment, Handle, check_weights};
 use super::bounds::ROWS_MAX;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
@@ -307,11 +307,14 @@ impl LinearFem {
         if self.rows.len() + count > ROWS_MAX {
             return Err(LinearFemError::Full);
         }
+        if !held.attachment.hold.is_finite() {
+            return Err(LinearFemError::NotFinite { what: "the compliance of a constraint" });
+        }
         if !directions.iter().flatten().all(|x| x.is_finite()) {
             return Err(LinearFemError::NotFinite { what: "the direction of a constraint" });
         }
         let weights = &held.attachment.weights;
-        let one_sided = matches!(held.attachment.hold, Hold::AtLeast(_));
+        let one_sided = held.attachment.hold.is_one_sided();
         let inner = weights.iter().any(|&(node, _)| {
             self.boundary.numbers[node as usize].is_some() && self.boundary.surface_row(node).is_none()
         });
@@ -357,7 +360,12 @@ impl LinearFem {
                     None => surface_mean(&self.boundary, &row.compliance, weights, &new.direction),
                 };
                 let corrected = between(new.through.as_ref(), row.through.as_ref());
-                self.w.values.push(entry + corrected);
+                let hold = &held.attachment.hold;
+                let by_body = match self.held.get(row.held) {
+                    Some(other) => hold.coupling(&other.attachment.hold, false),
+                    None => hold.coupling(hold, true),
+                };
+                self.w.values.push(entry + corrected + by_body);
             }
             self.w.size += 1;
             self.multipliers.push(0.0);

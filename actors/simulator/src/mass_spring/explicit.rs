@@ -1,7 +1,8 @@
 //! Symplectic Euler: velocities from the current forces, positions from the new velocities.
 
 use nalgebra::Vector3;
-use trocar_dynamics::particles::StepError;
+use trocar_dynamics::particles::{State, StepError};
+use trocar_dynamics::soft_body::bearing::rigid_motion::{PressedNodes, RigidMotion, press, press_as_before};
 
 use super::{Input, MassSpring, Report, TooLarge, forces, stability};
 
@@ -15,6 +16,8 @@ impl MassSpring {
         let (mobility, meeting) = (&self.scratch.mobility, &mut self.scratch.meeting);
         let (stiff, damped) = stability::of_contacts(input.contacts, mobility, meeting);
         let eigenvalue = self.bound.largest();
+        let mut moving: Vec<RigidMotion> =
+            input.rigid.bodies.iter().map(|body| RigidMotion::of(body, dt)).collect();
         let damping = self.config.damping + self.config.lag * eigenvalue + damped;
         let safe = stability::safe_step(eigenvalue + stiff, damping);
         let parts = match too_large {
@@ -31,7 +34,7 @@ impl MassSpring {
         };
         let part = dt / f64::from(parts);
         for index in 0..parts {
-            self.explicit_part(part, f64::from(index) * part, input);
+            self.explicit_part(part, f64::from(index) * part, input, &mut moving);
         }
         // Prescribed nodes end exactly at their target, without the rounding of the substeps.
         for driven in input.prescribed {
@@ -40,11 +43,12 @@ impl MassSpring {
         for force in &mut self.scratch.contact_forces {
             *force /= dt;
         }
+        self.scratch.rigid.forces.iter_mut().for_each(|force| *force /= dt);
         Ok(Report { parts, safe_step: safe, iterations: 0, residual: 0.0 })
     }
 
     /// One substep; `since` is its beginning.
-    fn explicit_part(&mut self, part: f64, since: f64, input: &Input<'_>) {
+    fn explicit_part(&mut self, part: f64, since: f64, input: &Input<'_>, moving: &mut [RigidMotion]) {
         let scratch = &mut self.scratch;
         let (positions, velocities) = (&mut scratch.next.positions, &mut scratch.next.velocities);
         scratch.forces.fill(Vector3::zeros());
@@ -92,8 +96,36 @@ impl MassSpring {
                 *total += impulse;
             }
         }
-        for (position, velocity) in positions.iter_mut().zip(velocities.iter()) {
+        let mut nodes = Moved { state: &mut scratch.next, mobility: &scratch.mobility, part };
+        let (touched, forces) = (&scratch.rigid_touched, &mut scratch.rigid_pressed);
+        press_as_before(input.rigid.contacts, forces, moving, &mut nodes);
+        press(input.rigid.contacts, touched, forces, moving, part, &mut nodes);
+        let totals = scratch.rigid.forces.iter_mut().zip(&scratch.rigid_pressed);
+        totals.for_each(|(total, force)| *total += force * part);
+        let (positions, velocities) = (&mut scratch.next.positions, &scratch.next.velocities);
+        for (position, velocity) in positions.iter_mut().zip(velocities) {
             *position += velocity * part;
         }
+        moving.iter_mut().for_each(|motion| motion.end(part));
+    }
+}
+
+/// The nodes between the substep's own forces and its motion.
+struct Moved<'a> {
+    state: &'a mut State,
+    mobility: &'a [f64],
+    part: f64,
+}
+
+impl PressedNodes for Moved<'_> {
+    fn at_end(&self, node: u32) -> (Vector3<f64>, Vector3<f64>, f64) {
+        let node = node as usize;
+        let velocity = self.state.velocities[node];
+        (self.state.positions[node].coords + velocity * self.part, velocity, self.mobility[node])
+    }
+
+    fn push(&mut self, node: u32, force: &Vector3<f64>) {
+        let node = node as usize;
+        self.state.velocities[node] += force * (self.part * self.mobility[node]);
     }
 }

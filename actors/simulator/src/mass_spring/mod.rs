@@ -31,6 +31,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::faulty::Faulty;
 use trocar_dynamics::particles::{State, StepError};
+use trocar_dynamics::soft_body::bearing::rigid_response::{RigidPresses, RigidResponse};
 
 use implicit::Implicit;
 pub use implicit::SheetFactor;
@@ -144,6 +145,8 @@ pub struct Input<'a> {
     pub prescribed: &'a [Prescribed],
     /// Contacts.
     pub contacts: &'a [Contact],
+    /// Contacts with rigid bodies that move.
+    pub rigid: RigidPresses<'a>,
 }
 
 /// Statistics of a step.
@@ -186,6 +189,10 @@ struct Scratch {
     touched: Vec<Vector3<f64>>,
     contact_forces: Vec<Vector3<f64>>,
     meeting: Vec<f64>,
+    /// Of the rigid bodies, each of their contacts' places at the beginning, and its force in the substep.
+    rigid: RigidResponse,
+    rigid_touched: Vec<Vector3<f64>>,
+    rigid_pressed: Vec<f64>,
 }
 
 impl MassSpring {
@@ -381,6 +388,13 @@ impl MassSpring {
         scratch.touched.extend(input.contacts.iter().map(|contact| contact.point(&self.state.positions)));
         scratch.contact_forces.clear();
         scratch.contact_forces.resize(input.contacts.len(), Vector3::zeros());
+        scratch.rigid.forces.clear();
+        scratch.rigid.forces.resize(input.rigid.contacts.len(), 0.0);
+        scratch.rigid_touched.clear();
+        let places = input.rigid.contacts.iter().map(|contact| contact.place(&self.state.positions));
+        scratch.rigid_touched.extend(places);
+        scratch.rigid_pressed.clear();
+        scratch.rigid_pressed.extend(input.rigid.contacts.iter().map(|contact| contact.force));
     }
 
     fn check_result(&self) -> Result<(), StepError> {
@@ -430,6 +444,12 @@ impl MassSpring {
     pub fn pinned(&self) -> &[u32] {
         &self.pinned
     }
+    /// Force of each contact with a rigid body in the last step, averaged over it, along its normal \[N\].
+    #[must_use]
+    pub fn rigid_forces(&self) -> &[f64] {
+        &self.scratch.rigid.forces
+    }
+
     /// Force of each contact of the last step on the network, averaged over it, in the order of the input \[N\]: the
     /// reaction on the other object is the opposite.
     #[must_use]

@@ -48,7 +48,7 @@ pub mod suture_table;
 
 pub use adaptive_segments::{Fineness, Renumbered};
 pub use boundary_conditions::{HOLD_STIFFNESS, Hold, IgnoredObstacle, Load, TwistHold};
-pub use contact::{CONTACTS_MAX, Obstacle, Shape};
+pub use contact::{CONTACTS_MAX, Obstacle, ObstacleMobility, Shape, Yielded};
 pub use cut::{CutAt, CutNumbering};
 pub use error::{FailureCause, ThreadError, ThreadStepError};
 pub use knot_measures::{Strands, nearest_edges};
@@ -264,6 +264,12 @@ impl Thread {
     #[must_use]
     pub fn reactions(&self) -> &[Reaction] {
         self.island.reactions()
+    }
+
+    /// How the obstacles that move have given way in the last step, in the order of the obstacles.
+    #[must_use]
+    pub fn yielded(&self) -> &[Yielded] {
+        self.island.yielded()
     }
 
     /// Forces of the thread on the elastic body at the end of the last step.

@@ -16,6 +16,7 @@ mod constraint;
 mod contact;
 pub(crate) mod island;
 pub(crate) mod remesh;
+mod rigid_contact;
 pub(crate) mod tetrahedra;
 
 pub use constraint::{Bend, Distance, Elasticity, distances_of};
@@ -28,11 +29,13 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState, GhostImpulses};
 use trocar_dynamics::faulty::Faulty;
 use trocar_dynamics::particles::{State, StepError};
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 
 use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
 use colouring::Coloured;
 use constraint::{Constraint, Nodes};
 use contact::ContactState;
+use rigid_contact::RigidContactStates;
 use tetrahedra::{TetPack, Tets};
 
 /// Constraints of a colour (packs of tetrahedra count as one) above which threads pay off.
@@ -100,6 +103,8 @@ pub struct XpbdInput<'a> {
     pub prescribed: &'a [Prescribed],
     /// Contacts.
     pub contacts: &'a [Contact],
+    /// Contacts with rigid bodies that move.
+    pub rigid: RigidPresses<'a>,
     /// External nodes of other bodies, and the ties to them.
     pub external_nodes: ExternalNodes<'a>,
 }
@@ -131,6 +136,7 @@ struct Scratch {
     contacts: Vec<ContactState>,
     contact_forces: Vec<Vector3<f64>>,
     external_nodes: ExternalNodesState,
+    rigid: RigidContactStates,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<TetPack>,
@@ -316,6 +322,10 @@ impl Xpbd {
     pub fn contact_forces(&self) -> &[Vector3<f64>] {
         &self.scratch.contact_forces
     }
+    /// Force of each contact with a rigid body in the last step, averaged over it, along its normal \[N\].
+    pub fn rigid_forces(&self, dt: f64) -> impl Iterator<Item = f64> + '_ {
+        self.scratch.rigid.impulses().iter().map(move |impulse| impulse / dt)
+    }
     /// Impulses on external nodes in the last step.
     #[must_use]
     pub fn external_nodes(&self) -> &GhostImpulses {
@@ -426,6 +436,7 @@ impl Xpbd {
         scratch.contacts.clear();
         let positions = &self.state.positions;
         scratch.contacts.extend(input.contacts.iter().map(|contact| ContactState::new(contact, positions)));
+        scratch.rigid.begin_step(&input.rigid, dt, &self.state);
     }
 
     /// Prediction at the beginning of a substep of `h` seconds.
@@ -448,6 +459,8 @@ impl Xpbd {
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
         }
         scratch.rate = nodes.rate;
+        let mut nodes = nodes;
+        scratch.rigid.begin(input.rigid.contacts, &mut nodes, &scratch.before, h);
         scratch.distances.reset(&self.distances.groups);
         scratch.bends.reset(&self.bends.groups);
         scratch.tets.reset(&self.tets.packs);
@@ -463,6 +476,7 @@ impl Xpbd {
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
             pressed.project(contact, &mut nodes, since, h);
         }
+        scratch.rigid.project(input.rigid.contacts, &mut nodes, &scratch.before, h);
     }
 
     /// End of a substep: velocities from displacements.
@@ -471,6 +485,7 @@ impl Xpbd {
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
             pressed.end(contact, h);
         }
+        scratch.rigid.end(h);
         let velocities = &mut scratch.next.velocities;
         for ((velocity, place), before) in velocities.iter_mut().zip(&scratch.places).zip(&scratch.before) {
             if place[3] > 0.0 {

@@ -34,7 +34,7 @@ anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -
 }
 
 fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
-    LinearFemController::new(None, context)
+    LinearFemController::new(Vector3::zeros(), None, context)
 }
 
 fn down(z: f64) -> Pose {

@@ -19,7 +19,7 @@ const HZ: f64 = 60.0;
 const POINTS: [[f64; 3]; 2] = [[0.0213, 0.0012, -0.0023], [0.0371, -0.0031, 0.0017]];
 
 fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
-    LinearFemController::new(None, context)
+    LinearFemController::new(Vector3::zeros(), None, context)
 }
 
 /// A bar of 10 cm held at one end, at an arbitrary pose, and a hook driven into it.

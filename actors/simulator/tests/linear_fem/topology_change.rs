@@ -16,7 +16,7 @@ use trocar_simulator::stiffness::stiffness;
 const HZ: f64 = 60.0;
 
 fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
-    LinearFemController::new(None, context)
+    LinearFemController::new(Vector3::zeros(), None, context)
 }
 
 /// A bar of 10 cm held at one end, a rod above its other end, and closed blades above its middle.

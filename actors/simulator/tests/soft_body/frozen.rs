@@ -154,7 +154,7 @@ fn a_soft_body_whose_elements_have_lost_their_volume_is_refused_at_the_start_and
 #[test]
 fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_answers() {
     fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
-        LinearFemController::new(None, context)
+        LinearFemController::new(Vector3::zeros(), None, context)
     }
     let held = "linear_fem = {}\n\
                 anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0099] } }] }";
@@ -176,7 +176,7 @@ fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_
 #[test]
 fn a_linear_organ_of_which_a_step_makes_no_number_is_frozen_in_that_step_and_the_other_answers() {
     fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
-        LinearFemController::new(None, context)
+        LinearFemController::new(Vector3::zeros(), None, context)
     }
     let organ = |name: &str, x: f64| {
         format!(

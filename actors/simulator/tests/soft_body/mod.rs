@@ -1,5 +1,6 @@
 //! Common behaviour of all soft-body methods: contacts, grasps, frozen bodies.
 
+mod bearing;
 mod contact;
 mod frozen;
 mod frozen_fluids;

@@ -102,7 +102,8 @@ fn a_carried_thread_goes_with_what_carries_it() {
     };
     for step in 0..300 {
         let time = 1e-3 * f64::from(step);
-        let obstacles = [Obstacle { shape, from: at(time), to: at(time + 1e-3), friction: 0.5 }];
+        let obstacles =
+            [Obstacle { shape, from: at(time), to: at(time + 1e-3), friction: 0.5, mobility: None }];
         let gravity = Vector3::new(0.0, 0.0, -9.81);
         let around = Surroundings { gravity, obstacles: &obstacles, ..Surroundings::default() };
         thread.step(1e-3, &around).expect("a step");

@@ -13,6 +13,7 @@ mod knot;
 mod knot_hold;
 mod knot_slip_force;
 mod knot_turns;
+mod moving_obstacle;
 mod soft_support;
 mod suture_table;
 mod tied_body;

@@ -146,11 +146,12 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         ("detectors live beside two hands", &collision::live),
         ("growth with the number of triangles", &collision::growth),
     ];
-    let simulator: [(&'static str, Measure<'_>); 6] = [
+    let simulator: [(&'static str, Measure<'_>); 7] = [
         ("finite elements", &|| simulator::elements(args.peers.as_deref())),
         ("cloth and position-based bodies", &|| simulator::soft(args.peers.as_deref())),
         ("thread, heat and liquid", &|| simulator::flows(args.peers.as_deref())),
         ("two rates in one scene, live", &simulator::live),
+        ("what bears, live", &simulator::bearing),
         ("every scene, live", &simulator::scenes),
         ("growth with size", &simulator::growth),
     ];

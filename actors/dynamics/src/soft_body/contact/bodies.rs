@@ -1,15 +1,13 @@
-//! Contact response of bodies. During a step vertices are treated as free; only the touched ones are considered. Rigid
-//! bodies move as a whole.
+//! Contact response of soft bodies. During a step vertices are treated as free; only the touched ones are considered.
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
+use nalgebra::{UnitQuaternion, Vector3};
+use trocar_scene::{Entity, Snapshot};
 
 use super::penalty::RespondingBody;
-use super::rigid::RigidProxy;
 use super::tracking::{Shape, SurfacePoint};
-use super::{ContactSums, ImpulseTotals, SoftContacts};
+use super::{ContactSums, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
 
@@ -17,7 +15,6 @@ use crate::soft_body::method::ContactParams;
 pub(crate) struct AppliedImpulses {
     pub giver: Entity,
     pub vertices: Vec<ContactSums>,
-    pub rigid_totals: Vec<ImpulseTotals>,
 }
 
 /// A body under contact: one of this controller, or of another.
@@ -27,12 +24,7 @@ pub(crate) struct ContactBody<'a> {
     pub stiffness: f64,
     /// Time until its impulses take effect \[s\].
     pub step: f64,
-    dynamics: ContactDynamics<'a>,
-}
-
-enum ContactDynamics<'a> {
-    Soft(Vertices<'a>),
-    Rigid(RigidProxy),
+    vertices: Vertices<'a>,
 }
 
 /// A contact point on a mover.
@@ -42,8 +34,6 @@ pub(crate) struct ContactTarget {
     pub mover: usize,
     /// Indices among the touched vertices, and their weights.
     nodes: [(usize, f64); 3],
-    /// The point, for a body that moves as a whole.
-    at_in_world: Point3<f64>,
 }
 
 /// Touched vertices, as free masses.
@@ -131,11 +121,11 @@ impl<'a> ContactBody<'a> {
         let mut forces = body.forces.clone();
         // Forces on one vertex keep their order.
         forces.sort_by_key(|(vertex, _)| *vertex);
-        let ContactParams { masses_inverse, stiffness, friction } = body.terms;
+        let ContactParams { masses_inverse, stiffness, friction, .. } = body.terms;
         let falls = body.gravity_in_body * period;
         let before = FreeMotion::Local { driven: body.driven, falls, period, forces };
-        let dynamics = ContactDynamics::Soft(Vertices::new(&body.shape, masses_inverse, before));
-        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, dynamics }
+        let vertices = Vertices::new(&body.shape, masses_inverse, before);
+        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, vertices }
     }
 
     /// A deformable body of another controller that has published its masses.
@@ -149,74 +139,34 @@ impl<'a> ContactBody<'a> {
             return None;
         }
         let before = FreeMotion::Remote { entity, falls: *falls, given, taken: &told.taken };
-        let dynamics = ContactDynamics::Soft(Vertices::new(&shape, &told.masses_inverse, before));
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, dynamics })
+        let vertices = Vertices::new(&shape, &told.masses_inverse, before);
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, vertices })
     }
 
-    /// A rigid body whose controller takes impulses.
-    pub fn rigid(
-        (scene, entity): (&Snapshot, Entity),
-        when: (SimTime, f64),
-        given: &[AppliedImpulses],
-    ) -> Option<Self> {
-        let dynamics = ContactDynamics::Rigid(RigidProxy::of(scene, entity, when, given)?);
-        // Its state includes the impulses not yet taken, so that it responds immediately.
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, dynamics })
-    }
-
-    pub fn is_rigid(&self) -> bool {
-        matches!(self.dynamics, ContactDynamics::Rigid(_))
-    }
-
-    /// Extrapolated pose `world_from_body` and velocity of a body that moves as a whole.
-    pub fn rigid_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
-        match &self.dynamics {
-            ContactDynamics::Rigid(rigid) => Some((rigid.pose, rigid.of_origin())),
-            ContactDynamics::Soft(_) => None,
-        }
-    }
-
-    /// Prepares a contact point; `mover` is the body's index. A body that moves as a whole is pushed at `at_in_world`.
-    pub fn hold(&mut self, mover: usize, place: &SurfacePoint, at_in_world: &Point3<f64>) -> ContactTarget {
+    /// Prepares a contact point; `mover` is the body's index.
+    pub fn hold(&mut self, mover: usize, place: &SurfacePoint) -> ContactTarget {
         let mut nodes = [(0, 0.0); 3];
-        if let ContactDynamics::Soft(vertices) = &mut self.dynamics {
-            for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
-                *node = (vertices.touch(vertex), share);
-            }
+        for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
+            *node = (self.vertices.touch(vertex), share);
         }
-        ContactTarget { mover, nodes, at_in_world: *at_in_world }
+        ContactTarget { mover, nodes }
     }
 
-    /// Mobility of the point along a direction, and at most across it \[1/kg\].
-    pub fn yields(&self, handle: &ContactTarget, normal: &Vector3<f64>) -> [f64; 2] {
-        match &self.dynamics {
-            ContactDynamics::Rigid(rigid) => rigid.yields(&handle.at_in_world, normal),
-            ContactDynamics::Soft(Vertices { touched, .. }) => {
-                [handle.shares().map(|(place, share)| share * share * touched[place].1).sum(); 2]
-            }
-        }
+    /// Mobility of the point \[1/kg\].
+    pub fn yields(&self, handle: &ContactTarget) -> f64 {
+        handle.shares().map(|(place, share)| share * share * self.vertices.touched[place].1).sum()
     }
 
     /// Velocity of the point \[m/s\].
     pub fn speed(&self, handle: &ContactTarget) -> Vector3<f64> {
-        match &self.dynamics {
-            ContactDynamics::Rigid(rigid) => rigid.speed(&handle.at_in_world),
-            ContactDynamics::Soft(Vertices { touched, .. }) => {
-                handle.shares().map(|(place, share)| touched[place].0 * share).sum()
-            }
-        }
+        handle.shares().map(|(place, share)| self.vertices.touched[place].0 * share).sum()
     }
 
     /// Applies an impulse at the point \[N·s\].
     pub fn push(&mut self, handle: &ContactTarget, impulse: &Vector3<f64>) {
-        match &mut self.dynamics {
-            ContactDynamics::Rigid(rigid) => rigid.push(&handle.at_in_world, impulse),
-            ContactDynamics::Soft(Vertices { touched, .. }) => {
-                for (place, share) in handle.shares() {
-                    let (speed, mass) = &mut touched[place];
-                    *speed += impulse * (share * *mass);
-                }
-            }
+        for (place, share) in handle.shares() {
+            let (speed, mass) = &mut self.vertices.touched[place];
+            *speed += impulse * (share * *mass);
         }
     }
 }

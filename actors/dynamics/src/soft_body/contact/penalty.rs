@@ -14,11 +14,11 @@
 //! of a second.
 
 use nalgebra::{Isometry3, Vector3};
-use trocar_scene::{Entity, SimTime, Snapshot};
+use trocar_scene::{Entity, Frozen, Motion, RigidBody, SimTime, Snapshot};
 
 use super::bodies::{AppliedImpulses, ContactBody, ContactTarget};
 use super::tracking::{AdjacencyCache, ContactPair, FOUND_MAX, Shape, answers, rows};
-use super::{ContactSums, ImpulseTotals, PersistentContact, SoftContacts};
+use super::{ContactSums, PersistentContact, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
 
@@ -67,9 +67,8 @@ struct Row {
     stiffness: f64,
     damping: f64,
     friction: f64,
-    /// Change of relative velocity per impulse \[1/kg\], along the normal and at most across it, and the step over
-    /// which forces act \[s\].
-    yields: [f64; 2],
+    /// Change of relative velocity per impulse \[1/kg\], and the step over which forces act \[s\].
+    yields: f64,
     step: f64,
     slack: f64,
     drawn: Vector3<f64>,
@@ -102,7 +101,6 @@ pub(crate) fn answer<'a>(
     let given = |body: &mut RespondingBody<'_>| AppliedImpulses {
         giver: body.entity,
         vertices: std::mem::take(&mut body.memory.given),
-        rigid_totals: std::mem::take(&mut body.memory.given_whole),
     };
     let given: Vec<AppliedImpulses> = own.iter_mut().map(given).collect();
     let mut movers: Vec<ContactBody<'_>> = own.iter().map(|body| ContactBody::of(body, period)).collect();
@@ -110,9 +108,9 @@ pub(crate) fn answer<'a>(
     for _ in 0..SWEEPS {
         rows.iter_mut().for_each(|row| row.press(&mut movers));
     }
-    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_rigid())).collect();
+    let pushed: Vec<Entity> = movers.iter().map(|mover| mover.entity).collect();
     for (body, given) in own.iter_mut().zip(given) {
-        (body.memory.given, body.memory.given_whole) = (given.vertices, given.rigid_totals);
+        body.memory.given = given.vertices;
     }
     give(own, &rows, &pushed, now, period);
 }
@@ -165,7 +163,8 @@ fn read_detections(
         };
         let other = if side == 0 { row.b } else { row.a };
         let is_mine = first.is_some() && second.is_some();
-        let leaves = !is_mine && answers(scene, other) && other < own[body].entity;
+        let leaves =
+            !is_mine && (is_borne(scene, other) || answers(scene, other) && other < own[body].entity);
         let heard = until[body].iter().find(|(of, _)| *of == writer).map(|(_, time)| *time);
         if leaves || heard.is_some_and(|heard| row.detected_at <= heard) {
             continue;
@@ -201,6 +200,12 @@ fn read_detections(
     }
 }
 
+/// Whether a body is rigid and moves: soft bodies bear it, whatever detectors find ([`crate::soft_body::bearing`]).
+fn is_borne(scene: &Snapshot, entity: Entity) -> bool {
+    scene.get::<RigidBody>(entity).is_some_and(|body| body.motion == Motion::Dynamic)
+        && scene.get::<Frozen>(entity).is_none()
+}
+
 /// Computes the current geometry of all contacts, and drops those that have ended.
 fn contact_geometry<'a>(
     own: &mut [RespondingBody<'_>],
@@ -218,7 +223,7 @@ fn contact_geometry<'a>(
         let mut kept = 0;
         contacts.retain_mut(|held| {
             let mine = shapes.iter().position(|(entity, _)| *entity == held.other);
-            if held.is_old(now) {
+            if held.is_old(now) || is_borne(scene, held.other) {
                 return false;
             }
             let known = movers.iter().position(|mover| mover.entity == held.other);
@@ -235,15 +240,9 @@ fn contact_geometry<'a>(
                         }
                     }
                 }
-                None => known.or_else(|| {
-                    let new = ContactBody::rigid((scene, held.other), (now, period), given);
-                    new.map(|new| add(movers, new))
-                }),
+                None => None,
             };
-            let mut shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
-            if let Some((pose, motion)) = other.and_then(|other| movers[other].rigid_motion()) {
-                (shape.world_from_body, shape.motion) = (pose, motion);
-            }
+            let shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
             if held.is_followed() {
                 surroundings.look(body.entity, &body.shape.triangles);
                 surroundings.look(held.other, &shape.triangles);
@@ -275,8 +274,8 @@ fn add<'a>(movers: &mut Vec<ContactBody<'a>>, mover: ContactBody<'a>) -> usize {
     movers.len() - 1
 }
 
-/// Distributes the impulses to both sides; `pushed` are all movers, and whether each moves as a whole.
-fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTime, period: f64) {
+/// Distributes the impulses to both sides; `pushed` are all movers.
+fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[Entity], now: SimTime, period: f64) {
     for row in rows {
         let force = row.met.normal_in_world * row.normal + row.across;
         let held = own[row.body].memory.contacts.get_mut(row.contact);
@@ -285,7 +284,7 @@ fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)],
             // While sliding, the tangential spring stays at the friction limit.
             if row.stiffness > 0.0 {
                 let resists = row.stiffness * row.step + row.damping;
-                held.drawn += row.beyond * ((1.0 + resists * row.yields[1] * row.step) / row.stiffness);
+                held.drawn += row.beyond * ((1.0 + resists * row.yields * row.step) / row.stiffness);
             }
             if held.presses {
                 held.seen = now;
@@ -308,14 +307,8 @@ fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)],
                     let own_force = body_from_world.rotation * force;
                     body.forces.extend(shares.map(|(node, weight)| (node, own_force * weight)));
                 }
-                Some(mover) if pushed[mover].1 => {
-                    // At the soft body's contact point, so that angular momentum is conserved too.
-                    let at = row.met.places[0].at_in_world;
-                    let sums = ImpulseTotals::of(&mut own[row.body].memory.given_whole, pushed[mover].0);
-                    sums.add(&(force * (sign * period)), &at);
-                }
                 Some(mover) => {
-                    let sums = ContactSums::of(&mut own[row.body].memory.given, pushed[mover].0);
+                    let sums = ContactSums::of(&mut own[row.body].memory.given, pushed[mover]);
                     shares.for_each(|(node, weight)| *sums.at(node) += force * (sign * weight * period));
                 }
                 None => {}
@@ -334,13 +327,11 @@ impl Row {
     ) -> Option<Self> {
         let handles = [0, 1].map(|side| {
             let mover = sides[side]?;
-            Some(movers[mover].hold(mover, &met.places[side], &met.places[0].at_in_world))
+            Some(movers[mover].hold(mover, &met.places[side]))
         });
         let all = || handles.iter().flatten().map(|handle| (&movers[handle.mover], handle));
-        let normal = &met.normal_in_world;
-        let yields = all().map(|(mover, handle)| mover.yields(handle, normal));
-        let yields = yields.fold([0.0; 2], |[along, across], [a, b]| [along + a, across + b]);
-        if !yields.iter().all(|yields| *yields > 0.0) || !met.depth.is_finite() {
+        let yields: f64 = all().map(|(mover, handle)| mover.yields(handle)).sum();
+        if !(yields > 0.0 && met.depth.is_finite()) {
             return None;
         }
         let all = || all().map(|(mover, _)| mover);
@@ -356,7 +347,7 @@ impl Row {
             met,
             handles,
             stiffness,
-            damping: 2.0 * DAMPING_RATIO * (stiffness / yields[0]).sqrt(),
+            damping: 2.0 * DAMPING_RATIO * (stiffness / yields).sqrt(),
             friction,
             yields,
             step,
@@ -387,7 +378,7 @@ impl Row {
     /// One Gauss-Seidel update of the contact's force.
     fn press(&mut self, movers: &mut [ContactBody<'_>]) {
         let normal = self.met.normal_in_world;
-        let gives = self.yields[0] * self.step;
+        let gives = self.yields * self.step;
         let leaving = self.slip(movers).dot(&normal) - self.normal * gives;
         let depth = self.met.depth;
         let resists = self.stiffness * self.step + if depth > 0.0 { self.damping } else { 0.0 };
@@ -396,7 +387,7 @@ impl Row {
         let change = wanted.max(0.0) - self.normal;
         self.push(movers, &(normal * change));
         self.normal += change;
-        let gives = self.yields[1] * self.step;
+        let gives = self.yields * self.step;
         let slip = self.slip(movers) - self.across * gives;
         let across = slip - normal * slip.dot(&normal);
         let resists = self.stiffness * self.step + self.damping;

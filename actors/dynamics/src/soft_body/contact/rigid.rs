@@ -2,18 +2,19 @@
 //! inertia that the rigid body's controller publishes; that controller takes the impulses and does not answer these
 //! contacts itself.
 //!
-//! The exchanged quantities are the cumulative impulse and its cumulative moment about the world origin. The rigid body
-//! takes the difference to what it has taken before: momentum and angular momentum are conserved for any pair of rates,
-//! delays and restarts. Impulses from a soft body with longer steps are spread over such a step, not applied at once.
+//! The exchanged quantities are the cumulative impulse and its cumulative moment about the rigid body's centre of mass.
+//! The rigid body takes the difference to what it has taken before: momentum is conserved for any pair of rates, delays
+//! and restarts. A moment about the world origin would turn a body that has moved on by the time that it takes the
+//! impulse: a rolling ball would be spun up by its own weight. Impulses from a soft body with longer steps are spread over
+//! such a step, not applied at once.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::spatial::Wrench;
-use trocar_scene::{Component, ComponentError, Entity, Frozen, SimTime, Snapshot, Velocity};
+use trocar_scene::{Component, ComponentError, Entity, SimTime, Snapshot, Velocity};
 
 use super::SoftContacts;
-use super::bodies::AppliedImpulses;
-use crate::rigid_world::{Inertia, tangential_mobility_max};
+use crate::rigid_world::Inertia;
 
 /// Cumulative impulse on a body that moves as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -23,7 +24,7 @@ pub struct ImpulseTotals {
     pub body: Option<Entity>,
     /// Cumulative impulse, in world \[N·s\].
     pub impulse: Vector3<f64>,
-    /// Cumulative moment about the world origin \[N·m·s\].
+    /// Cumulative moment about the body's centre of mass at the time of each impulse \[N·m·s\].
     pub moment: Vector3<f64>,
 }
 
@@ -48,6 +49,8 @@ pub struct RigidContacts {
     pub inertia: Inertia,
     /// Length of the steps in which it takes impulses \[s\].
     pub step: f64,
+    /// Length of the steps in which it moves \[s\].
+    pub substep: f64,
     /// Time of its last step; its pose and velocity refer to it.
     pub time: SimTime,
     /// Its acceleration by everything else, of the centre of mass \[m/s²\] and angular \[rad/s²\], in world: persistent
@@ -69,14 +72,31 @@ impl ImpulseTotals {
         &mut all[at]
     }
 
-    /// Adds an impulse at a point in world.
-    pub(crate) fn add(&mut self, impulse: &Vector3<f64>, at_in_world: &Point3<f64>) {
+    /// Adds an impulse at a point with this arm from the centre of mass \[m\].
+    pub(crate) fn add(&mut self, impulse: &Vector3<f64>, arm: &Vector3<f64>) {
         self.impulse += impulse;
-        self.moment += at_in_world.coords.cross(impulse);
+        self.moment += arm.cross(impulse);
     }
 
-    fn less(&self, other: &Self) -> [Vector3<f64>; 2] {
+    /// Impulse and moment beyond those of another sum.
+    pub(crate) fn less(&self, other: &Self) -> [Vector3<f64>; 2] {
         [self.impulse - other.impulse, self.moment - other.moment]
+    }
+}
+
+impl SoftContacts {
+    /// Impulse \[N·s\] and moment \[N·m·s\] that a body has got in total in the first `time` seconds of the last step; at
+    /// its end all that was `given`.
+    fn given_after(&self, given: &ImpulseTotals, time: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let parts = self.course.len();
+        let at = (time / self.step * parts as f64).clamp(0.0, parts as f64);
+        let part = (at as usize).min(parts - 1);
+        let before = |part: usize| match self.course.get(part) {
+            Some(all) => all.iter().find(|of| of.body == given.body).copied().unwrap_or_default(),
+            None => *given,
+        };
+        let (from, to, share) = (before(part), before(part + 1), at - part as f64);
+        (from.impulse.lerp(&to.impulse, share), from.moment.lerp(&to.moment, share))
     }
 }
 
@@ -103,7 +123,7 @@ impl RigidContacts {
         is_news
     }
 
-    /// Takes outstanding impulses over `time` \[s\]: as a force \[N\], and its torque about the world origin \[N·m\].
+    /// Takes outstanding impulses over `time` \[s\]: as a force \[N\], and its torque about the centre of mass \[N·m\].
     /// `None` if nothing has changed.
     pub(crate) fn take(&mut self, me: Entity, scene: &Snapshot, time: f64) -> Option<Wrench> {
         let (mut wrench, mut has_changed) = (Wrench::default(), false);
@@ -125,7 +145,9 @@ impl RigidContacts {
                 // A nanosecond: periods are whole nanoseconds.
                 let share = if *left > time + 1e-9 { time / *left } else { 1.0 };
                 *left = (*left - time).max(0.0);
-                if share < 1.0 {
+                if share < 1.0 && !contacts.course.is_empty() {
+                    (taken.impulse, taken.moment) = contacts.given_after(given, contacts.step - *left);
+                } else if share < 1.0 {
                     taken.impulse += impulse * share;
                     taken.moment += moment * share;
                 } else {
@@ -155,102 +177,14 @@ pub(crate) fn motion(inertia: &Inertia, pose: &Isometry3<f64>, of_origin: &Veloc
 
 impl Inertia {
     /// Inverse inertia tensor, in world axes \[1/(kg·m²)\].
-    pub(crate) fn inverse_in_world(&self, pose: &Isometry3<f64>) -> Matrix3<f64> {
+    pub fn inverse_in_world(&self, pose: &Isometry3<f64>) -> Matrix3<f64> {
         let turn = pose.rotation.to_rotation_matrix();
         turn.matrix() * self.inertia_inverse_in_body * turn.matrix().transpose()
     }
 
-    /// Change of a body's linear and angular velocity by an impulse and its moment about the world origin.
+    /// Change of a body's linear and angular velocity by an impulse and its moment about the centre of mass.
     pub(crate) fn change(&self, pose: &Isometry3<f64>, given: [Vector3<f64>; 2]) -> [Vector3<f64>; 2] {
         let [impulse, moment] = given;
-        let centre = (pose * self.centre_in_body).coords;
-        [impulse * self.mass_inverse, self.inverse_in_world(pose) * (moment - centre.cross(&impulse))]
-    }
-}
-
-/// A rigid body under contact.
-pub(crate) struct RigidProxy {
-    /// `world_from_body`, extrapolated to now.
-    pub(crate) pose: Isometry3<f64>,
-    centre: Point3<f64>,
-    velocity: Vector3<f64>,
-    spin: Vector3<f64>,
-    mass_inverse: f64,
-    /// Inverse inertia tensor in world axes \[1/(kg·m²)\].
-    inertia_inverse: Matrix3<f64>,
-}
-
-impl RigidProxy {
-    /// A body whose controller takes impulses, for a step of `period` seconds that ends `now`. Its state is
-    /// extrapolated since its last report, with the impulses that it has not taken yet.
-    pub fn of(
-        scene: &Snapshot,
-        entity: Entity,
-        (now, period): (SimTime, f64),
-        own: &[AppliedImpulses],
-    ) -> Option<Self> {
-        let told = scene.get::<RigidContacts>(entity)?;
-        if !told.gives_way() || scene.get::<Frozen>(entity).is_some() {
-            return None;
-        }
-        let pose = scene.world_pose(entity);
-        let is_own = |giver: Entity| own.iter().any(|given| given.giver == giver);
-        let others = scene.iter::<SoftContacts>().filter(|(giver, _)| !is_own(*giver));
-        let others = others.map(|(giver, contacts)| (giver, &contacts.given_whole));
-        let all = others.chain(own.iter().map(|given| (given.giver, &given.rigid_totals)));
-        let mut late = [Vector3::zeros(); 2];
-        for (giver, given) in all {
-            for given in given.iter().filter(|given| given.body == Some(entity)) {
-                let known = told.taken.iter().find(|known| known.taken.body == Some(giver));
-                let [impulse, moment] = given.less(&known.map(|known| known.taken).unwrap_or_default());
-                late = [late[0] + impulse, late[1] + moment];
-            }
-        }
-        let inertia = &told.inertia;
-        let since = (now.0.saturating_sub(told.time.0) as f64 * 1e-9 - period).clamp(0.0, told.step);
-        let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
-        let [linear, spin] = motion(inertia, &pose, &velocity);
-        let [faster, more_spin] = inertia.change(&pose, late);
-        // Half of the change, because it accumulated gradually.
-        let gone = (linear + (told.pull[0] * since + faster) * 0.5) * since;
-        let turned = (spin + (told.pull[1] * since + more_spin) * 0.5) * since;
-        let centre = pose * inertia.centre_in_body;
-        let turn = Translation3::from(centre.coords + gone)
-            * UnitQuaternion::from_scaled_axis(turned)
-            * Translation3::from(-centre.coords);
-        let there = turn * pose;
-        let rigid = Self {
-            pose: there,
-            centre: there * inertia.centre_in_body,
-            velocity: linear + told.pull[0] * (since + period) + faster,
-            spin: spin + told.pull[1] * (since + period) + more_spin,
-            mass_inverse: inertia.mass_inverse,
-            inertia_inverse: inertia.inverse_in_world(&there),
-        };
-        Some(rigid)
-    }
-
-    /// Velocity of its origin.
-    pub fn of_origin(&self) -> Velocity {
-        let linear = self.speed(&self.pose.translation.vector.into());
-        Velocity { linear, angular: self.spin }
-    }
-
-    /// Mobility of a point along a direction, and at most across it \[1/kg\].
-    pub fn yields(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> [f64; 2] {
-        let lever = (at - self.centre).cross_matrix();
-        let feels = Matrix3::identity() * self.mass_inverse - lever * self.inertia_inverse * lever;
-        [normal.dot(&(feels * normal)), tangential_mobility_max(&feels, normal)]
-    }
-
-    /// Velocity of a point \[m/s\].
-    pub fn speed(&self, at: &Point3<f64>) -> Vector3<f64> {
-        self.velocity + self.spin.cross(&(at - self.centre))
-    }
-
-    /// Applies an impulse at a point \[N·s\].
-    pub fn push(&mut self, at: &Point3<f64>, impulse: &Vector3<f64>) {
-        self.velocity += impulse * self.mass_inverse;
-        self.spin += self.inertia_inverse * (at - self.centre).cross(impulse);
+        [impulse * self.mass_inverse, self.inverse_in_world(pose) * moment]
     }
 }

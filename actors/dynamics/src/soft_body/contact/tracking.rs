@@ -22,11 +22,11 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
 use trocar_scene::{
-    Access, Collision, CollisionList, Component, Detection, Entity, EntitySet, Frozen, Instrument, LineMesh,
-    Primitive, Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions, VertexVelocities,
+    Access, Collision, CollisionList, Component, Detection, Entity, Frozen, Instrument, LineMesh, Primitive,
+    Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions, VertexVelocities,
 };
 
-use super::{ImpulseTotals, RigidContacts};
+use super::{BorneContact, ImpulseTotals, RigidJoint};
 use crate::tet_mesh::NodeAdjacency;
 
 /// Maximum number of answered contacts of a body.
@@ -99,6 +99,14 @@ pub struct ContactSums {
 pub struct SoftContacts {
     /// The contacts that it answers, also for the other side.
     pub contacts: Vec<PersistentContact>,
+    /// Its contacts with rigid bodies that move, and its joints with them.
+    pub borne: Vec<BorneContact>,
+    /// See above.
+    pub joints: Vec<RigidJoint>,
+    /// Impulses given to rigid bodies in the last step.
+    pub last_given: Vec<ImpulseTotals>,
+    /// All impulses given to rigid bodies up to the beginning of each equal part of the last step, if it had several.
+    pub course: Vec<Vec<ImpulseTotals>>,
     /// Up to which time each detector's list has been read.
     pub heard: Vec<(Entity, SimTime)>,
     /// Inverse mass of each vertex, 0 where it is fixed \[1/kg\], for bodies that answer its contacts.
@@ -144,14 +152,12 @@ impl ContactSums {
 }
 
 /// Reads and writes of the contact response.
-pub(crate) fn access(access: Access, registry: &Registry, bodies: &[Entity]) -> Access {
+pub(crate) fn access(access: Access, registry: &Registry) -> Access {
     access
         .reads::<CollisionList>()
         .reads::<VertexPositions>()
         .reads::<VertexVelocities>()
         .reads_named(registry.soft_bodies_that(|of| of.responds_to_contacts))
-        .reads::<RigidContacts>()
-        .writes::<SoftContacts>(EntitySet::Of(bodies.to_vec()))
 }
 
 /// Whether a controller of soft bodies answers for a body.

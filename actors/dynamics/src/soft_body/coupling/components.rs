@@ -60,7 +60,7 @@ impl Default for Lies {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CoupledWith {
-    /// Its name. It must be a body of `dynamic_fem` or `xpbd`.
+    /// Its name. It must be a body of `dynamic_fem` or `xpbd`, or a rigid body that moves.
     pub body: String,
     /// The joint, if the body has grown onto it.
     #[serde(default)]
@@ -71,7 +71,8 @@ pub struct CoupledWith {
     pub lies: Option<Lies>,
 }
 
-/// A body of `xpbd` coupled with others. Its controller must be the faster one, or equally fast.
+/// A body of `xpbd` coupled with others, of which its controller must be the faster one, or equally fast; or any soft
+/// body joined to rigid ones that move.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(name = "coupled", check = Self::ranges, schema, partners = Self::partners)]
 #[serde(deny_unknown_fields)]

@@ -81,7 +81,7 @@ impl SlowSide {
                 let known = velocities.get(vertex as usize);
                 before.push(known.copied().unwrap_or_default());
                 if *last != Vector3::zeros() && known.is_some() {
-                    forces.push((vertex, body_from_giver * *last / site.period_secs()));
+                    forces.push((vertex, body_from_giver * *last / site.tick.period.as_secs_f64()));
                     self.active.push(vertex);
                 }
             }
@@ -136,7 +136,7 @@ impl SlowSide {
         }
         self.told.number += 1;
         self.told.time = site.tick.time;
-        self.told.step = site.period_secs();
+        self.told.step = site.tick.period.as_secs_f64();
         out.put(self.me, self.told.clone());
     }
 }

@@ -12,6 +12,7 @@ use trocar_dynamics::coupling::external_nodes::{
 use trocar_dynamics::coupling::{SlowBodyReport, SurfaceContactParams, SurfaceContacts};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::bearing::joint::is_rigid;
 use trocar_dynamics::soft_body::coupling::components::GivenImpulses;
 use trocar_dynamics::soft_body::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined};
 use trocar_dynamics::soft_body::method::{Measures, StepContext};
@@ -77,7 +78,7 @@ impl FastSide {
         let Some(coupled) = scene.get::<CoupledBody>(body.entity) else { return Ok(None) };
         let known = scene.get::<CouplingGiven>(body.entity);
         let (mut with, mut fused) = (Vec::new(), Vec::new());
-        for rule in &coupled.with {
+        for rule in coupled.with.iter().filter(|rule| !is_rigid(scene, &rule.body)) {
             let told = |why: String| format!("it is coupled with '{}': {why}", rule.body);
             let other = other(body, rule, scene).map_err(told)?;
             if scene.soft_body(other.entity).is_some_and(|(_, of)| of.couples) {
@@ -86,6 +87,9 @@ impl FastSide {
             }
             let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(other.entity)));
             with.push(Partner::new(body, &other, thickness, rule, scene, known).map_err(told)?);
+        }
+        if with.is_empty() && fused.is_empty() {
+            return Ok(None);
         }
         let mut coupled = Self {
             with,

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::instrument_rods::Rod;
 use trocar_dynamics::soft_body::method::{
-    ContactParams, Measures, StepContext, StepPrediction, SurfaceChange,
+    ContactParams, Measures, StepContext, StepPrediction, SurfaceChange, bearing_stiffness,
 };
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
@@ -34,6 +34,7 @@ const UNSOLVED_MAX: u32 = 20;
     name = "dynamic_fem", check = Self::ranges, schema,
     soft_body = SoftAbilities {
         responds_to_contacts: true,
+        bears: true,
         answers_couplings: true,
         loses_elements: true,
         ..SoftAbilities::NONE
@@ -214,6 +215,8 @@ pub struct DynamicFemMethod {
     divisible: Option<DivisibleVolume>,
     /// Inverse mass of each node, 0 where it is anchored \[1/kg\].
     mobility: Vec<f64>,
+    /// Stiffness of each contact with a rigid body that moves \[N/m\].
+    bearing_stiffness: f64,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
     /// Report of the last step.
@@ -235,7 +238,17 @@ impl SoftMethod for DynamicFemMethod {
         let mut of = Solver { kind: *kind, solver, memory, ready: None };
         of.resume(body, &heated);
         let (contacts, prescribed) = (Vec::new(), Vec::new());
-        Ok(Self { of, divisible, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
+        let bearing_stiffness = bearing_stiffness(kind.contact_stiffness, kind.young_modulus, body);
+        Ok(Self {
+            of,
+            divisible,
+            mobility,
+            bearing_stiffness,
+            contacts,
+            prescribed,
+            report: None,
+            unsolved: [0; 2],
+        })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -266,7 +279,8 @@ impl SoftMethod for DynamicFemMethod {
 
     fn terms(&self) -> Option<ContactParams<'_>> {
         let DynamicFemBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
-        Some(ContactParams { masses_inverse: &self.mobility, stiffness, friction })
+        let bearing_stiffness = self.bearing_stiffness;
+        Some(ContactParams { masses_inverse: &self.mobility, stiffness, bearing_stiffness, friction })
     }
 
     fn publish(&mut self, body: &Deformable, site: &StepContext<'_>, out: &mut Commands) {
@@ -313,6 +327,8 @@ impl SoftMethod for DynamicFemMethod {
         self.unsolved = if report.solved { [0, all] } else { [row.saturating_add(1), all.saturating_add(1)] };
         forces.clear();
         forces.extend(self.contacts.iter().map(|contact| force_of(contact, self.of.solver.positions())));
+        let rigid = site.rigid.contacts.iter().zip(self.of.solver.rigid_forces());
+        forces.extend(rigid.map(|(contact, force)| contact.normal * *force));
         Ok(())
     }
 
@@ -390,7 +406,14 @@ fn inputs<'a>(
     prescribed: &'a [(u32, Point3<f64>)],
     site: &StepContext<'a>,
 ) -> Inputs<'a> {
-    Inputs { acceleration: site.gravity, contacts, prescribed, forces: site.forces, ..Inputs::default() }
+    Inputs {
+        acceleration: site.gravity,
+        contacts,
+        prescribed,
+        forces: site.forces,
+        rigid: site.rigid,
+        ..Inputs::default()
+    }
 }
 
 /// Contact plane: tangent to the rod at the point nearest to the body.

@@ -5,10 +5,11 @@
 //! of the patch. On the deformed surface, which is coarse, the point nearest to a rod would jump while the rod is
 //! pressed in, and so would the force.
 
-use nalgebra::{Point3, Unit, Vector3};
+use nalgebra::{Point3, Unit, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
 use trocar_dynamics::picking::Jaws;
+use trocar_dynamics::soft_body::bearing::rigid_response::PlaneContact;
 use trocar_dynamics::soft_body::grasp::Holder;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
 use trocar_dynamics::soft_body::method::StepContext;
@@ -79,6 +80,8 @@ pub(crate) enum ConstraintSource {
     Jaws(Entity, u32),
     /// A pinned point, by its number.
     Pin(usize),
+    /// A rigid body that moves, by the number of its contact in the step.
+    Body(usize),
 }
 
 impl Body {
@@ -132,7 +135,39 @@ impl Body {
         touched.truncate(CONTACTS_MAX);
         self.continue_contacts(rods, &mut answers);
         self.add_rod_constraints(&touched, rods, &mut answers);
+        let room = CONTACTS_MAX.saturating_sub(answers.len());
+        let borne = site.rigid.contacts.iter().take(room).enumerate();
+        answers.extend(borne.map(|(number, press)| self.body_constraint(number, press, site)));
         Ok(answers)
+    }
+
+    /// A constraint that keeps a surface point outside a rigid body, which gives way.
+    pub(super) fn body_constraint(
+        &self,
+        number: usize,
+        press: &PlaneContact,
+        site: &StepContext<'_>,
+    ) -> ConstraintReaction {
+        let ([a, b, c], [u, v, w]) = (press.nodes, press.weights);
+        let weights = if a == b { vec![(a, 1.0)] } else { vec![(a, u), (b, v), (c, w)] };
+        let rest = weights.iter().map(|&(node, weight)| self.body.rest[node as usize].coords * weight);
+        let now = press.place(&self.positions) - rest.sum::<Vector3<f64>>();
+        let step = site.period_secs();
+        // `M⁻¹/² h` times its motion: the product of two of these is what a force on one moves the other.
+        let factor = site.rigid.inertia(press.body as usize, step).cholesky();
+        let motion = factor.and_then(|factor| factor.l().solve_lower_triangular(&press.motion()));
+        let (along, compliance) = (Unit::new_unchecked(press.normal), press.stiffness.recip());
+        let motion = motion.unwrap_or_else(Vector6::zeros).into();
+        ConstraintReaction {
+            target: now + press.normal * site.rigid.free_depth(press, step),
+            lag: 0.0,
+            attachment: Attachment {
+                weights,
+                hold: Hold::AtLeastOnBody { along, compliance, body: press.body, motion },
+            },
+            by: ConstraintSource::Body(number),
+            force: Vector3::zeros(),
+        }
     }
 
     /// Adds contacts of rods elsewhere on the surface.
@@ -227,7 +262,7 @@ impl Body {
                 let apart = (self.place(&other.nodes, &other.weights)[0] - place).norm();
                 other.rod == touch.rod && apart < PATCHES_APART * self.kind.contact_radius
             }
-            ConstraintSource::Jaws(..) | ConstraintSource::Pin(_) => false,
+            ConstraintSource::Jaws(..) | ConstraintSource::Pin(_) | ConstraintSource::Body(_) => false,
         })
     }
 

@@ -6,6 +6,7 @@
 //! scene: contacts are detected anew at the current surface, and solved from zero, so that a restart gives identical
 //! results. Bilateral constraints keep their rows, without any effect on the bits.
 
+mod bearing;
 pub(crate) mod blend;
 pub(crate) mod contacts;
 pub(crate) mod embedded_points;
@@ -22,11 +23,14 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
+use trocar_dynamics::soft_body::bearing::{Bearings, access as bearing_access};
+use trocar_dynamics::soft_body::contact::SoftContacts;
 use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::is_blade;
-use trocar_dynamics::soft_body::method::{Measures, StepContext, finite_vertices};
+use trocar_dynamics::soft_body::method::{Measures, StepContext, bearing_stiffness, finite_vertices};
 use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, RodContact, collision};
 use trocar_dynamics::soft_body::{Deformable, PinnedBody};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
@@ -39,6 +43,7 @@ use trocar_scene::{
 use super::cutting::divisible_volume::DivisibleVolume;
 use super::cutting::volume::FailureCriteria;
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
+use bearing::OnOrgan;
 use blend::InverseBlend;
 use contacts::{ConstraintReaction, ConstraintSource, Contacts};
 use embedded_points::{PinPlaces, Pins};
@@ -46,6 +51,8 @@ use inverse_job::{altered_as_job, built, built_as_job};
 use topology_change::{MeshChanges, OrganElements};
 use warm_start::HeldConstraints;
 
+/// Stands for the mobility of a free vertex \[1/kg\]: an organ without mass does not move by itself.
+const MOBILITY: f64 = 1e-9;
 /// Maximum number of contact detection rounds per tick.
 const ROUNDS_MAX: usize = 8;
 /// Ticks between two evaluations of the interior: rotations and strains of all elements.
@@ -55,7 +62,7 @@ const INSIDE_EVERY: u64 = 10;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(
     name = "linear_fem", check = Self::ranges, schema,
-    soft_body = SoftAbilities { is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE },
+    soft_body = SoftAbilities { bears: true, is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE },
 )]
 #[serde(default, deny_unknown_fields)]
 pub struct LinearFemBody {
@@ -123,6 +130,11 @@ pub(super) struct Body {
     pub(super) pins: Pins,
     /// Points that rods pressed on in the last tick.
     pub(super) contacts: Contacts,
+    /// Contacts with rigid bodies that move, the parameters of these, and the sum of their forces \[N\].
+    borne: SoftContacts,
+    mobility: Vec<f64>,
+    bearing_stiffness: f64,
+    borne_force: f64,
     pub(super) is_pinned: Vec<bool>,
     deformation: Deformation,
     /// Whether the strain was outside the validity of linear elasticity.
@@ -136,14 +148,21 @@ pub struct LinearFemController {
     bodies: Vec<Body>,
     refused: Vec<RejectedBody>,
     rods: Vec<Rod>,
+    bearings: Bearings,
+    gravity_in_world: Vector3<f64>,
 }
 
 impl LinearFemController {
-    /// Reads the bodies, and resumes their state from the scene. `cache` is the folder of computed inverses.
+    /// Reads the bodies, and resumes their state from the scene. `cache` is the folder of computed inverses; gravity is
+    /// that of the rigid bodies on them.
     ///
     /// # Errors
     /// The name of the body, and what is wrong with it.
-    pub fn new(cache: Option<PathBuf>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+    pub fn new(
+        gravity_in_world: Vector3<f64>,
+        cache: Option<PathBuf>,
+        context: &BuildContext<'_>,
+    ) -> Result<Self, ControllerError> {
         let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<LinearFemBody>(context.scene) {
             let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
@@ -156,7 +175,7 @@ impl LinearFemController {
             return Err(ControllerError::Scene("linear-fem: no entity has a 'linear_fem'".into()));
         }
         let cache = cache.map(|folder| Cache::new(&folder));
-        Ok(Self { cache, bodies, refused, rods: Vec::new() })
+        Ok(Self { cache, bodies, refused, rods: Vec::new(), bearings: Bearings::default(), gravity_in_world })
     }
 }
 
@@ -164,7 +183,7 @@ impl Controller for LinearFemController {
     fn access(&self) -> Access {
         let refused = self.refused.iter().map(|body| body.entity);
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
-        DivisibleVolume::access(Deformable::access(&bodies), &bodies)
+        DivisibleVolume::access(bearing_access(Deformable::access(&bodies), &bodies), &bodies)
             .reads::<LinearFemBody>()
             .reads::<Pose>()
             .reads::<Velocity>()
@@ -182,7 +201,9 @@ impl Controller for LinearFemController {
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let mut collisions: Vec<Collision> = Vec::new();
         let mut measured = Measured::default();
+        let (borne, mut bearings) = self.press(scene, tick);
         for (index, body) in self.bodies.iter_mut().enumerate() {
+            let OnOrgan { mut bearings, presses, rigid } = std::mem::take(&mut bearings[index]);
             let world_from_body = scene.world_pose(body.body.entity);
             let mut forces = [0.0; 2];
             if !body.frozen {
@@ -193,19 +214,25 @@ impl Controller for LinearFemController {
                 let site = StepContext {
                     scene,
                     tick,
+                    step_secs: tick.period.as_secs_f64(),
                     world_from_body: &world_from_body,
                     gravity: Vector3::zeros(),
                     rods: &self.rods,
                     touches: &[],
+                    rigid: RigidPresses { bodies: &rigid, contacts: &presses },
                     forces: &[],
                     driven: &[],
                 };
                 let done = body.step(index, self.cache.as_ref(), &site, out);
                 match done {
                     Ok(answers) => {
+                        body.bear(&answers, &mut bearings, &borne, tick, out);
                         for answer in &answers {
-                            let driven_in = matches!(answer.by, ConstraintSource::Pin(_));
-                            forces[usize::from(driven_in)] += answer.force.norm();
+                            match answer.by {
+                                ConstraintSource::Pin(_) => forces[1] += answer.force.norm(),
+                                ConstraintSource::Body(_) => {}
+                                _ => forces[0] += answer.force.norm(),
+                            }
                             collisions.extend(body.collision_of(
                                 answer,
                                 &self.rods,
@@ -275,6 +302,10 @@ impl Body {
             positions: body.positions.to_vec(),
             grips: scene.get::<Grips>(entity).cloned().unwrap_or_default(),
             contacts: scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
+            borne: scene.get::<SoftContacts>(entity).cloned().unwrap_or_default(),
+            mobility: is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }).collect(),
+            bearing_stiffness: bearing_stiffness(0.0, kind.young_modulus, &body),
+            borne_force: 0.0,
             is_pinned,
             deformation: Deformation::default(),
             beyond: false,
@@ -295,7 +326,7 @@ impl Body {
         self.wait(keys[0], cache, site.tick)?;
         self.alter(keys[1], site, out)?;
         if self.solver.is_none() {
-            return Ok(Vec::new());
+            return Ok(self.bear_undeformed(site));
         }
         let mut answers = self.collect_constraints(site)?;
         self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
@@ -330,6 +361,8 @@ impl Body {
         let mut elements = OrganElements { altered, positions, mesh, has_followed };
         if let Some(reshaped) = divisible.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
+            self.mobility.clear();
+            self.mobility.extend(self.is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }));
             self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
             self.contacts = Contacts::default();
         }
@@ -481,6 +514,7 @@ impl Body {
                 let place = self.positions[*vertex as usize];
                 held((*instrument, Primitive::Jaw(0)), Primitive::Vertex(*vertex), place)
             }
+            ConstraintSource::Body(_) => return None,
             ConstraintSource::Pin(number) => {
                 let pin = &self.pins.pins[*number];
                 let place = pin.rest + answer.target;
@@ -516,6 +550,8 @@ impl Body {
         let name = &self.body.name;
         let flag = |is: bool| f64::from(u8::from(is));
         values.insert(format!("{name}.contact_force_n"), touched);
+        values.insert(format!("{name}.found_force_n"), self.borne_force);
+        values.insert(format!("{name}.found_contacts"), self.borne.borne.len() as f64);
         let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
         values.insert(format!("{name}.rotation_max_rad"), self.deformation.rotation);

@@ -8,7 +8,7 @@
 
 use nalgebra::Vector3;
 
-use crate::linear_fem::{Attachment, Handle, Hold, LinearFem, LinearFemError};
+use crate::linear_fem::{Attachment, Handle, LinearFem, LinearFemError};
 
 /// The held constraints, in list order.
 #[derive(Default)]
@@ -26,7 +26,7 @@ impl HeldConstraints {
         wanted: impl Iterator<Item = &'a Attachment>,
     ) -> Result<(), LinearFemError> {
         let is_same = |((known, _), wanted): &(&(Attachment, Vec<Handle>), &Attachment)| {
-            known == *wanted && !matches!(known.hold, Hold::AtLeast(_))
+            known == *wanted && !known.hold.is_one_sided()
         };
         self.kept = self.held.iter().zip(wanted).take_while(is_same).count();
         // Last first: the kept rows are not touched.

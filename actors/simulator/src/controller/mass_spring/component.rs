@@ -87,7 +87,12 @@ impl Default for Springs {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(
     name = "mass_spring", check = Self::ranges, schema,
-    soft_body = SoftAbilities { responds_to_contacts: true, loses_elements: true, ..SoftAbilities::NONE },
+    soft_body = SoftAbilities {
+        responds_to_contacts: true,
+        bears: true,
+        loses_elements: true,
+        ..SoftAbilities::NONE
+    },
 )]
 #[serde(default, deny_unknown_fields)]
 pub struct MassSpringBody {
@@ -131,6 +136,15 @@ impl Default for MassSpringBody {
 }
 
 impl MassSpringBody {
+    /// Young's modulus of a volume \[Pa\].
+    #[must_use]
+    pub fn volume(&self) -> Option<f64> {
+        match self.springs {
+            Springs::Volume { young_modulus, .. } => Some(young_modulus),
+            _ => None,
+        }
+    }
+
     /// Linear solver for steps of this length \[s\].
     pub(crate) fn solver(&self, period: f64) -> LinearSolver {
         let (tolerance, iterations_max) = (1e-3, 100);

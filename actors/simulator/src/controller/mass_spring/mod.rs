@@ -6,7 +6,9 @@ pub mod factor_job;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, StepContext, SurfaceChange};
+use trocar_dynamics::soft_body::method::{
+    ContactParams, Measures, StepContext, SurfaceChange, bearing_stiffness,
+};
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::NodeAdjacency;
@@ -164,6 +166,8 @@ pub struct MassSpringMethod {
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
     forces: Vec<NodeForce>,
+    /// Stiffness of each contact with a rigid body that moves \[N/m\].
+    bearing_stiffness: f64,
     /// Largest safe step of the last tick, contacts included \[s\]: longer steps are divided.
     safe_step: f64,
     /// Iterations of the last implicit step, and its relative residual.
@@ -287,6 +291,12 @@ impl SoftMethod for MassSpringMethod {
             of.split_nodes();
         }
         let safe_step = of.solver.safe_step();
+        let bearing_stiffness = match kind.springs {
+            Springs::Volume { young_modulus, .. } => {
+                bearing_stiffness(kind.contact_stiffness, young_modulus, body)
+            }
+            _ => kind.contact_stiffness,
+        };
         let (contacts, prescribed, forces) = Default::default();
         let factor = FactorKeeper::new(scene.get::<SpringFactor>(body.entity));
         let (is_warped, solved) = (None, (0, 0.0));
@@ -295,6 +305,7 @@ impl SoftMethod for MassSpringMethod {
             contacts,
             prescribed,
             forces,
+            bearing_stiffness,
             safe_step,
             solved,
             is_warped,
@@ -326,7 +337,8 @@ impl SoftMethod for MassSpringMethod {
 
     fn terms(&self) -> Option<ContactParams<'_>> {
         let MassSpringBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
-        Some(ContactParams { masses_inverse: self.of.solver.mobility(), stiffness, friction })
+        let (masses_inverse, bearing_stiffness) = (self.of.solver.mobility(), self.bearing_stiffness);
+        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -373,12 +385,15 @@ impl SoftMethod for MassSpringMethod {
             forces: &self.forces,
             contacts: &self.contacts,
             prescribed: &self.prescribed,
+            rigid: site.rigid,
         };
         let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         self.safe_step = report.safe_step;
         self.solved = (report.iterations, report.residual);
         forces.clear();
         forces.extend_from_slice(self.of.solver.contact_forces());
+        let rigid = site.rigid.contacts.iter().zip(self.of.solver.rigid_forces());
+        forces.extend(rigid.map(|(contact, force)| contact.normal * *force));
         Ok(())
     }
 

@@ -253,7 +253,7 @@ impl Sewing {
             self.leading.twist_holds.clear();
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
             let obstacles: Vec<Obstacle<'_>> =
-                self.parts.list.iter().map(|part| part.obstacle(fractions, None)).collect();
+                self.parts.list.iter().map(|part| part.obstacle(fractions, None, None)).collect();
             let around = StepInputs {
                 gravity: self.gravity,
                 grips: &self.grips,

@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::components::Parameter;
-use trocar_scene::{Component, ComponentError};
+use trocar_scene::{Component, ComponentError, SoftAbilities};
 
 use super::suture::{InDocument, Suture};
 use crate::suture_thread::initial_shape::{Throws, resampled, throws};
@@ -61,7 +61,10 @@ impl LiesOn {
 
 /// A suture thread. It needs a line mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "thread", check = Self::ranges, schema, partners = Self::partners, lays = Self::laid_nodes)]
+#[component(
+    name = "thread", check = Self::ranges, schema, partners = Self::partners, lays = Self::laid_nodes,
+    soft_body = SoftAbilities { bears: true, ..SoftAbilities::NONE },
+)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadBody {
     /// The suture: a name, or a table with size and material.

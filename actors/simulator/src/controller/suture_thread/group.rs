@@ -9,14 +9,26 @@ use trocar_dynamics::soft_body::Deformable;
 use trocar_scene::{Commands, Entity, LineMesh, Snapshot, Tick};
 
 use super::component::ThreadBody;
+use super::grasp::GraspConstraints;
 use super::saved_state::ThreadMemory;
-use crate::suture_thread::{CutNumbering, Thread, ThreadError, ThreadState};
+use crate::suture_thread::bishop_frame::transport;
+use crate::suture_thread::{CutNumbering, Hold, Thread, ThreadError, ThreadState, TwistHold};
+
+/// An anchored node: the anchor holds its place, and keeps the thread from turning about its own axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AnchoredNode {
+    /// The node, in concatenated numbers.
+    pub node: usize,
+    /// Its place \[m\].
+    pub place: Point3<f64>,
+    /// Direction of the edge at it, and its director, when they were last known untwisted against the anchor.
+    reference: Option<[Vector3<f64>; 2]>,
+}
 
 /// The threads; first the one that names the others.
 pub struct ThreadGroup {
     list: Vec<Deformable>,
-    /// Anchored nodes, in concatenated numbers.
-    anchored: Vec<(usize, Point3<f64>)>,
+    anchored: Vec<AnchoredNode>,
     /// Whether the scene already has their lines.
     has_lines: bool,
 }
@@ -67,6 +79,10 @@ impl ThreadGroup {
             lines.list[0].replace_line(nodes);
         }
         lines.anchor();
+        if let Some(memory) = scene.get::<ThreadMemory>(entity) {
+            let known = lines.anchored.iter_mut().zip(&memory.anchors);
+            known.for_each(|(anchored, known)| anchored.reference = *known);
+        }
         Ok(lines)
     }
 
@@ -81,10 +97,28 @@ impl ThreadGroup {
         self.list.iter().map(|line| line.entity)
     }
 
-    /// Anchored nodes, and their positions \[m\].
+    /// Anchored nodes.
     #[must_use]
-    pub fn anchored(&self) -> &[(usize, Point3<f64>)] {
+    pub fn anchored(&self) -> &[AnchoredNode] {
         &self.anchored
+    }
+
+    /// Adds what the anchors hold to the constraints. A thread may swing about its anchor, but it does not roll there.
+    pub fn hold(&mut self, state: &ThreadState, constraints: &mut GraspConstraints) {
+        for anchored in &mut self.anchored {
+            constraints.holds.push(Hold::fixed(anchored.node, anchored.place));
+            let Some(edge) = edge_at(anchored.node, state) else { continue };
+            let tangent = state.positions[edge + 1] - state.positions[edge];
+            let Some(tangent) = tangent.try_normalize(0.0) else { continue };
+            let [from, director] = *anchored.reference.get_or_insert([tangent, state.directors[edge]]);
+            constraints.twist_holds.push(TwistHold { edge, director: transport(&from, &tangent, &director) });
+        }
+    }
+
+    /// What a restart needs to know of the anchors.
+    pub fn save_anchors(&self, memory: &mut ThreadMemory) {
+        memory.anchors.clear();
+        memory.anchors.extend(self.anchored.iter().map(|anchored| anchored.reference));
     }
 
     /// Builds the solver, and resumes its state from the scene.
@@ -122,7 +156,12 @@ impl ThreadGroup {
             from = end;
         }
         self.has_lines = false;
+        let former = std::mem::take(&mut self.anchored);
         self.anchor();
+        for anchored in &mut self.anchored {
+            let was = |former: &&AnchoredNode| now.get(former.node) == Some(&Some(anchored.node as u32));
+            anchored.reference = former.iter().find(was).and_then(|former| former.reference);
+        }
     }
 
     /// Cuts them.
@@ -144,7 +183,11 @@ impl ThreadGroup {
         let mut begin = 0;
         for line in &self.list {
             let held = line.pinned.iter().map(|node| *node as usize);
-            self.anchored.extend(held.map(|node| (begin + node, line.rest[node])));
+            self.anchored.extend(held.map(|node| AnchoredNode {
+                node: begin + node,
+                place: line.rest[node],
+                reference: None,
+            }));
             begin += line.rest.len();
         }
     }
@@ -178,6 +221,11 @@ impl ThreadGroup {
             (line.name.as_str(), most)
         })
     }
+}
+
+/// The edge whose rotation an anchor of this node holds: the one after it, or the last one before it.
+fn edge_at(node: usize, state: &ThreadState) -> Option<usize> {
+    [Some(node), node.checked_sub(1)].into_iter().flatten().find(|edge| state.joins(*edge))
 }
 
 /// A line from its first vertex to its last; with `goes_on` it may have been cut.

@@ -25,6 +25,8 @@ use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::bearing::{self, Bearings, BorneBody};
+use trocar_dynamics::soft_body::contact::SoftContacts;
 use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::method::finite_vertices;
 use trocar_dynamics::soft_body::rod_contact::COLLISIONS_MAX;
@@ -36,7 +38,7 @@ use trocar_scene::{
 
 use super::coupling::fast_side::FastSide;
 use crate::linear_fem::Cache;
-use crate::suture_thread::{ElasticObstacle, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
+use crate::suture_thread::{ElasticObstacle, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 use component::ThreadBody;
 use contact_report::ContactReport;
 use cut::{follow, parted_at};
@@ -45,7 +47,7 @@ use grasp::{GraspConstraints, GraspForce, pulls, update};
 use group::ThreadGroup;
 use knot::KnotState;
 use knot_job::KnotWatch;
-use obstacles::{ObstacleParts, Part, PartShape};
+use obstacles::{MovingObstacle, ObstacleParts, Part, PartShape};
 use remesh::{EDGES_EVERY, adapt};
 use saved_state::{ObstaclePose, ThreadMemory};
 use soft_support::LyingOn;
@@ -67,6 +69,8 @@ struct Body {
     reactions: Vec<Reaction>,
     pulls: Vec<(Entity, GraspForce)>,
     frozen: bool,
+    /// Impulses given to rigid bodies that move.
+    borne: SoftContacts,
 }
 
 /// Steps every thread that carries [`ThreadBody`].
@@ -75,6 +79,7 @@ pub struct ThreadController {
     cache: Option<Cache>,
     bodies: Vec<Body>,
     refused: Vec<RejectedBody>,
+    bearings: Bearings,
 }
 
 impl ThreadController {
@@ -128,7 +133,8 @@ impl ThreadController {
         if bodies.is_empty() && refused.is_empty() {
             return Err(ControllerError::Scene("thread: no entity has a 'thread'".into()));
         }
-        Ok(Self { gravity_in_world, cache: cache.map(|folder| Cache::new(&folder)), bodies, refused })
+        let (cache, bearings) = (cache.map(|folder| Cache::new(&folder)), Bearings::default());
+        Ok(Self { gravity_in_world, cache, bodies, refused, bearings })
     }
 }
 
@@ -139,7 +145,7 @@ impl Controller for ThreadController {
             self.bodies.iter().flat_map(|body| body.lines.entities()).chain(refused).collect();
         let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(ElasticSupport::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
-        FastSide::access(Deformable::access(&moved), &bodies)
+        FastSide::access(bearing::access(Deformable::access(&moved), &bodies), &bodies)
             .reads::<ThreadBody>()
             .reads::<TiedBody>()
             .reads::<Pose>()
@@ -159,6 +165,9 @@ impl Controller for ThreadController {
         let mut collisions = Vec::new();
         let mut measured = Measured::default();
         let mut depth_max = 0.0_f64;
+        let when = (tick.time, tick.period.as_secs_f64());
+        let given = self.bodies.iter().map(|of| (of.lines.first().entity, &of.borne.given_whole[..]));
+        let borne = self.bearings.borne_bodies(scene, when, &self.gravity_in_world, given, true);
         for (index, body) in self.bodies.iter_mut().enumerate() {
             let world_from_thread = scene.world_pose(body.lines.first().entity);
             body.reactions.clear();
@@ -167,7 +176,7 @@ impl Controller for ThreadController {
                 let gravity = Deformable::gravity(&self.gravity_in_world, &world_from_thread);
                 let ready = body.wait(index as u64, self.cache.as_ref(), tick);
                 let done = ready.and_then(|ready| {
-                    let step = || body.step(scene, &world_from_thread, gravity, tick, out);
+                    let step = || body.step(scene, &world_from_thread, gravity, &borne, tick, out);
                     ready.then(step).transpose()
                 });
                 let done = done.and_then(|done| {
@@ -235,6 +244,7 @@ impl Body {
             knot: KnotWatch::new(scene.get::<KnotState>(entity), index),
             has_knot: known.is_some(),
             frozen: scene.get::<Frozen>(entity).is_some(),
+            borne: scene.get::<SoftContacts>(entity).cloned().unwrap_or_default(),
             parts,
             leading: GraspConstraints::default(),
             report: ThreadReport::default(),
@@ -257,10 +267,14 @@ impl Body {
         scene: &Snapshot,
         world_from_thread: &Isometry3<f64>,
         gravity: Vector3<f64>,
+        borne: &[BorneBody],
         tick: &Tick<'_>,
         out: &mut Commands,
     ) -> Result<(), String> {
         let period = tick.period.as_secs_f64();
+        let thread_from_world = world_from_thread.inverse();
+        // Another thread on the same body sees what this one has given it in the next tick.
+        let mut borne = borne.to_vec();
         self.parts.read(scene, world_from_thread, self.kind.tool_friction, &self.memory.met);
         self.follow()?;
         let is_moved = |part: &Part| matches!(part.form, PartShape::Elastic) && part.met.at != part.to;
@@ -283,7 +297,13 @@ impl Body {
             lying.begin_step(self.lines.first().entity, world_from_thread, scene, tick)?;
         }
         let mut report = ThreadReport::default();
+        let moving: Vec<Option<usize>> = self.parts.list.iter().map(|part| part.borne(&borne)).collect();
+        self.borne.course.clear();
+        let parts = bearing::course_parts(period, count as usize);
         for step in 0..count as usize {
+            if parts > 1 && step.is_multiple_of(count as usize / parts) {
+                self.borne.course.push(self.borne.given_whole.clone());
+            }
             let fractions = [step, step + 1].map(|step| step as f64 / count);
             let elastic = self.tied.as_ref().and_then(ElasticSupport::elastic);
             if let Some(lying) = &mut self.lying {
@@ -292,13 +312,17 @@ impl Body {
             let of_elastic = elastic.map(|body| (body.positions(), body.triangles()));
             let (of_soft, soft) = self.lying.as_mut().map(LyingOn::parts).unzip();
             let yielding = of_elastic.or(of_soft);
+            let ahead: Vec<Option<MovingObstacle>> = moving
+                .iter()
+                .map(|at| Some(MovingObstacle::of(&borne[(*at)?], &thread_from_world, dt)))
+                .collect();
+            let parts = self.parts.list.iter().zip(ahead);
             let obstacles: Vec<Obstacle<'_>> =
-                self.parts.list.iter().map(|part| part.obstacle(fractions, yielding)).collect();
+                parts.map(|(part, moving)| part.obstacle(fractions, yielding, moving)).collect();
             self.leading.holds.clear();
             self.leading.twist_holds.clear();
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
-            let anchored = self.lines.anchored().iter();
-            self.leading.holds.extend(anchored.map(|&(node, place)| Hold::fixed(node, place)));
+            self.lines.hold(self.thread.state(), &mut self.leading);
             let around = Surroundings {
                 gravity,
                 holds: &self.leading.holds,
@@ -318,6 +342,11 @@ impl Body {
             }
             if let Some(tied) = &mut self.tied {
                 tied.deform(self.thread.presses());
+            }
+            let yielded = moving.iter().zip(self.thread.yielded());
+            for (at, yielded) in yielded.filter_map(|(at, yielded)| Some(((*at)?, yielded))) {
+                let given = yielded.impulse.map(|of| world_from_thread.rotation * of);
+                borne[at].end_step(dt, given, &mut self.borne.given_whole);
             }
             report.parts += done.parts;
             report.iterations += done.iterations;
@@ -343,6 +372,11 @@ impl Body {
             out.event("beyond_linear", tied.entity(), None, tick.time.as_secs_f64());
         }
         self.memory.take(&self.thread);
+        self.lines.save_anchors(&mut self.memory);
+        if !self.borne.given_whole.is_empty() {
+            self.borne.step = period;
+            out.put(self.lines.first().entity, self.borne.clone());
+        }
         Ok(())
     }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
+use trocar_dynamics::soft_body::bearing::BorneBody;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::opening;
 use trocar_scene::shapes::{Detail, instrument_from_hinge, surface_of};
@@ -13,7 +14,7 @@ use trocar_scene::{
 };
 
 use super::saved_state::ObstaclePose;
-use crate::suture_thread::{ContactMemory, Obstacle, Shape};
+use crate::suture_thread::{ContactMemory, Obstacle, ObstacleMobility, Shape};
 
 /// A frame's pose at the last tick, and now.
 pub type FrameFromTo = [Isometry3<f64>; 2];
@@ -57,9 +58,21 @@ pub struct Part {
 }
 
 impl Part {
+    /// Which of these rigid bodies it is.
+    #[must_use]
+    pub fn borne(&self, bodies: &[BorneBody]) -> Option<usize> {
+        let is_rigid = self.rod.is_none() && !matches!(self.form, PartShape::Elastic);
+        bodies.iter().position(|body| is_rigid && body.entity == self.met.entity)
+    }
+
     /// In the form that the solver takes, for a step of the tick; a deformable body by its current nodes and triangles.
     #[must_use]
-    pub fn obstacle<'a>(&'a self, fractions: [f64; 2], yielding: Option<DeformableMesh<'a>>) -> Obstacle<'a> {
+    pub fn obstacle<'a>(
+        &'a self,
+        fractions: [f64; 2],
+        yielding: Option<DeformableMesh<'a>>,
+        moving: Option<MovingObstacle>,
+    ) -> Obstacle<'a> {
         let shape = match &self.form {
             PartShape::Sphere(radius) => Shape::Sphere { radius: *radius },
             PartShape::Capsule(ends, radius) => Shape::Capsule { ends: *ends, radius: *radius },
@@ -73,8 +86,39 @@ impl Part {
                 return Obstacle::fixed(shape, self.to, self.friction);
             }
         };
+        if let Some(MovingObstacle { thread_from_part: [from, to], mobility }) = moving {
+            return Obstacle { shape, from, to, friction: self.friction, mobility: Some(mobility) };
+        }
         let [from, to] = fractions.map(|fraction| between(&self.met.at, &self.to, fraction));
-        Obstacle { shape, from, to, friction: self.friction }
+        Obstacle { shape, from, to, friction: self.friction, mobility: None }
+    }
+}
+
+/// A rigid body that moves in a step of the thread: its poses at the beginning and, without the thread's forces, at the
+/// end, and how it gives way to these.
+#[derive(Clone, Copy, Debug)]
+pub struct MovingObstacle {
+    /// `thread_from_part` at both times.
+    pub thread_from_part: [Isometry3<f64>; 2],
+    /// Its mobility, in the thread's axes.
+    pub mobility: ObstacleMobility,
+}
+
+impl MovingObstacle {
+    /// A rigid body in a step of `step` seconds.
+    #[must_use]
+    pub fn of(body: &BorneBody, thread_from_world: &Isometry3<f64>, step: f64) -> Self {
+        let (inertia, inertia_inverse) = body.inertia();
+        let turn = thread_from_world.rotation.to_rotation_matrix();
+        Self {
+            thread_from_part: [thread_from_world * body.pose(), thread_from_world * body.pose_ahead(step)],
+            mobility: ObstacleMobility {
+                mass_inverse: inertia.mass_inverse,
+                centre: inertia.centre_in_body,
+                inertia_inverse: turn.matrix() * inertia_inverse * turn.matrix().transpose(),
+                lever: Some(body.lever(step)),
+            },
+        }
     }
 }
 

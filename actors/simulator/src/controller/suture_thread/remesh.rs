@@ -29,7 +29,7 @@ pub fn adapt(
     grips: &mut [Grip],
 ) -> Result<bool, String> {
     let fineness = fineness(kind.edges, thread.material().diameter());
-    let pinned = lines.anchored().iter().map(|(node, _)| *node);
+    let pinned = lines.anchored().iter().map(|anchored| anchored.node);
     let keep: Vec<usize> = held(grips).chain(pinned).collect();
     let Some(now) = thread.adapt(&fineness, &keep).map_err(|error| error.to_string())? else {
         return Ok(false);

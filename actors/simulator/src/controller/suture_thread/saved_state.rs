@@ -43,6 +43,9 @@ pub struct ThreadMemory {
     pub grips: Vec<Grip>,
     /// Previous blades of all scissors, in the thread's frame.
     pub blades: Vec<Blades>,
+    /// For each anchored node the direction of its edge, and its director, when the thread was last known untwisted
+    /// against the anchor.
+    pub anchors: Vec<Option<[Vector3<f64>; 2]>>,
     /// Contact forces on the elastic body that it is tied around.
     pub presses: Vec<SurfaceForce>,
     /// Shortest length of its loop since the current knot was formed, and since the last grasp or release of the thread

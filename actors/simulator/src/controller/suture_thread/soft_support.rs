@@ -3,6 +3,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 use trocar_dynamics::soft_body::coupling::{CoupledWith, CouplingGiven, Lies};
 use trocar_dynamics::soft_body::method::StepContext;
 use trocar_scene::soft_body::one_of;
@@ -83,10 +84,12 @@ impl LyingOn {
         let site = StepContext {
             scene,
             tick,
+            step_secs: tick.period.as_secs_f64(),
             world_from_body: world_from_thread,
             gravity: Vector3::zeros(),
             rods: &[],
             touches: &[],
+            rigid: RigidPresses::default(),
             forces: &[],
             driven: &[],
         };

@@ -118,6 +118,8 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
         }
         step.forces.clear();
         step.forces.extend_from_slice(of.solver.contact_forces());
+        let rigid = step.site.rigid.contacts.iter().zip(of.solver.rigid_forces(dt));
+        step.forces.extend(rigid.map(|(contact, force)| contact.normal * force));
         tied.clear();
         let of_body = |node: u32| node.checked_sub(begins.node).filter(|_| node < ends.node);
         let all = island.ties.iter().zip(&moved.ties);
@@ -149,8 +151,8 @@ fn step_all(
         .map(|step| {
             let XpbdMethod { of, contacts, prescribed, forces, .. } = &mut *step.method;
             let gravity: Vector3<f64> = step.site.gravity;
-            let input =
-                XpbdInput { gravity, forces, contacts, prescribed, external_nodes: ExternalNodes::default() };
+            let (rigid, external_nodes) = (step.site.rigid, ExternalNodes::default());
+            let input = XpbdInput { gravity, forces, contacts, prescribed, rigid, external_nodes };
             Member { body: &mut of.solver, input }
         })
         .collect();

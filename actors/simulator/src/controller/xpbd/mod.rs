@@ -14,7 +14,9 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, Step, StepContext, SurfaceChange};
+use trocar_dynamics::soft_body::method::{
+    ContactParams, Measures, Step, StepContext, SurfaceChange, bearing_stiffness,
+};
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_scene::{
@@ -79,6 +81,7 @@ impl Default for Matter {
     name = "xpbd", check = Self::ranges, schema,
     soft_body = SoftAbilities {
         responds_to_contacts: true,
+        bears: true,
         couples: true,
         loses_elements: true,
         ..SoftAbilities::NONE
@@ -126,6 +129,15 @@ impl Default for XpbdBody {
 }
 
 impl XpbdBody {
+    /// Young's modulus \[Pa\] and Poisson's ratio of a volume.
+    #[must_use]
+    pub fn volume(&self) -> Option<[f64; 2]> {
+        match self.matter {
+            Matter::Volume { young_modulus, poisson_ratio, .. } => Some([young_modulus, poisson_ratio]),
+            _ => None,
+        }
+    }
+
     /// Cutting and tearing criteria of a volume.
     fn failure_criteria(&self) -> FailureCriteria {
         let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
@@ -335,6 +347,8 @@ pub struct XpbdMethod {
     line: Option<LineCuts>,
     /// Its couplings, if it has any.
     pub(super) coupled: Option<FastSide>,
+    /// Stiffness of each contact with a rigid body that moves \[N/m\].
+    bearing_stiffness: f64,
     pub(super) contacts: Vec<Contact>,
     pub(super) prescribed: Vec<Prescribed>,
     pub(super) forces: Vec<NodeForce>,
@@ -414,7 +428,25 @@ impl SoftMethod for XpbdMethod {
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = FastSide::new(body, thickness, scene)?;
         let (contacts, prescribed, forces, tied, island) = Default::default();
-        Ok(Self { of, divisible, membrane, line, coupled, contacts, prescribed, forces, tied, island })
+        let bearing_stiffness = match kind.matter {
+            Matter::Volume { young_modulus, .. } => {
+                bearing_stiffness(kind.contact_stiffness, young_modulus, body)
+            }
+            Matter::Cloth { .. } | Matter::Rod { .. } => kind.contact_stiffness,
+        };
+        Ok(Self {
+            of,
+            divisible,
+            membrane,
+            line,
+            coupled,
+            bearing_stiffness,
+            contacts,
+            prescribed,
+            forces,
+            tied,
+            island,
+        })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -425,7 +457,8 @@ impl SoftMethod for XpbdMethod {
 
     fn terms(&self) -> Option<ContactParams<'_>> {
         let XpbdBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
-        Some(ContactParams { masses_inverse: self.of.solver.mobility(), stiffness, friction })
+        let (masses_inverse, bearing_stiffness) = (self.of.solver.mobility(), self.bearing_stiffness);
+        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {

@@ -4,6 +4,7 @@ use nalgebra::Matrix3;
 
 use super::StepMatrix;
 use super::conjugate_gradients::Preconditioner;
+use super::rigid_operator::RigidOperator;
 use crate::mass_spring::{Contact, Network};
 use crate::simd::f64x4::Quad;
 
@@ -16,7 +17,13 @@ pub(super) struct NodeBlocks {
 
 impl NodeBlocks {
     /// Builds the blocks from the current matrix.
-    pub fn update(&mut self, matrix: &StepMatrix, network: &Network, contacts: &[Contact]) {
+    pub fn update(
+        &mut self,
+        matrix: &StepMatrix,
+        network: &Network,
+        contacts: &[Contact],
+        rigid: &RigidOperator,
+    ) {
         self.inverse.clear();
         self.inverse.extend(matrix.masses.iter().map(|&mass| Matrix3::from_diagonal_element(mass)));
         for (spring, block) in network.springs.iter().zip(&matrix.springs) {
@@ -33,6 +40,12 @@ impl NodeBlocks {
         for (contact, block) in contacts.iter().zip(&matrix.contacts) {
             let own = block.matrix();
             for (node, share) in contact.joint() {
+                self.inverse[node as usize] += own * (share * share);
+            }
+        }
+        for (joint, axis, stiffness) in rigid.contacts() {
+            let own = axis * axis.transpose() * stiffness;
+            for (node, share) in joint {
                 self.inverse[node as usize] += own * (share * share);
             }
         }

@@ -5,10 +5,12 @@ pub(crate) mod block_jacobi;
 mod conjugate_gradients;
 mod network_cholesky;
 mod operator;
+mod rigid_operator;
 mod warped;
 
 use nalgebra::Vector3;
 use trocar_dynamics::particles::StepError;
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 
 use super::matrix::StepMatrix;
 use super::{Config, Input, LinearSolver, MassSpring, Network, Report, forces};
@@ -155,6 +157,9 @@ impl MassSpring {
     /// Matrix and right-hand side at the current iterate.
     fn linearise(&mut self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
         let scratch = &mut self.scratch;
+        if !input.rigid.contacts.is_empty() {
+            answer_rigid(scratch, &input.rigid, h);
+        }
         let (positions, velocities) = (&scratch.next.positions, &scratch.next.velocities);
         let matrix = &mut implicit.matrix;
         matrix.linearise(&self.network, h, self.config.lag, positions);
@@ -191,6 +196,14 @@ impl MassSpring {
                 scratch.forces[node as usize] += *total * share;
             }
         }
+
+        let pressing = input.rigid.contacts.iter().zip(&scratch.rigid.forces);
+        for (contact, force) in pressing.filter(|(_, force)| **force > 0.0) {
+            for (node, share) in contact.joint() {
+                scratch.forces[node as usize] += contact.normal * (force * share);
+            }
+        }
+        implicit.operator.rigid.take(&input.rigid, &scratch.rigid, h);
 
         let damping = self.config.damping;
         matrix.masses.clear();
@@ -236,7 +249,7 @@ impl MassSpring {
         let Implicit { matrix, operator, solver, right, change, .. } = implicit;
         let (iterations, residual) = match solver {
             Solver::Cholesky(solver) => {
-                return solver.solve(matrix, &self.network, input.contacts, right, change);
+                return solver.solve(matrix, &self.network, input.contacts, &operator.rigid, right, change);
             }
             Solver::Warped(solver, warped, _) if warped.is_ready() => {
                 solver.solve(&mut **warped, operator, right, change)
@@ -259,11 +272,13 @@ impl MassSpring {
         let Config { lag, damping, .. } = self.config;
         match solver {
             Solver::Cholesky(_) => {}
-            Solver::NodeBlocks(_, blocks) => blocks.update(matrix, &self.network, input.contacts),
+            Solver::NodeBlocks(_, blocks) => {
+                blocks.update(matrix, &self.network, input.contacts, &operator.rigid);
+            }
             Solver::Warped(_, warped, blocks) => {
                 let positions = &self.scratch.next.positions;
                 if !warped.update(&self.network, &self.mobility, (h, lag, damping), positions) {
-                    blocks.update(matrix, &self.network, input.contacts);
+                    blocks.update(matrix, &self.network, input.contacts, &operator.rigid);
                 }
             }
         }
@@ -306,6 +321,27 @@ impl MassSpring {
                 contact.depth <= contact.normal.dot(&(now - touched - contact.velocity * h))
             };
         }
+        if !input.rigid.contacts.is_empty() {
+            let mut forces = std::mem::take(&mut scratch.rigid.forces);
+            implicit.operator.rigid.change(&implicit.change, h, &mut forces);
+            answer_rigid(scratch, &input.rigid, h);
+            let both = forces.iter().zip(&scratch.rigid.forces);
+            is_settled &= both.clone().all(|(linear, now)| (*linear > 0.0) == (*now > 0.0));
+            // The impulses applied are those of the linear system.
+            scratch.rigid.forces = forces;
+        }
         is_settled
     }
+}
+
+/// The response of the rigid bodies at the end of a step of `h` \[s\] with the current velocities.
+fn answer_rigid(scratch: &mut super::Scratch, rigid: &RigidPresses<'_>, h: f64) {
+    let velocities = &scratch.next.velocities;
+    let moved = |index: usize| {
+        let contact = &rigid.contacts[index];
+        let shares = contact.joint().into_iter();
+        let along = shares.map(|(node, share)| contact.normal.dot(&velocities[node as usize]) * share);
+        h * along.sum::<f64>()
+    };
+    rigid.answer(h, moved, &mut scratch.rigid);
 }

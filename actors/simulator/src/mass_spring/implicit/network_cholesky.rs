@@ -12,10 +12,11 @@ use faer::sparse::linalg::cholesky::{
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, MatMut, Par, Side, Spec};
-use nalgebra::Vector3;
+use nalgebra::{DVector, Matrix3, Vector3};
 use trocar_dynamics::particles::StepError;
 
 use super::StepMatrix;
+use super::rigid_operator::RigidOperator;
 use crate::linear_algebra::nested_dissection;
 use crate::mass_spring::matrix::pairs;
 use crate::mass_spring::{Contact, Network};
@@ -154,10 +155,11 @@ impl NetworkCholesky {
         matrix: &StepMatrix,
         network: &Network,
         contacts: &[Contact],
+        rigid: &RigidOperator,
         right: &[Vector3<f64>],
         solution: &mut [Vector3<f64>],
     ) -> Result<(), StepError> {
-        self.assemble(matrix, network, contacts);
+        self.assemble(matrix, network, contacts, rigid);
         let Some(symbolic) = &self.symbolic else { return Err(StepError::Factorisation) };
         for (slot, right) in self.right.chunks_exact_mut(3).zip(right) {
             slot.copy_from_slice(right.as_slice());
@@ -177,13 +179,30 @@ impl NetworkCholesky {
         let rows = self.right.len();
         let vector = MatMut::from_column_major_slice_mut(&mut self.right, rows, 1);
         factor.solve_in_place_with_conj(Conj::No, vector, Par::Seq, stack);
+        if let Some((columns, less)) = rigid.gives_way(&matrix.masses) {
+            // The rigid bodies give way: a change of low rank (Woodbury 1950).
+            let mut solved = columns.clone();
+            let many = MatMut::from_column_major_slice_mut(solved.as_mut_slice(), rows, columns.ncols());
+            factor.solve_in_place_with_conj(Conj::No, many, Par::Seq, stack);
+            let inner = less - columns.tr_mul(&solved);
+            let own = columns.tr_mul(&DVector::from_column_slice(&self.right));
+            let change = inner.lu().solve(&own).ok_or(StepError::Factorisation)?;
+            let change = solved * change;
+            self.right.iter_mut().zip(change.iter()).for_each(|(own, change)| *own += change);
+        }
         for (slot, solution) in self.right.chunks_exact(3).zip(solution) {
             *solution = Vector3::from_column_slice(slot);
         }
         Ok(())
     }
 
-    fn assemble(&mut self, matrix: &StepMatrix, network: &Network, contacts: &[Contact]) {
+    fn assemble(
+        &mut self,
+        matrix: &StepMatrix,
+        network: &Network,
+        contacts: &[Contact],
+        rigid: &RigidOperator,
+    ) {
         let mut values = std::mem::take(&mut self.values);
         values.fill(0.0);
         let starts = self.pattern.col_ptr();
@@ -192,19 +211,26 @@ impl NetworkCholesky {
             let diagonal = if mass > 0.0 { mass } else { network.masses[node] };
             (0..3).for_each(|axis| values[starts[3 * node + axis]] += diagonal);
         }
-        matrix.for_each_pair(network, contacts, |a, b, weight, block| {
+        let mut add = |a: u32, b: u32, own: Matrix3<f64>| {
             let held = |node: u32| matrix.masses[node as usize] == 0.0;
             if held(a) || held(b) {
                 return;
             }
             // Symmetric, so that the block below the diagonal equals the one above it.
             let Some(places) = self.place(a.max(b), a.min(b)) else { return };
-            let own = block.matrix() * weight;
             for (axis, place) in places.into_iter().enumerate() {
                 let from = if a == b { axis } else { 0 };
                 (from..3).for_each(|of| values[place + of - from] += own[(of, axis)]);
             }
-        });
+        };
+        matrix.for_each_pair(network, contacts, |a, b, weight, block| add(a, b, block.matrix() * weight));
+        for (joint, axis, stiffness) in rigid.contacts() {
+            for (index, (a, share)) in joint.into_iter().enumerate().filter(|(_, (_, share))| *share != 0.0) {
+                for (b, weight) in joint[index..].iter().filter(|(_, weight)| *weight != 0.0) {
+                    add(a, *b, axis * axis.transpose() * (stiffness * share * weight));
+                }
+            }
+        }
         self.values = values;
     }
 }

@@ -5,6 +5,7 @@
 //! and forces on both ends of a spring stay opposite.
 
 use super::StepMatrix;
+use super::rigid_operator::RigidOperator;
 use crate::mass_spring::matrix::Block;
 use crate::mass_spring::{Contact, Network};
 use crate::simd::f64x4::Quad;
@@ -46,6 +47,8 @@ pub(super) struct Operator {
     hinges: Vec<HingeBlock<4>>,
     contacts: Vec<HingeBlock<3>>,
     flat: Option<Flat>,
+    /// Contacts with rigid bodies.
+    pub rigid: RigidOperator,
     squared_step: f64,
 }
 
@@ -157,6 +160,7 @@ impl Operator {
         for joint in &self.contacts {
             joint.add_product(vector, product);
         }
+        self.rigid.apply(vector, product);
     }
 }
 

@@ -19,6 +19,33 @@ pub(crate) enum CoulombState {
     },
 }
 
+/// What limits the friction of a contact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum FrictionLimit {
+    /// Coulomb's law: this multiple of the normal force.
+    Coefficient(f64),
+    /// A force \[N\]: with the normal force of a solution before, the law is that of a potential (Panagiotopoulos
+    /// 1975).
+    Force(f64),
+}
+
+impl From<f64> for FrictionLimit {
+    fn from(coefficient: f64) -> Self {
+        Self::Coefficient(coefficient)
+    }
+}
+
+impl FrictionLimit {
+    /// With a normal force \[N\].
+    #[inline]
+    fn force(self, normal: f64) -> f64 {
+        match self {
+            Self::Coefficient(friction) => friction * normal,
+            Self::Force(force) => force,
+        }
+    }
+}
+
 /// In one step, `share` falls at most to this fraction of itself.
 const SHARE_KEPT: f64 = 0.1;
 
@@ -62,13 +89,16 @@ impl CoulombState {
     /// latter from their sticking point, with compliance `compliance` \[m/N\]. The radial return of plasticity (Simo,
     /// Hughes, *Computational Inelasticity*, 1998, §1.2), with friction as the yield stress.
     #[inline]
-    pub fn of(apart: [f64; 3], friction: f64, compliance: f64) -> ([f64; 3], Self) {
+    pub fn of(apart: [f64; 3], limit: impl Into<FrictionLimit>, compliance: f64) -> ([f64; 3], Self) {
         // NaN counts as contact, so that it is detected.
         if apart[0] >= 0.0 {
             return ([0.0; 3], Self::Open);
         }
         let stiffness = 1.0 / compliance;
-        let most = -apart[0] * friction;
+        let most = match limit.into() {
+            FrictionLimit::Coefficient(friction) => -apart[0] * friction,
+            FrictionLimit::Force(force) => force * compliance,
+        };
         let square = apart[1] * apart[1] + apart[2] * apart[2];
         if square <= most * most {
             return (apart.map(|apart| -apart * stiffness), Self::Sticks);
@@ -82,7 +112,7 @@ impl CoulombState {
 
     /// Force of the law linearised in this state: it becomes tensile where the law would open.
     #[inline]
-    pub fn linear(&self, apart: [f64; 3], friction: f64, compliance: f64) -> [f64; 3] {
+    pub fn linear(&self, apart: [f64; 3], limit: impl Into<FrictionLimit>, compliance: f64) -> [f64; 3] {
         let stiffness = 1.0 / compliance;
         match *self {
             Self::Open => [0.0; 3],
@@ -90,7 +120,7 @@ impl CoulombState {
             Self::Slides { along: [x, y], share } => {
                 let normal = -apart[0] * stiffness;
                 let across = -(apart[2] * x - apart[1] * y) * share * stiffness;
-                let held = -friction * normal;
+                let held = -limit.into().force(normal);
                 [normal, held * x - across * y, held * y + across * x]
             }
         }
@@ -98,9 +128,9 @@ impl CoulombState {
 
     /// Adds the force derivative of a contact on two neighbouring block rows to the rod's matrix.
     #[inline]
-    pub fn add(&self, rows: &Rows, friction: f64, compliance: f64, to: &mut Added) {
+    pub fn add(&self, rows: &Rows, limit: impl Into<FrictionLimit>, compliance: f64, to: &mut Added) {
         let (first, second) = (rows.nodes[0] as usize, rows.nodes[1] as usize);
-        to.slanted |= self.slopes(rows, friction, compliance, |force, apart| {
+        to.slanted |= self.slopes(rows, limit.into(), compliance, |force, apart| {
             let apart = [apart[0].transpose(), apart[1].transpose()];
             to.diagonal[first] += force[0] * apart[0];
             to.diagonal[second] += force[1] * apart[1];
@@ -111,9 +141,14 @@ impl CoulombState {
 
     /// The force derivative of a contact on four block rows, and whether it is unsymmetric.
     #[inline]
-    pub fn blocks(&self, rows: &Rows, friction: f64, compliance: f64) -> ([[Block; 4]; 4], bool) {
+    pub fn blocks(
+        &self,
+        rows: &Rows,
+        limit: impl Into<FrictionLimit>,
+        compliance: f64,
+    ) -> ([[Block; 4]; 4], bool) {
         let mut blocks = [[Block::zeros(); 4]; 4];
-        let slanted = self.slopes(rows, friction, compliance, |force, apart| {
+        let slanted = self.slopes(rows, limit.into(), compliance, |force, apart| {
             for (of, apart) in apart.iter().enumerate() {
                 let apart = apart.transpose();
                 for (on, force) in force.iter().enumerate() {
@@ -129,7 +164,7 @@ impl CoulombState {
     fn slopes(
         &self,
         rows: &Rows,
-        friction: f64,
+        limit: FrictionLimit,
         compliance: f64,
         mut outer: impl FnMut(&[Cell; 4], &[Cell; 4]),
     ) -> bool {
@@ -144,6 +179,10 @@ impl CoulombState {
             }
             Self::Slides { along: [x, y], share } => {
                 let [normal, first, second] = &rows.cells;
+                let friction = match limit {
+                    FrictionLimit::Coefficient(friction) => friction,
+                    FrictionLimit::Force(_) => 0.0,
+                };
                 let push: [Cell; 4] =
                     std::array::from_fn(|k| normal[k] - (first[k] * x + second[k] * y) * friction);
                 outer(&push.map(|cell| cell * stiffness), normal);

@@ -12,10 +12,10 @@ pub(crate) mod semismooth_newton;
 
 pub(crate) use broad_phase::{Candidates, passed_through, passed_through_face};
 pub(crate) use constraint_rows::{Rows, Side, place, tangents};
-pub(crate) use coulomb::CoulombState;
+pub(crate) use coulomb::{CoulombState, FrictionLimit};
 pub(crate) use force_law::ForceLaw;
 pub(crate) use obstacle::Motion;
-pub use obstacle::{Obstacle, Shape};
+pub use obstacle::{Obstacle, ObstacleMobility, Shape, Yielded};
 pub(crate) use semismooth_newton::{Complementarity, SOFTENING};
 
 pub(crate) use closest_points::{nearest_on_obstacle, nearest_segments};

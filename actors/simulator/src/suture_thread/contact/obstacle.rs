@@ -1,6 +1,6 @@
 //! Obstacles that a thread can touch.
 
-use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 
 /// The shape of an obstacle in its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,13 +46,30 @@ pub struct Obstacle<'a> {
     pub to: Isometry3<f64>,
     /// Coulomb's friction coefficient of the thread on it.
     pub friction: f64,
+    /// How it gives way to the thread within the step; absent: its motion is prescribed.
+    pub mobility: Option<ObstacleMobility>,
+}
+
+/// Inverse mass of an obstacle that is free to move: `to` is its pose without the thread's forces.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObstacleMobility {
+    /// Inverse mass \[1/kg\].
+    pub mass_inverse: f64,
+    /// Centre of mass, in the obstacle's frame \[m\].
+    pub centre: Point3<f64>,
+    /// Inverse inertia tensor about it, in world axes \[1/(kg·m²)\].
+    pub inertia_inverse: Matrix3<f64>,
+    /// How far it goes by a change of velocity, at once, if it is moved by the impulses of a longer span together \[s\];
+    /// absent: it moves on freely.
+    pub lever: Option<f64>,
 }
 
 impl<'a> Obstacle<'a> {
     /// A fixed obstacle.
     #[must_use]
     pub fn fixed(shape: Shape<'a>, world_from_obstacle: Isometry3<f64>, friction: f64) -> Self {
-        Self { shape, from: world_from_obstacle, to: world_from_obstacle, friction }
+        let mobility = None;
+        Self { shape, from: world_from_obstacle, to: world_from_obstacle, friction, mobility }
     }
 
     /// What is invalid in it, if anything.
@@ -63,6 +80,16 @@ impl<'a> Obstacle<'a> {
         };
         if !self.friction.is_finite() || self.friction < 0.0 {
             return Some(format!("a friction of {}; valid: 0 or more", self.friction));
+        }
+        let is_sound = |mobility: &ObstacleMobility| {
+            mobility.mass_inverse >= 0.0
+                && mobility.mass_inverse.is_finite()
+                && finite(&mobility.centre)
+                && mobility.inertia_inverse.iter().all(|x| x.is_finite())
+                && mobility.lever.is_none_or(|lever| lever > 0.0 && lever.is_finite())
+        };
+        if !self.mobility.as_ref().is_none_or(is_sound) {
+            return Some("a mass or inertia that is not finite".to_owned());
         }
         if !pose(&self.from) || !pose(&self.to) {
             return Some("a pose that is not finite or not normalised".to_owned());
@@ -119,5 +146,50 @@ impl Motion {
             Isometry3::from_parts(Translation3::from(place), rotation)
         };
         Self { from: at(fractions[0]), to: at(fractions[1]), fractions }
+    }
+}
+
+/// How far an obstacle has given way since the beginning of a step, and how fast it does, about its centre of mass.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Yielded {
+    /// Displacement \[m\], and rotation \[rad\].
+    pub way: [Vector3<f64>; 2],
+    /// Velocity \[m/s\], and angular velocity \[rad/s\].
+    pub velocity: [Vector3<f64>; 2],
+    /// Impulse of the thread on it \[N·s\], and its moment about the centre of mass \[N·m·s\].
+    pub impulse: [Vector3<f64>; 2],
+}
+
+impl Yielded {
+    /// After `dt` seconds with a force \[N\] and torque about the centre of mass \[N·m\] on the obstacle.
+    pub(crate) fn after(
+        &self,
+        mobility: &ObstacleMobility,
+        dt: f64,
+        [force, torque]: [Vector3<f64>; 2],
+    ) -> Self {
+        let faster = [force * (mobility.mass_inverse * dt), mobility.inertia_inverse * torque * dt];
+        let velocity = match mobility.lever {
+            Some(_) => self.velocity,
+            None => [0, 1].map(|k| self.velocity[k] + faster[k]),
+        };
+        let goes = |k: usize| match mobility.lever {
+            Some(lever) => faster[k] * lever,
+            None => velocity[k] * dt,
+        };
+        Self {
+            way: [0, 1].map(|k| self.way[k] + goes(k)),
+            velocity,
+            impulse: [self.impulse[0] + force * dt, self.impulse[1] + torque * dt],
+        }
+    }
+
+    /// A pose of the obstacle that has given way so far.
+    pub(crate) fn of(&self, pose: &Isometry3<f64>, mobility: &ObstacleMobility) -> Isometry3<f64> {
+        let centre = (pose * mobility.centre).coords;
+        Translation3::from(centre + self.way[0])
+            * UnitQuaternion::from_scaled_axis(self.way[1])
+            * Translation3::from(-centre)
+            * pose
     }
 }

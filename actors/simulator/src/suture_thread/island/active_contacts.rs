@@ -6,7 +6,7 @@ use super::coupled_body::CoupledBody;
 use super::{Active, BodyTie, Failure, Island};
 use crate::linear_algebra::block_banded::Cell;
 use crate::suture_thread::contact::{
-    CoulombState, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
+    CoulombState, FrictionLimit, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
 };
 use crate::suture_thread::state::{ContactKey, ContactMemory};
 use crate::suture_thread::{Surroundings, ThreadMaterial};
@@ -58,6 +58,7 @@ impl Island {
             key: ContactKey { with: u32::MAX, edge: 0, feature: number as u32 },
             rows: tie.rows,
             friction: 0.0,
+            limit: FrictionLimit::Coefficient(0.0),
             // The rod's own motion is already in the gap.
             offset: tie.gap,
             force: tie.force,
@@ -72,7 +73,7 @@ impl Island {
         Ok(())
     }
 
-    fn contact(
+    pub(super) fn contact(
         &self,
         material: &ThreadMaterial,
         surroundings: &Surroundings,
@@ -160,6 +161,7 @@ impl Island {
             key,
             rows,
             friction,
+            limit: friction.into(),
             offset,
             force,
             compliance,

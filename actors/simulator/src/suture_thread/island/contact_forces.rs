@@ -15,7 +15,7 @@ use super::coupled_body::{CoupledBody, TieResult};
 use super::{Active, BestIterate, Failure, Island, TOLERANCE};
 use crate::linear_algebra::block_banded::{Cell, LANES};
 use crate::simd::dispatch::wide;
-use crate::suture_thread::contact::{CONTACTS_MAX, CoulombState, ForceLaw, SOFTENING};
+use crate::suture_thread::contact::{CONTACTS_MAX, CoulombState, ForceLaw, FrictionLimit, SOFTENING};
 use crate::suture_thread::{FailureCause, ThreadReport};
 
 /// Maximum factorisations in search of the states of contact springs.
@@ -24,6 +24,10 @@ const ROUNDS_MAX: usize = 10;
 const SOFTENED_ROUNDS_MAX: usize = 8;
 /// Both limits when strand contacts are among the springs.
 const KNOTTED_ROUNDS_MAX: (usize, usize) = (24, 20);
+/// Maximum solutions with limits of friction from the solution before, and factorisations in each of them.
+const FORMER_FRICTION_ROUNDS_MAX: usize = 24;
+/// See above.
+const CONVEX_ROUNDS_MAX: usize = 24;
 /// Maximum alternations between contact springs and the dense problem.
 const TURNS_MAX: usize = 5;
 /// Force tolerance \[N\]: `TOLERANCE` times the stiffness of a thread with a compliance of a metre per newton, as 2-0
@@ -105,8 +109,14 @@ impl Island {
     /// the alternation cycles. Returns whether there were any.
     fn promote_obstacle_contacts(&mut self) -> bool {
         let before = self.dense.len();
+        // The dense problem knows no obstacles that give way.
+        let stays: Vec<bool> = self.sprung.iter().map(|contact| self.gives_way(contact.key.with)).collect();
+        let mut stays = stays.into_iter();
         let Self { sprung, dense, moved, .. } = self;
         sprung.retain(|contact| {
+            if stays.next() == Some(true) {
+                return true;
+            }
             let apart = contact.offset[0] + contact.rows.apart(moved)[0];
             let is_near = contact.force[0] > 0.0 || contact.next != CoulombState::Open || apart < NEAR;
             if is_near {
@@ -120,7 +130,7 @@ impl Island {
     }
 
     /// Whether strand contacts are in the rod's matrix.
-    fn is_knotted(&self) -> bool {
+    pub(super) fn is_knotted(&self) -> bool {
         self.sprung.len() > self.with_obstacles
     }
 
@@ -133,7 +143,7 @@ impl Island {
         let (obstacles, strands) = self.sprung.split_at(self.with_obstacles);
         for contact in obstacles {
             let yields = softness * contact.compliance;
-            contact.coulomb.add(&contact.rows, contact.friction, yields, &mut self.added);
+            contact.coulomb.add(&contact.rows, contact.limit, yields, &mut self.added);
         }
         let added = (!obstacles.is_empty()).then_some(&self.added);
         let found = if strands.is_empty() {
@@ -145,7 +155,7 @@ impl Island {
             for (number, contact) in strands.iter().enumerate() {
                 if contact.coulomb != CoulombState::Open {
                     let yields = softness * contact.compliance;
-                    let (blocks, slanted) = contact.coulomb.blocks(&contact.rows, contact.friction, yields);
+                    let (blocks, slanted) = contact.coulomb.blocks(&contact.rows, contact.limit, yields);
                     self.sparse.add_couple(number, &blocks, slanted);
                 }
             }
@@ -158,7 +168,8 @@ impl Island {
             } else {
                 FailureCause::NotFinite
             },
-        })
+        })?;
+        self.eliminate_obstacles(softness)
     }
 
     /// Moves the rod with the current factors: with the forces of the dense problem, and of springs with their
@@ -170,14 +181,14 @@ impl Island {
         }
         for contact in &self.sprung {
             let yields = softness * contact.compliance;
-            let force = contact.coulomb.linear(contact.offset, contact.friction, yields);
+            let force = contact.coulomb.linear(contact.offset, contact.limit, yields);
             contact.rows.push(&force, &mut self.moved);
         }
-        if self.is_knotted() {
-            self.sparse.solve(&mut self.moved);
-        } else {
-            self.factors.solve(&mut self.moved);
-        }
+        let mut moved = std::mem::take(&mut self.moved);
+        self.solve_rod(&mut moved);
+        let change = self.let_obstacles_give_way(&mut moved, None, softness);
+        self.give_way_by(&change, false);
+        self.moved = moved;
     }
 
     /// Solves for the states of the contact springs with the forces of the dense problem fixed, starting with the
@@ -214,11 +225,56 @@ impl Island {
                 }
             }
         }
+        if self.has_giving() {
+            return self.settle_with_former_friction(report);
+        }
         if self.nearest.error.is_finite() {
             self.moved.clone_from(&self.nearest.moved);
             for (contact, force) in self.sprung.iter_mut().zip(&self.nearest.forces) {
                 contact.force = *force;
             }
+        }
+        Ok(false)
+    }
+
+    /// Where Newton's method on Coulomb's law does not converge, with obstacles that give way: limits each friction to
+    /// that of the normal force found before, from a solution without friction on. Each such problem is that of a
+    /// convex potential; a belt around a drum converges as the series of the exponential function does.
+    fn settle_with_former_friction(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        self.sprung.iter_mut().for_each(|contact| {
+            contact.limit = FrictionLimit::Force(0.0);
+            contact.next =
+                CoulombState::begin([contact.force[0], 0.0, 0.0], contact.offset, 0.0, contact.compliance);
+        });
+        let mut settled = true;
+        for _ in 0..FORMER_FRICTION_ROUNDS_MAX {
+            settled = false;
+            for _ in 0..CONVEX_ROUNDS_MAX {
+                report.sweeps += 1;
+                self.factorise(1.0)?;
+                self.carry(1.0);
+                if self.error(1.0) <= TOLERANCE {
+                    settled = true;
+                    break;
+                }
+            }
+            if !settled {
+                break;
+            }
+            let mut change = 0.0_f64;
+            for contact in &mut self.sprung {
+                let limit = contact.friction * contact.force[0];
+                if let FrictionLimit::Force(former) = contact.limit {
+                    change = change.max((limit - former).abs() * contact.compliance);
+                }
+                contact.limit = FrictionLimit::Force(limit);
+            }
+            if change <= TOLERANCE {
+                break;
+            }
+        }
+        if !settled {
+            return Err(Failure { node: 0, why: FailureCause::Unsettled });
         }
         Ok(false)
     }
@@ -229,12 +285,14 @@ impl Island {
         let (mut changed, mut off) = (false, false);
         self.rest.clear();
         self.rest.resize(self.right.len(), Cell::zeros());
-        for contact in &mut self.sprung {
-            let by = contact.rows.apart(&self.moved);
+        let mut sprung = std::mem::take(&mut self.sprung);
+        let mut residuals = vec![[0.0; 3]; if self.has_giving() { sprung.len() } else { 0 }];
+        for (index, contact) in sprung.iter_mut().enumerate() {
+            let by = self.apart(contact, &self.moved, None);
             let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
             let yields = softness * contact.compliance;
-            let linear = contact.coulomb.linear(apart, contact.friction, yields);
-            let (force, coulomb) = CoulombState::of(apart, contact.friction, yields);
+            let linear = contact.coulomb.linear(apart, contact.limit, yields);
+            let (force, coulomb) = CoulombState::of(apart, contact.limit, yields);
             let lacking: [f64; 3] = std::array::from_fn(|k| force[k] - linear[k]);
             contact.force = force;
             if lacking != [0.0; 3] {
@@ -243,9 +301,11 @@ impl Island {
                 changed |= !same && size > FORCE_TOLERANCE;
                 off = true;
                 contact.rows.push(&lacking, &mut self.rest);
+                residuals.get_mut(index).into_iter().for_each(|residual| *residual = lacking);
             }
             contact.next = contact.coulomb.next(coulomb, contact.friction);
         }
+        self.sprung = sprung;
         if !off {
             return 0.0;
         }
@@ -254,15 +314,14 @@ impl Island {
             return f64::INFINITY;
         }
         // The residual forces move the rod, and the errors move the contacts.
-        if knotted {
-            self.sparse.solve(&mut self.rest);
-        } else {
-            self.factors.solve(&mut self.rest);
-        }
+        let mut rest = std::mem::take(&mut self.rest);
+        self.solve_rod(&mut rest);
+        let change = self.let_obstacles_give_way(&mut rest, Some(&residuals), softness);
+        self.rest = rest;
         let mut largest = 0.0_f64;
         for contact in &self.sprung {
             if contact.next != CoulombState::Open {
-                let by = contact.rows.apart(&self.rest);
+                let by = self.apart(contact, &self.rest, Some(&change));
                 largest = by.iter().fold(largest, |most, by| most.max(by.abs()));
             }
         }
@@ -270,6 +329,7 @@ impl Island {
             for (moved, rest) in self.moved.iter_mut().zip(&self.rest) {
                 *moved += rest;
             }
+            self.give_way_by(&change, true);
         }
         largest
     }

@@ -8,6 +8,7 @@ mod boundary;
 pub(crate) mod contact_forces;
 pub(crate) mod coupled_body;
 mod elastic;
+mod moving_obstacles;
 
 use nalgebra::{Point3, Vector3};
 
@@ -15,7 +16,8 @@ use coupled_body::{CoupledBody, Link, Tie, TieResult, Tolerance};
 pub(crate) use elastic::TiedAround;
 
 use super::contact::{
-    Candidates, Complementarity, CoulombState, ForceLaw, Motion, Rows, passed_through, passed_through_face,
+    Candidates, Complementarity, CoulombState, ForceLaw, FrictionLimit, Motion, Rows, Yielded,
+    passed_through, passed_through_face,
 };
 use super::discrete_elastic_rod::{RodIterate, assemble};
 use super::elastic::SurfacePoint;
@@ -43,6 +45,8 @@ struct Active {
     key: ContactKey,
     rows: Rows,
     friction: f64,
+    /// What limits its friction in the current solution.
+    limit: FrictionLimit,
     /// Surface separation, and displacement from the sticking point, before this iteration \[m\].
     offset: [f64; 3],
     force: [f64; 3],
@@ -101,6 +105,9 @@ pub(crate) struct Island {
     lanes: Vec<LaneCell>,
     reach: Vec<f64>,
     motions: Vec<Motion>,
+    /// How far each obstacle has given way in this step.
+    yielded: Vec<Yielded>,
+    giving: moving_obstacles::GivingObstacles,
     candidates: Candidates,
     /// Contacts with compliant bodies, ties, and strand contacts solved beside those.
     dense: Vec<Active>,
@@ -141,6 +148,11 @@ impl Island {
         &self.reactions
     }
 
+    /// How each obstacle has given way in the step.
+    pub fn yielded(&self) -> &[Yielded] {
+        &self.yielded
+    }
+
     /// Results of the ties of the last iteration, in the coupled body's order.
     pub fn tied(&self) -> &[TieResult] {
         &self.tied
@@ -165,6 +177,8 @@ impl Island {
         self.hold_torques.resize(surroundings.twist_holds.len(), 0.0);
         self.reactions.clear();
         self.reactions.resize(surroundings.obstacles.len(), Reaction::default());
+        self.yielded.clear();
+        self.yielded.resize(surroundings.obstacles.len(), Yielded::default());
     }
 
     /// Advances the state by `dt`, or leaves it unchanged.
@@ -259,8 +273,10 @@ impl Island {
                 (hold.to - self.trial.positions[hold.node]).norm() * (fractions[1] - fractions[0]) / left;
             self.reach[hold.node] = self.reach[hold.node].max(1.1 * way);
         }
-        self.seek(material, surroundings);
         self.former.clone_from(&self.trial.contacts);
+        self.begin_giving_way(surroundings, dt);
+        self.seek(material, surroundings);
+        self.expect_giving_way(material, surroundings);
         self.tied.clear();
         for iteration in 0..tolerance.iterations {
             report.iterations += 1;
@@ -269,6 +285,7 @@ impl Island {
             self.answer(companion, report)?;
             let damped = self.damp(iteration);
             let of_rod = self.advance(material)?;
+            self.advance_obstacles();
             let of_companion = self.advance_companion(companion)?;
             let largest = of_rod.max(of_companion);
             self.guard(material, surroundings, companion)?;
@@ -393,6 +410,7 @@ impl Island {
         let damped = both < -0.5 * before && now > 0.25 * before;
         if damped {
             self.moved.iter_mut().for_each(|moved| *moved *= 0.5);
+            self.giving.damp();
         }
         self.last.clone_from(&self.moved);
         damped
@@ -512,6 +530,7 @@ impl Island {
         surroundings: &Surroundings,
     ) {
         self.feel(material, fractions, surroundings);
+        self.end_giving_way(dt);
         let state = &mut self.trial;
         for node in 0..state.positions.len() {
             state.velocities[node] = (self.at.positions[node] - state.positions[node]) / dt;

@@ -1,8 +1,8 @@
 //! Additional controllers on a stage, each at its own rate.
 
 use trocar_scene::{
-    BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, Jobs, SimTime,
-    Tick, WriterRules,
+    BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, JobOutput, Jobs,
+    SimTime, Tick, WriterRules,
 };
 
 use super::Stage;
@@ -14,6 +14,8 @@ pub struct Other {
     rules: WriterRules,
     commands: Commands,
     ticks: u64,
+    /// Outputs of jobs, for the next tick.
+    finished: Vec<(u64, JobOutput)>,
     /// Time of its last tick.
     last: SimTime,
     /// Ticks of the first controller per tick of this one.
@@ -40,7 +42,16 @@ impl Other {
         let registry = stage.store.view().registry().clone();
         let rules = WriterRules::compile(&controller.access(), &registry, me).expect("its access");
         let commands = Commands::new(registry, EntityAllocator::new(0, number));
-        Self { controller: Box::new(controller), me, rules, commands, ticks: 0, last: stage.now(), every }
+        Self {
+            controller: Box::new(controller),
+            me,
+            rules,
+            commands,
+            ticks: 0,
+            finished: Vec::new(),
+            last: stage.now(),
+            every,
+        }
     }
 
     /// Restarts it, from the scene alone, without time passing.
@@ -59,6 +70,7 @@ impl Other {
         self.last = stage.now();
         let scene = stage.store.snapshot();
         let jobs = Jobs::default();
+        self.finished.drain(..).for_each(|(key, output)| jobs.deliver(key, output));
         let tick = Tick {
             time: stage.now(),
             period: SimTime(1_000_000 * u64::from(self.every)),
@@ -69,6 +81,9 @@ impl Other {
             jobs: &jobs,
         };
         self.controller.tick(&tick, &scene, &mut self.commands).expect("a look");
+        while let Some(job) = jobs.next_submitted() {
+            self.finished.push((job.key, (job.work)()));
+        }
         self.commands.seal();
         stage.store.validate(&self.commands, &self.rules).expect("what it declared");
         let now = stage.now();

@@ -3,6 +3,7 @@
 //!
 //! Times are processor times of the thread: other load on the machine is not counted.
 
+mod bearing;
 mod bodies;
 mod fem;
 mod flows;
@@ -110,6 +111,11 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
 /// Two rates in one scene, live.
 pub fn live() -> Result<Vec<BenchResult>, Failure> {
     live::live()
+}
+
+/// Rigid bodies that lie on soft ones, live.
+pub fn bearing() -> Result<Vec<BenchResult>, Failure> {
+    bearing::bearing()
 }
 
 /// Every scene, live.

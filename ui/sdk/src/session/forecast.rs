@@ -1,0 +1,177 @@
+//! What a scenario asks for that its methods cannot bear, told before it starts.
+//!
+//! For each rigid body that lies above a soft one the static depth is estimated: that of a ball on a half-space (Hertz
+//! 1881) or of a flat punch (Boussinesq, in Johnson, *Contact Mechanics*, 1985, §3.4), and the compression of the column
+//! below it.
+
+use nalgebra::{Point3, Vector3};
+use trocar_engine::EngineSoftBody;
+use trocar_scene::{Entity, Motion, RigidBody, Scenario, Shape, Snapshot, TetMesh, VertexPositions};
+use trocar_simulator::controller::{DynamicFemBody, LinearFemBody, MassSpringBody, XpbdBody};
+
+/// Share of a body's thickness down to which it bears what lies on it.
+const DEPTH_SHARE: f64 = 0.3;
+/// The same in cells for networks of springs: deeper, their cells turn inside out, also because a body that comes to lie on
+/// them sinks in twice as deep at first.
+const DEPTH_CELLS: f64 = 0.25;
+/// Lowest rate of a controller of rigid bodies that soft ones bear \[Hz\].
+const RIGID_HZ: f64 = 50.0;
+
+/// A soft volume.
+struct Soft {
+    entity: Entity,
+    young_modulus: f64,
+    poisson_ratio: f64,
+    /// Whether its cells turn inside out in large deformation.
+    folds: bool,
+}
+
+/// The box of an entity's vertices or shape, in world \[m\]; `None` for an entity without extent.
+fn bounds(scene: &Snapshot, entity: Entity) -> Option<[Point3<f64>; 2]> {
+    let pose = scene.world_pose(entity);
+    let places: Vec<Point3<f64>> = match (scene.get::<VertexPositions>(entity), scene.get::<Shape>(entity)) {
+        (Some(vertices), _) => vertices.positions.iter().map(|at| pose * at).collect(),
+        (None, Some(shape)) => {
+            let half = match *shape {
+                Shape::Box { half_extents } => half_extents,
+                Shape::Sphere { radius } => [radius; 3],
+                Shape::Cylinder { radius, half_height } => [radius, radius, half_height],
+                Shape::Capsule { radius, half_height } => [radius, radius, half_height + radius],
+                _ => return None,
+            };
+            let corner = |k: u32| {
+                Point3::from(Vector3::from_fn(|i, _| if k >> i & 1 == 0 { -half[i] } else { half[i] }))
+            };
+            (0..8).map(|k| pose * corner(k)).collect()
+        }
+        _ => return None,
+    };
+    let first = *places.first()?;
+    Some(places.iter().fold([first; 2], |[low, high], at| [low.inf(at), high.sup(at)]))
+}
+
+/// The soft volumes of a scene.
+fn softs(scene: &Snapshot) -> Vec<Soft> {
+    let mut softs = Vec::new();
+    let mut add = |entity, young_modulus, poisson_ratio, folds| {
+        softs.push(Soft { entity, young_modulus, poisson_ratio, folds });
+    };
+    for (entity, of) in scene.iter::<DynamicFemBody>() {
+        add(entity, of.young_modulus, of.poisson_ratio, false);
+    }
+    for (entity, of) in scene.iter::<LinearFemBody>() {
+        add(entity, of.young_modulus, of.poisson_ratio, false);
+    }
+    for (entity, of) in scene.iter::<EngineSoftBody>() {
+        add(entity, of.young_modulus, of.poisson_ratio, false);
+    }
+    for (entity, of) in scene.iter::<XpbdBody>() {
+        if let Some([young_modulus, poisson_ratio]) = of.volume() {
+            add(entity, young_modulus, poisson_ratio, false);
+        }
+    }
+    for (entity, of) in scene.iter::<MassSpringBody>() {
+        if let Some(young_modulus) = of.volume() {
+            // Springs of a volume are a continuum with this ratio (Van Gelder 1998).
+            add(entity, young_modulus, 0.25, true);
+        }
+    }
+    softs
+}
+
+/// Estimated static depth of a rigid body on a soft one \[m\].
+fn depth(force: f64, rigid: &[Point3<f64>; 2], is_round: bool, soft: &[Point3<f64>; 2], of: &Soft) -> f64 {
+    let plane_modulus = of.young_modulus / (1.0 - of.poisson_ratio * of.poisson_ratio);
+    let (size, wide) = (rigid[1] - rigid[0], soft[1] - soft[0]);
+    let radius = 0.5 * size.x.min(size.y);
+    if is_round {
+        let hertz = (force / (4.0 / 3.0 * plane_modulus * radius.sqrt())).powf(2.0 / 3.0);
+        if hertz < radius {
+            return hertz;
+        }
+    }
+    let punch = force / (2.0 * radius * plane_modulus);
+    let area = size.x.min(wide.x) * size.y.min(wide.y);
+    let column = force * wide.z / (of.young_modulus * area);
+    // Under a wide body it is the column that yields, under a narrow one the half-space.
+    punch.min(column)
+}
+
+/// Warnings about a scenario at its beginning, one sentence each with the remedy.
+#[must_use]
+pub fn forecast(scene: &Snapshot, scenario: &Scenario) -> Vec<String> {
+    let gravity = scenario.gravity_in_world;
+    let softs = softs(scene);
+    let mut told = Vec::new();
+    let moving: Vec<(Entity, &RigidBody)> =
+        scene.iter::<RigidBody>().filter(|(_, body)| body.motion == Motion::Dynamic).collect();
+    if moving.is_empty() {
+        return told;
+    }
+    // The weight acts along −z; scenarios with another direction are not estimated.
+    if gravity.z < 0.0 && gravity.xy().norm() < 0.1 * gravity.norm() {
+        for (entity, body) in &moving {
+            let Some(rigid) = bounds(scene, *entity) else { continue };
+            let size = rigid[1] - rigid[0];
+            let is_round = (size.max() - size.min()) < 0.1 * size.max();
+            let mut warned = false;
+            for of in &softs {
+                let Some(soft) = bounds(scene, of.entity) else { continue };
+                let is_above = (0..2).all(|k| rigid[0][k] < soft[1][k] && rigid[1][k] > soft[0][k])
+                    && rigid[0].z > 0.5 * (soft[0].z + soft[1].z);
+                if !is_above || warned {
+                    continue;
+                }
+                let thickness = soft[1].z - soft[0].z;
+                let found = depth(body.mass * gravity.norm(), &rigid, is_round, &soft, of);
+                let cell = if of.folds { cell(scene, of.entity) } else { f64::INFINITY };
+                let most = (DEPTH_SHARE * thickness).min(DEPTH_CELLS * cell);
+                if found > most {
+                    warned = true;
+                    told.push(format!(
+                        "{}: on {} it would sink in by about {:.1} mm, and {} bears it down to {:.1} mm ({}): take a \
+                         stiffer body (young_modulus), a lighter mass, a larger support{}",
+                        scene.name(*entity),
+                        scene.name(of.entity),
+                        1e3 * found,
+                        scene.name(of.entity),
+                        1e3 * most,
+                        if of.folds && DEPTH_CELLS * cell < DEPTH_SHARE * thickness {
+                            "a quarter of its cells"
+                        } else {
+                            "30 % of its thickness"
+                        },
+                        if of.folds { ", or 'dynamic_fem'" } else { "" },
+                    ));
+                }
+            }
+        }
+    }
+    for entry in &scenario.controllers {
+        if matches!(entry.kind.as_str(), "rapier" | "rigid-bodies") && entry.rate_hz < RIGID_HZ {
+            told.push(format!(
+                "{}: at {} Hz soft bodies do not bear its bodies reliably: take {RIGID_HZ} Hz or more",
+                entry.name, entry.rate_hz
+            ));
+        }
+    }
+    told
+}
+
+/// Mean edge of a volume's cells \[m\].
+fn cell(scene: &Snapshot, entity: Entity) -> f64 {
+    let (Some(mesh), Some(vertices)) = (scene.get::<TetMesh>(entity), scene.get::<VertexPositions>(entity))
+    else {
+        return f64::INFINITY;
+    };
+    let volume: f64 = mesh
+        .tets
+        .iter()
+        .map(|tet| {
+            let [a, b, c, d] = tet.map(|node| vertices.positions[node as usize]);
+            (b - a).cross(&(c - a)).dot(&(d - a)).abs() / 6.0
+        })
+        .sum();
+    // Five to six tetrahedra fill a cube.
+    (volume / mesh.tets.len().max(1) as f64 * 5.5).cbrt()
+}
