@@ -114,14 +114,15 @@ impl Grasper {
         let hinge_in_world = state.tip_in_world * hinge;
         let lever = hinge_in_world.coords - state.tip_in_world.translation.vector;
         let moments = gyration.component_mul(&gyration) * palm_mass;
+        let (iterations, sweeps) = settings.grasp_effort(instrument.jaw_force_max);
         let body = RigidBodyBuilder::dynamic()
             .pose(isometry_to_rapier(&state.tip_in_world))
             .linvel(vector_to_rapier(&(state.velocity.linear + state.velocity.angular.cross(&lever))))
             .angvel(vector_to_rapier(&state.velocity.angular))
             .gravity_scale(0.0)
             .can_sleep(false)
-            .additional_solver_iterations(settings.grasp_iterations)
-            .additional_pgs_iterations(settings.grasp_sweeps)
+            .additional_solver_iterations(iterations)
+            .additional_pgs_iterations(sweeps)
             .additional_mass_properties(MassProperties::new(
                 vector_to_rapier(&hinge.coords),
                 palm_mass,

@@ -2,7 +2,7 @@
 //! force, like the rod in the shaft.
 //!
 //! Each jaw turns on a revolute joint of the palm. The *drive* acts between the two jaws: a position servo on the full
-//! opening, with limited torque. The *linkage* acts between each jaw and the palm: a stiff spring that keeps the jaws
+//! opening, with limited torque; it also pins the jaws to each other. The *linkage* acts between each jaw and the palm: a stiff spring that keeps the jaws
 //! symmetric, so that a squeezed body cannot swing both of them aside.
 
 use nalgebra::{Isometry3, Vector3};
@@ -88,6 +88,7 @@ impl Jaws {
         let linkage_stiffness = LINKAGE_STIFFNESS * length * length;
         let servo_stiffness = torque_max / SATURATION_ANGLE;
         let critical = |stiffness: f64, inertia: f64| 2.0 * (stiffness * inertia).sqrt();
+        let (iterations, sweeps) = settings.grasp_effort(instrument.jaw_force_max);
         let mut this = Self {
             jaws: Vec::with_capacity(count),
             drive: None,
@@ -112,8 +113,8 @@ impl Jaws {
                 .angvel(vector_to_rapier(&spin))
                 .gravity_scale(0.0)
                 .can_sleep(false)
-                .additional_solver_iterations(settings.grasp_iterations)
-                .additional_pgs_iterations(settings.grasp_sweeps)
+                .additional_solver_iterations(iterations)
+                .additional_pgs_iterations(sweeps)
                 .additional_mass_properties(MassProperties::new(
                     Vector::new(0.0, 0.0, -length),
                     mass,
@@ -132,7 +133,10 @@ impl Jaws {
             this.jaws.push(Jaw { body, collider, hinge });
         }
         if let [a, b] = this.jaws[..] {
-            let joint = GenericJointBuilder::new(JointAxesMask::empty())
+            // The pin of the hinge holds the jaws to each other too. What they squeeze pushes them apart with many times
+            // the force that the palm bears, and by way of the palm alone the solver would take dozens of sweeps to
+            // cancel the two: until then the jaws shift along each other, and carry the body's faces with them.
+            let joint = GenericJointBuilder::new(JointAxesMask::LOCKED_REVOLUTE_AXES)
                 .local_frame1(hinge_frame(length))
                 .local_frame2(hinge_frame(length))
                 .contacts_enabled(false)

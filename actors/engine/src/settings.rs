@@ -1,6 +1,6 @@
 //! Settings of the physics engine, and their valid ranges.
 
-use nalgebra::Vector3;
+use nalgebra::{ComplexField, Vector3};
 use rapier3d_f64::dynamics::{FrictionModel, IntegrationParameters, SpringCoefficients};
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::rigid_world::{WorldSettings, check_setting};
@@ -10,6 +10,16 @@ use crate::EngineError;
 /// Rapier's length unit \[m\]: its tolerances are proportional to it.
 pub(crate) const LENGTH_UNIT: f64 = 0.01;
 
+/// Jaw force up to which the settings of peg transfer hold \[N\].
+const EASY_FORCE: f64 = 2.0;
+/// Most iterations and sweeps of strong jaws, in those of weak ones.
+const EFFORT_MAX: f64 = 3.0;
+
+/// A jaw force in units of what is easily held; at least 1.
+fn strength(jaw_force_max: f64) -> f64 {
+    (jaw_force_max / EASY_FORCE).max(1.0)
+}
+
 /// How the world is stepped. Grasping a 5 g ring by friction was measured with the defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -18,10 +28,11 @@ pub struct EngineSettings {
     pub substep_secs: f64,
     /// Solver iterations per step, for bodies that no instrument touches.
     pub solver_iterations: usize,
-    /// Additional iterations for bodies that an instrument touches.
+    /// Additional iterations for bodies that an instrument of up to 2 N jaw force touches; strong jaws take up to three
+    /// times as many.
     pub grasp_iterations: usize,
     /// Additional sweeps over all constraints in each of those iterations: they balance hinge, drive and contact of a
-    /// jaw (with 0 a held ring creeps by 0.5 mm/s).
+    /// jaw (with 0 a held ring creeps by 0.5 mm/s). Strong jaws take up to three times as many.
     pub grasp_sweeps: usize,
     /// Acceleration of gravity in world \[m/s²\].
     pub gravity_in_world: Vector3<f64>,
@@ -90,12 +101,30 @@ impl EngineSettings {
         }
     }
 
-    /// Rapier's own parameters.
+    /// Additional iterations, and sweeps in each of them, for bodies that jaws of this force \[N\] touch.
     ///
-    /// With its defaults (30 Hz contact softness, metre-sized tolerances) jaws sink millimetres into a ring.
-    pub(crate) fn integration_parameters(&self) -> IntegrationParameters {
-        let stiff = SpringCoefficients { natural_frequency: 1000.0, damping_ratio: 10.0 };
+    /// In each iteration, the jaws of a light body gain and lose a speed in proportion to their force. The more there is
+    /// to balance, the more sweeps it takes until friction and hinge hold what the contacts push.
+    pub(crate) fn grasp_effort(&self, jaw_force_max: f64) -> (usize, usize) {
+        let times = strength(jaw_force_max).min(EFFORT_MAX);
+        let more = |count: usize| (count as f64 * times).ceil() as usize;
+        (more(self.grasp_iterations), more(self.grasp_sweeps))
+    }
+
+    /// Rapier's own parameters, for a world whose strongest jaws have this force \[N\].
+    ///
+    /// With its defaults (30 Hz contact softness, metre-sized tolerances) jaws sink millimetres into a ring. A contact of
+    /// Rapier is a spring of stiffness m (2π f)², with the mass m of what touches, and it pushes apart at a bounded
+    /// speed: jaws whose force is above what this speed can bear close through the body. Stiffness and speed therefore
+    /// grow with the force, so that jaws of any force sink in by the same depth. The contact is never harder than it must
+    /// be: it is its softness that spreads a pad's load over all of its points. Where one corner carries all, nothing
+    /// keeps the body from turning about it.
+    pub(crate) fn integration_parameters(&self, jaw_force_max: f64) -> IntegrationParameters {
+        let times = strength(jaw_force_max);
+        let root = ComplexField::sqrt(times);
+        let stiff = SpringCoefficients { natural_frequency: 1000.0 * root, damping_ratio: 10.0 / root };
         IntegrationParameters {
+            normalized_max_corrective_velocity: if jaw_force_max > 0.0 { 12.0 * times * root } else { 3.0 },
             dt: self.substep_secs,
             min_ccd_dt: self.substep_secs / 100.0,
             contact_softness: stiff,

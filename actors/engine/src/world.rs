@@ -34,6 +34,7 @@ use trocar_dynamics::rigid_world::{FLOOR_HALF_EXTENTS, check};
 use crate::anticipate::first_obstacle;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;
+use crate::jaws::jaw_count;
 use crate::penalty::{Penalties, PoseHistory};
 use crate::settings::EngineSettings;
 use crate::{EngineError, contacts, shapes};
@@ -109,7 +110,7 @@ impl RigidWorld {
         settings.check()?;
         let mut physics = PhysicsWorld {
             gravity: vector_to_rapier(&settings.gravity_in_world),
-            integration_parameters: settings.integration_parameters(),
+            integration_parameters: settings.integration_parameters(0.0),
             ..PhysicsWorld::default()
         };
         if let Some(height) = settings.floor_height {
@@ -269,7 +270,18 @@ impl RigidWorld {
         grasper.track = track.unwrap_or_default();
         grasper.hold = hold.filter(|hold| self.bodies.contains_key(&hold.held));
         self.graspers.insert(entity, grasper);
+        self.fit_contacts();
         Ok(())
+    }
+
+    /// Fits the contacts to the strongest jaws.
+    fn fit_contacts(&mut self) {
+        let force = |grasper: &Grasper| {
+            let instrument = grasper.instrument();
+            if jaw_count(instrument) > 0 { instrument.jaw_force_max } else { 0.0 }
+        };
+        let strongest = self.graspers.values().map(force).fold(0.0, f64::max);
+        self.physics.integration_parameters = self.settings.integration_parameters(strongest);
     }
 
     /// Removes a body or an instrument. Returns whether it existed.
@@ -296,6 +308,7 @@ impl RigidWorld {
                 self.forget(grasper.palm());
                 self.tools.remove(&entity);
                 grasper.remove(&mut self.physics);
+                self.fit_contacts();
                 true
             }
             None => false,
