@@ -37,9 +37,14 @@ pub(super) struct Row {
     pub undo: f64,
     surface: Vector3<f64>,
     friction: f64,
+    /// Compliance: velocity by which it gives way per impulse \[1/kg\], and the friction at which it does not give way.
+    softness: f64,
+    relaxed: Vector3<f64>,
     /// Effective mass along the normal, and in all directions.
     normal_mass: f64,
     mass: Matrix3<f64>,
+    /// The same along the normal for the split impulses, which no drive resists.
+    undo_mass: f64,
     /// Effective mass in the tangential direction in which it is least.
     least_mass: f64,
     /// Mean velocity change per impulse over all directions \[1/kg\].
@@ -78,8 +83,11 @@ impl Row {
                 opening: openings[side],
             }
         });
+        let mut yields_alone = normal.dot(&(feels * normal));
         for arm in openings.iter().flatten() {
-            feels += arm.arm * arm.arm.transpose() * turning[arm.joint as usize].inverse;
+            let turning = &turning[arm.joint as usize];
+            feels += arm.arm * arm.arm.transpose() * turning.inverse;
+            yields_alone += arm.arm.dot(&normal).powi(2) * turning.inverse_alone;
         }
         Self {
             sides,
@@ -89,7 +97,10 @@ impl Row {
             undo: 0.0,
             surface: contact.surface_velocity,
             friction: contact.friction,
+            softness: 0.0,
+            relaxed: Vector3::zeros(),
             normal_mass: 1.0 / normal.dot(&(feels * normal)),
+            undo_mass: 1.0 / yields_alone,
             mass: feels.try_inverse().unwrap_or_else(Matrix3::zeros),
             least_mass: 1.0 / tangential_mobility_max(&feels, &normal),
             yields: feels.trace() / 3.0,
@@ -104,11 +115,79 @@ impl Row {
         self.normal * self.along + self.across
     }
 
+    /// Makes it give way like springs of this stiffness \[N/m\] along the normal and across, in a step of `dt` that ends
+    /// at their force. At depth `depth` \[m\] the spring along the normal pushes apart by it; those across begin at the
+    /// friction of the last step.
+    pub fn soften(&mut self, stiffness: f64, depth: f64, dt: f64) {
+        self.softness = 1.0 / (stiffness * dt * dt);
+        self.normal_mass = 1.0 / (1.0 / self.normal_mass + self.softness);
+        self.mass = self
+            .mass
+            .try_inverse()
+            .and_then(|feels| (feels + Matrix3::identity() * self.softness).try_inverse())
+            .unwrap_or(self.mass);
+        self.wanted = depth / dt;
+    }
+
+    /// Its compliance \[1/kg\].
+    pub fn softness(&self) -> f64 {
+        self.softness
+    }
+
+    /// Velocity that a direct solve is to reach without its own impulses: what it gives way is added there.
+    pub fn target(&self) -> Vector3<f64> {
+        self.normal * self.wanted + self.relaxed * self.softness
+    }
+
+    /// Coulomb's coefficient.
+    pub fn friction(&self) -> f64 {
+        self.friction
+    }
+
+    /// Whether it presses.
+    pub fn is_loaded(&self) -> bool {
+        self.along > 0.0
+    }
+
+    /// Whether jaws move its point.
+    pub fn has_openings(&self) -> bool {
+        self.has_openings
+    }
+
+    /// Change of this contact's velocity per impulse at another one \[1/kg\].
+    pub fn mobility(&self, other: &Self, turning: &[Turning]) -> Matrix3<f64> {
+        let mut sum = Matrix3::zeros();
+        for (own, sign) in self.sides.iter().zip([1.0, -1.0]) {
+            for (side, pushes) in other.sides.iter().zip([1.0, -1.0]) {
+                if own.body == side.body {
+                    sum += Matrix3::identity() * (sign * side.moves) - own.arm.cross_matrix() * side.turns;
+                }
+                if let (Some(arm), Some(by)) = (own.opening, side.opening)
+                    && arm.joint == by.joint
+                {
+                    let inverse = turning[arm.joint as usize].inverse;
+                    sum += arm.arm * by.arm.transpose() * (sign * pushes * inverse);
+                }
+            }
+        }
+        sum
+    }
+
+    /// Changes its impulse to this one, within its cone.
+    pub fn take(&mut self, impulse: &Vector3<f64>, twists: &mut [Twist], turning: &mut [Turning]) {
+        let before = self.impulse();
+        self.along = impulse.dot(&self.normal).max(0.0);
+        let across = impulse - self.normal * impulse.dot(&self.normal);
+        self.across = across * (self.friction * self.along / across.norm().max(f64::MIN_POSITIVE)).min(1.0);
+        self.push(&(self.impulse() - before), twists, turning);
+    }
+
     /// Applies the warm-start impulse.
     pub fn warm(&mut self, held: &Vector3<f64>, twists: &mut [Twist], turning: &mut [Turning]) {
         self.along = held.dot(&self.normal).max(0.0);
         let across = held - self.normal * held.dot(&self.normal);
         self.across = across * (self.friction * self.along / across.norm().max(f64::MIN_POSITIVE)).min(1.0);
+        self.relaxed = self.across;
         self.push(&self.impulse(), twists, turning);
     }
 
@@ -116,7 +195,8 @@ impl Row {
     #[inline]
     pub fn solve(&mut self, twists: &mut [Twist], undo: &mut [Twist], turning: &mut [Turning]) -> f64 {
         let slip = self.speed_along(twists, turning);
-        let along = (self.along + self.normal_mass * (self.wanted - slip)).max(0.0);
+        let missing = self.wanted - slip - self.softness * self.along;
+        let along = (self.along + self.normal_mass * missing).max(0.0);
         let more = along - self.along;
         let mut change = more.abs() * self.yields;
         self.along = along;
@@ -131,7 +211,10 @@ impl Row {
         let most = self.friction * self.along;
         if most > 0.0 || self.across != Vector3::zeros() {
             let slip = self.speed(twists, turning);
-            let slip = slip - self.normal * slip.dot(&self.normal);
+            let mut slip = slip - self.normal * slip.dot(&self.normal);
+            if self.has_openings {
+                slip += (self.across - self.relaxed) * self.softness;
+            }
             let mut across = self.across - self.mass * slip;
             across -= self.normal * across.dot(&self.normal);
             if across.norm_squared() > most * most {
@@ -143,12 +226,18 @@ impl Row {
             self.across = across;
             self.push(&impulse, twists, turning);
         }
-        let gap = self.twist_along(undo);
-        let undone = (self.undone + self.normal_mass * (self.undo - gap)).max(0.0);
+        let mut gap = self.twist_along(undo);
+        if self.has_openings {
+            gap += self.undone_by_openings(turning).dot(&self.normal);
+        }
+        let undone = (self.undone + self.undo_mass * (self.undo - gap)).max(0.0);
         let more = undone - self.undone;
         if more != 0.0 {
             self.undone = undone;
             self.push_along(more, undo);
+            if self.has_openings {
+                self.undo_openings(&(self.normal * more), turning);
+            }
         }
         change.max(more.abs() * self.yields)
     }
@@ -169,7 +258,7 @@ impl Row {
     }
 
     #[inline]
-    fn speed(&self, twists: &[Twist], turning: &[Turning]) -> Vector3<f64> {
+    pub fn speed(&self, twists: &[Twist], turning: &[Turning]) -> Vector3<f64> {
         let [a, b] = &self.sides;
         let ([va, wa], [vb, wb]) = (&twists[a.body], &twists[b.body]);
         let speed = va - vb + wa.cross(&a.arm) + wb.cross(&b.arm) - self.surface;
@@ -203,6 +292,23 @@ impl Row {
             side.opening.map_or_else(Vector3::zeros, |arm| arm.arm * turning[arm.joint as usize].rate)
         };
         of(&self.sides[0]) - of(&self.sides[1])
+    }
+
+    /// The same for the split impulses.
+    fn undone_by_openings(&self, turning: &[Turning]) -> Vector3<f64> {
+        let of = |side: &Side| {
+            side.opening.map_or_else(Vector3::zeros, |arm| arm.arm * turning[arm.joint as usize].undo)
+        };
+        of(&self.sides[0]) - of(&self.sides[1])
+    }
+
+    fn undo_openings(&self, impulse: &Vector3<f64>, turning: &mut [Turning]) {
+        for (side, sign) in self.sides.iter().zip([1.0, -1.0]) {
+            if let Some(Arm { joint, arm }) = side.opening {
+                let turning = &mut turning[joint as usize];
+                turning.undo += sign * turning.inverse_alone * arm.dot(impulse);
+            }
+        }
     }
 
     fn turn(&self, impulse: &Vector3<f64>, turning: &mut [Turning]) {

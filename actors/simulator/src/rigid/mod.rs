@@ -7,10 +7,12 @@
 //! | Contacts | `contact.rs` |
 //! | Jaw joints and their drives | `jaw_joint.rs` |
 //! | Impulse solver: a step, a contact, islands | `sequential_impulses.rs`, `contact_constraint.rs`, `islands.rs` |
+//! | What jaws hold, solved directly | `direct_grasp.rs` |
 
 mod body;
 mod contact;
 pub(crate) mod contact_constraint;
+mod direct_grasp;
 mod error;
 mod islands;
 pub(crate) mod jaw_joint;
