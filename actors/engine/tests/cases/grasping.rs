@@ -4,7 +4,7 @@ use super::W;
 use super::common::*;
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::rigid_world::World;
-use trocar_scene::components::{Instrument, Pose};
+use trocar_scene::components::{Instrument, Motion, Pose, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
 
 const WEIGHT: f64 = RING_MASS * 9.81;
@@ -214,4 +214,110 @@ fn the_grasp_constraint_needs_two_jaws() {
     let build = Instrument { grasp_assist: true, jaws: 1, ..instrument(1.5, 0.6) };
     let (world, ring, _) = lifted(&build, 0.5);
     assert!(height(&world, ring) < 0.003);
+}
+
+/// A block on a table, and jaws of 10 mm that close about it and lift it by 40 mm.
+#[derive(Clone, Copy, Debug)]
+struct BlockGrasp {
+    jaw_force: f64,
+    mass: f64,
+    friction: f64,
+    /// Half of the block's width between the jaws \[m\]: at 1.5 mm the pads are parallel, wider ones wedge it out.
+    half_width: f64,
+}
+
+/// What became of a block.
+#[derive(Clone, Copy, Debug)]
+struct BlockGrasped {
+    is_held: bool,
+    /// How far the jaws threw it aside while they closed, how far it slipped in them after they closed, and how far in
+    /// the last 0.3 s \[m\].
+    thrown: f64,
+    slipped: f64,
+    creeps: f64,
+    /// How deep the jaws were in it \[m\].
+    penetration: f64,
+}
+
+impl BlockGrasp {
+    fn run(self) -> BlockGrasped {
+        let block = Entity::new(0, 0, 40);
+        let mut world = world();
+        let table = RigidBody { friction: 0.5, ..RigidBody::default() };
+        let slab = Shape::Box { half_extents: [0.1, 0.1, 0.005] };
+        world
+            .insert_body(BOARDS[0], &table, &slab, &Pose::at(0.0, 0.0, -0.005), &Velocity::default())
+            .unwrap();
+        let body = RigidBody {
+            motion: Motion::Dynamic,
+            mass: self.mass,
+            friction: self.friction,
+            ..RigidBody::default()
+        };
+        let shape = Shape::Box { half_extents: [self.half_width, 0.004, 0.004] };
+        world.insert_body(block, &body, &shape, &Pose::at(0.0, 0.0, 0.004), &Velocity::default()).unwrap();
+        let jaws =
+            Instrument { jaw_length: 0.01, jaw_angle_max: 1.2, ..instrument(self.jaw_force, self.friction) };
+        let mut hands = [TestHand::new(&mut world, LEFT, &jaws, pointing_down(0.0, 0.0, 0.003), 1.0)];
+        let mut penetration: f64 = 0.0;
+        let mut watch = |world: &mut W, _: f64| {
+            let held = |pair: [Entity; 2]| pair.contains(&LEFT) && pair.contains(&block);
+            let depths = world.contacts().iter().filter(|at| held([at.a.0, at.b.0])).map(|at| at.depth);
+            penetration = depths.fold(penetration, f64::max);
+        };
+        run(&mut world, &mut hands, 0.5, |_, t, hand| hand.jaw_angle = 1.0 - 2.0 * t, &mut watch);
+        run(&mut world, &mut hands, 0.1, hold_still, &mut watch);
+        let thrown = world.pose(block).unwrap().translation.xy().norm();
+        let begin = relative_pose(&world, block).translation.vector;
+        let raise = |_: usize, t: f64, hand: &mut TestHand| {
+            hand.tip.translation.vector.z = 0.003 + 0.04 * minimum_jerk(t, 0.5);
+        };
+        run(&mut world, &mut hands, 0.6, raise, &mut watch);
+        let lifted = relative_pose(&world, block).translation.vector;
+        run(&mut world, &mut hands, 0.3, hold_still, &mut watch);
+        let end = relative_pose(&world, block).translation.vector;
+        BlockGrasped {
+            is_held: height(&world, block) > 0.03,
+            thrown,
+            slipped: (end - begin).norm(),
+            creeps: (end - lifted).norm(),
+            penetration,
+        }
+    }
+}
+
+#[test]
+fn jaws_of_any_force_hold_a_block_that_friction_can_bear() {
+    let grasp = |jaw_force, mass, friction, half_width| BlockGrasp { jaw_force, mass, friction, half_width };
+    for grasp in [
+        grasp(0.5, 0.005, 0.6, 0.003),
+        grasp(5.0, 0.005, 0.6, 0.003),
+        grasp(20.0, 0.005, 0.6, 0.003),
+        grasp(50.0, 0.005, 1.0, 0.003),
+        grasp(50.0, 0.001, 0.6, 0.003),
+        grasp(20.0, 0.05, 0.3, 0.0015),
+        grasp(50.0, 0.001, 0.3, 0.0015),
+    ] {
+        let found = grasp.run();
+        println!("{grasp:?}: {found:?}");
+        assert!(found.is_held, "{grasp:?}: {found:?}");
+        assert!(found.thrown < 3e-4, "{grasp:?}: {found:?}");
+        assert!(found.slipped < 2e-4, "{grasp:?}: {found:?}");
+        assert!(found.creeps < 3e-5, "{grasp:?}: {found:?}");
+        assert!(found.penetration < 2e-4, "{grasp:?}: {found:?}");
+    }
+}
+
+#[test]
+fn a_block_is_lifted_from_one_and_a_half_of_the_force_that_friction_needs_and_stays_below_it() {
+    // Pads that are parallel press along x only, so that friction holds 2 μ N. The drive's torque F L is borne at most
+    // L − 2 mm from the hinge, where the pads begin: N is at least F, and at most F L / (L − 8 mm) = 5 F.
+    let (mass, friction) = (0.05, 0.3);
+    let needed = mass * 9.81 / (2.0 * friction);
+    for (times, is_lifted) in [(1.5, true), (1.0 / 5.5, false)] {
+        let grasp = BlockGrasp { jaw_force: times * needed, mass, friction, half_width: 0.0015 };
+        let found = grasp.run();
+        println!("{times} of the force: {found:?}");
+        assert_eq!(found.is_held, is_lifted, "{grasp:?}: {found:?}");
+    }
 }
