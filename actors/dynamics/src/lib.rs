@@ -33,5 +33,8 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<instrument::mechanism::MechanismState>()?;
-    soft_body::register(builder)
+    soft_body::register(builder)?;
+    builder.register::<instrument::deflection::InstrumentYields>()?;
+    builder.register::<instrument::deflection::InstrumentDeflection>()?;
+    Ok(())
 }

@@ -9,10 +9,13 @@
 //! | Contacts, and the local contact model for haptics | `contact.rs`, `local_model.rs` |
 //! | Instruments whose contacts another controller models | `../rigid_bodies/external_contact_model.rs` |
 //! | Mechanism state for a restart | `mechanism.rs` |
+//! | Displacement from the hand where no rigid world moves it, and its coupling | `deflection.rs`, `hand_coupling.rs` |
 
 pub mod contact;
 pub mod coupling;
+pub mod deflection;
 pub mod grasp;
+pub mod hand_coupling;
 pub mod jaw;
 pub mod local_model;
 pub mod mechanism;
