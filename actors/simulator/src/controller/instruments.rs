@@ -3,15 +3,22 @@
 //! For scenes without a rigid world that simulates instruments. The simulators report contact forces in the collision
 //! list; this controller sums them into the force on the instrument, and into the plane that haptics evaluates between
 //! two ticks: an intermediate representation (Adachi, Kumano, Ogino 1995).
+//!
+//! A body that lets no instrument through, such as a thread, holds it back: its simulator couples the instrument to the
+//! hand, and the instrument stands where all of them together displace it to
+//! ([`deflection`](trocar_dynamics::instrument::deflection)). The force on the hand is then that of the coupling.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::instrument::deflection::{Displacement, InstrumentDeflection, InstrumentYields};
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, ContactPlane, Controller, ControllerError, Entity,
     EntitySet, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Parent, Pose,
-    Snapshot, Tick, Velocity,
+    SimTime, Snapshot, Tick, Velocity,
 };
 
+/// A displacement that nobody renews fades from this age on, and is gone at twice it \[s\].
+const FADE: f64 = 0.25;
 /// Smaller forces count as zero \[N\].
 const FORCE_MIN: f64 = 1e-6;
 /// Stiffness range of the plane \[N/m\]: not stiffer than hands can hold, nor too soft to notice.
@@ -27,11 +34,14 @@ pub struct InstrumentsConfig {
     pub force_max: f64,
     /// Damping of the plane, as a fraction of critical damping for `mass`.
     pub damping_ratio: f64,
+    /// Maximum force of the coupling between a hand and its instrument \[N\]: the hand pulls an instrument that is held
+    /// back with its `coupling_stiffness`, and never harder than this.
+    pub coupling_force_max: f64,
 }
 
 impl Default for InstrumentsConfig {
     fn default() -> Self {
-        Self { jaw_rate_max: 6.0, force_max: 10.0, damping_ratio: 0.3 }
+        Self { jaw_rate_max: 6.0, force_max: 10.0, damping_ratio: 0.3, coupling_force_max: 20.0 }
     }
 }
 
@@ -45,6 +55,7 @@ impl InstrumentsConfig {
             ("jaw_rate_max", self.jaw_rate_max, 0.01..=100.0),
             ("force_max", self.force_max, 0.0..=100.0),
             ("damping_ratio", self.damping_ratio, 0.0..=2.0),
+            ("coupling_force_max", self.coupling_force_max, 0.1..=200.0),
         ] {
             if !range.contains(&value) {
                 return Err(format!(
@@ -64,6 +75,19 @@ pub struct InstrumentsController {
     instruments: Vec<Entity>,
     /// Per instrument, in order.
     pushes: Vec<ContactLoad>,
+    deflections: Vec<InstrumentDeflection>,
+}
+
+/// Where an instrument is that its hand leads to a target and that bodies hold back.
+fn pose(target: &InstrumentTarget, deflection: &InstrumentDeflection) -> Pose {
+    let wanted = target.tip_in_world;
+    Pose { translation: wanted.translation + deflection.total().offset, ..wanted }
+}
+
+/// Its velocity.
+fn velocity(target: &InstrumentTarget, deflection: &InstrumentDeflection) -> Velocity {
+    let wanted = target.velocity_in_world;
+    Velocity { linear: wanted.linear + deflection.total().velocity, ..wanted }
 }
 
 /// Total contact load on an instrument.
@@ -88,7 +112,7 @@ impl InstrumentsController {
         if instruments.is_empty() {
             return Err(ControllerError::Scene("instruments: the scene has none".into()));
         }
-        Ok(Self { config, instruments, pushes: Vec::new() })
+        Ok(Self { config, instruments, pushes: Vec::new(), deflections: Vec::new() })
     }
 
     /// Sums the contact forces on each instrument, in one pass over all collision lists.
@@ -117,16 +141,38 @@ impl InstrumentsController {
         }
     }
 
+    /// Sums how far bodies hold each instrument back. Their contacts move it, and the coupling pulls at the hand: the
+    /// forces differ by what accelerates the instrument.
+    fn add_held_back(&mut self, scene: &Snapshot, now: SimTime) {
+        let force_max = self.config.coupling_force_max;
+        self.deflections.clear();
+        let none = InstrumentDeflection { by: Vec::new(), force_max };
+        self.deflections.resize(self.instruments.len(), none);
+        for (body, yields) in scene.iter::<InstrumentYields>() {
+            let age: f64 = now.since(yields.at).as_secs_f64();
+            let share = (2.0 - age / FADE).clamp(0.0, 1.0);
+            for of in yields.list.iter().filter(|_| share > 0.0) {
+                let Some(at) = self.instruments.iter().position(|known| *known == of.instrument) else {
+                    continue;
+                };
+                let by = Displacement { offset: of.offset * share, velocity: of.velocity * share };
+                self.deflections[at].by.push((body, by));
+                self.pushes[at].force += of.coupling_force * share - of.contact_force;
+            }
+        }
+    }
+
     fn model(
         &self,
         target: &InstrumentTarget,
+        held: &InstrumentDeflection,
         mass: f64,
         push: &ContactLoad,
         tick: &Tick<'_>,
     ) -> LocalContactModel {
         let mut model = LocalContactModel {
-            proxy_in_world: target.tip_in_world,
-            proxy_velocity: target.velocity_in_world,
+            proxy_in_world: pose(target, held),
+            proxy_velocity: velocity(target, held),
             at: tick.time,
             ..LocalContactModel::default()
         };
@@ -158,6 +204,9 @@ impl Controller for InstrumentsController {
             .reads::<Parent>()
             .reads::<CollisionList>()
             .reads::<JawState>()
+            .reads::<InstrumentYields>()
+            .reads::<InstrumentDeflection>()
+            .writes::<InstrumentDeflection>(all())
             .writes::<Pose>(all())
             .writes::<Velocity>(all())
             .writes::<JawState>(all())
@@ -167,20 +216,23 @@ impl Controller for InstrumentsController {
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         self.add_pushes(scene);
-        for (&entity, push) in self.instruments.iter().zip(&self.pushes) {
+        self.add_held_back(scene, tick.time);
+        let is_held = scene.iter::<InstrumentYields>().next().is_some();
+        for ((&entity, push), held) in self.instruments.iter().zip(&self.pushes).zip(&self.deflections) {
             let (Some(instrument), Some(target)) =
                 (scene.get::<Instrument>(entity), scene.get::<InstrumentTarget>(entity))
             else {
                 continue;
             };
             let pose = match scene.get::<Parent>(entity) {
-                Some(parent) => {
-                    (scene.world_pose(parent.0).inverse() * target.tip_in_world.isometry()).into()
-                }
-                None => target.tip_in_world,
+                Some(parent) => (scene.world_pose(parent.0).inverse() * pose(target, held).isometry()).into(),
+                None => pose(target, held),
             };
             out.put(entity, pose);
-            out.put(entity, target.velocity_in_world);
+            out.put(entity, velocity(target, held));
+            if is_held && scene.get::<InstrumentDeflection>(entity) != Some(held) {
+                out.put(entity, held.clone());
+            }
             let wanted = target.jaw_angle.clamp(0.0, instrument.jaw_angle_max);
             let before = scene.get::<JawState>(entity).map_or(wanted, |jaws| jaws.angle);
             let step = self.config.jaw_rate_max * tick.period.as_secs_f64();
@@ -190,7 +242,7 @@ impl Controller for InstrumentsController {
             out.put(entity, JawState { angle, rate, pad_force: [0.0; 2] });
             let (force, torque) = (push.force * shorter, push.torque * shorter);
             out.put(entity, InstrumentForce { force, torque, at: tick.time });
-            out.put(entity, self.model(target, instrument.mass, push, tick));
+            out.put(entity, self.model(target, held, instrument.mass, push, tick));
         }
         Ok(())
     }

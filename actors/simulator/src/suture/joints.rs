@@ -28,7 +28,7 @@ pub(super) type Pair = (Joint, Tie);
 
 fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], law: ForceLaw) -> Pair {
     let rows = Rows { nodes: [0; 4], cells: [[Cell::zeros(); 4]; 3], used: 0, directions };
-    let tie = Tie { rows, law, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
+    let tie = Tie { rows, law, gap, yields: [COMPLIANCE; 3], force: [0.0; 3], obstacle: None };
     (Joint { needle: [Vector6::zeros(); 3], tissue: None }, tie)
 }
 

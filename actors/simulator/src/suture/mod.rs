@@ -59,8 +59,9 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use crate::suture_thread::island::Island;
 use crate::suture_thread::island::coupled_body::TieResult;
 use crate::suture_thread::{
-    ContactMemory, Fineness, Hold, IgnoredObstacle, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape,
-    Surroundings, ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
+    ContactMemory, Fineness, Hold, IgnoredObstacle, LedInstrument, LedMotion, Load, Obstacle, Reaction,
+    Renumbered, SWEEPS, Shape, Surroundings, ThreadMaterial, ThreadReport, ThreadState, ThreadStepError,
+    TwistHold, check_step,
 };
 use needle::{NeedleShape, Solid};
 use needle_tissue::{Sewing, Workspace};
@@ -115,6 +116,8 @@ pub struct StepInputs<'a> {
     pub loads: &'a [Load],
     /// Obstacles of the thread besides itself and the tissue; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
+    /// Obstacles that are parts of instruments, each led by a hand and coupled to it.
+    pub led: &'a [LedInstrument],
     /// Parts of the thread that ignore some of the obstacles.
     pub spared: &'a [IgnoredObstacle],
 }
@@ -303,6 +306,12 @@ impl Suture {
         let all = self.island.reactions();
         // The last one is the tissue.
         &all[..all.len().saturating_sub(1)]
+    }
+
+    /// Motions of the led instruments in the last step, in their order.
+    #[must_use]
+    pub fn led(&self) -> &[LedMotion] {
+        self.island.led()
     }
 
     /// Position of the tip, in the world \[m\].
@@ -554,6 +563,7 @@ impl StepObstacles<'_> {
             twist_holds: self.surroundings.twist_holds,
             loads: self.surroundings.loads,
             obstacles: self.obstacles,
+            led: self.surroundings.led,
             spared,
             ..Surroundings::default()
         }

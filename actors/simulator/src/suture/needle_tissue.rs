@@ -12,7 +12,7 @@ use super::needle_thread_contact::{self, Strand};
 use super::state::{NeedleContact, StrandContact, SutureState, Tip};
 use super::tissue::{Tissue, TissueFeature};
 use super::tissue_surface::{self, NeedleSide};
-use crate::suture_thread::contact::{ForceLaw, tangents};
+use crate::suture_thread::contact::{ForceLaw, Motion, tangents};
 use crate::suture_thread::discrete_elastic_rod::RodIterate;
 use crate::suture_thread::elastic::SurfaceForce;
 use crate::suture_thread::island::coupled_body::{
@@ -338,7 +338,7 @@ impl CoupledBody for Sewing<'_> {
         Some([self.tissue.before(), self.tissue.positions()])
     }
 
-    fn stops(&self, way: [&[Point3<f64>]; 2]) -> Option<usize> {
+    fn stops(&self, way: [&[Point3<f64>]; 2], _motions: &[Motion]) -> Option<usize> {
         let (material, needle) = (self.thread?, self.workspace.needle?);
         needle_thread_contact::passes(self.solid, material.radius, self.start, &needle, way)
     }
@@ -351,7 +351,12 @@ impl CoupledBody for Sewing<'_> {
         Some(TOLERANCE)
     }
 
-    fn tie(&mut self, at: &RodIterate, ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
+    fn tie(
+        &mut self,
+        at: &RodIterate,
+        _motions: &[Motion],
+        ties: &mut Vec<Tie>,
+    ) -> Result<(), FailureCause> {
         let needle = self.workspace.needle.unwrap_or(self.start.needle);
         let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(FailureCause::NoInertia)?;
         self.workspace.left = self.residual(&needle);

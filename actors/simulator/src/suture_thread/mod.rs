@@ -48,7 +48,7 @@ pub mod suture_table;
 
 pub use adaptive_segments::{Fineness, Renumbered};
 pub use boundary_conditions::{HOLD_STIFFNESS, Hold, IgnoredObstacle, Load, TwistHold};
-pub use contact::{CONTACTS_MAX, Obstacle, ObstacleMobility, Shape, Yielded};
+pub use contact::{CONTACTS_MAX, LedInstrument, LedMotion, Obstacle, ObstacleMobility, Shape, Yielded};
 pub use cut::{CutAt, CutNumbering};
 pub use error::{FailureCause, ThreadError, ThreadStepError};
 pub use knot_measures::{Strands, nearest_edges};
@@ -78,6 +78,8 @@ pub struct Surroundings<'a> {
     pub loads: &'a [Load],
     /// Obstacles; an obstacle keeps its index from step to step.
     pub obstacles: &'a [Obstacle<'a>],
+    /// Obstacles that are parts of instruments, each led by a hand and coupled to it.
+    pub led: &'a [LedInstrument],
     /// Parts of the thread that ignore some of the obstacles.
     pub spared: &'a [IgnoredObstacle],
     /// The obstacle, if any, that is the surface of an elastic body.
@@ -272,6 +274,12 @@ impl Thread {
         self.island.yielded()
     }
 
+    /// Motions of the led instruments in the last step, in their order.
+    #[must_use]
+    pub fn led(&self) -> &[LedMotion] {
+        self.island.led()
+    }
+
     /// Forces of the thread on the elastic body at the end of the last step.
     #[must_use]
     pub fn presses(&self) -> &[SurfaceForce] {
@@ -345,6 +353,21 @@ impl Surroundings<'_> {
         for (index, obstacle) in surroundings.obstacles.iter().enumerate() {
             if let Some(why) = obstacle.wrong() {
                 return given("obstacle", index, &why);
+            }
+        }
+        for (index, led) in surroundings.led.iter().enumerate() {
+            if let Some(why) = led.wrong(surroundings.obstacles.len()) {
+                return given("led instrument", index, &why);
+            }
+            let [first, last] = led.obstacles;
+            if surroundings.obstacles[first..=last].iter().any(|part| part.mobility.is_some()) {
+                return given("led instrument", index, "one of its parts is a body that moves freely");
+            }
+            if surroundings.led[..index]
+                .iter()
+                .any(|other| other.obstacles[0] <= last && first <= other.obstacles[1])
+            {
+                return given("led instrument", index, "another one has the same part");
             }
         }
         if let Some(elastic) = &surroundings.elastic {

@@ -9,6 +9,7 @@ use nalgebra::{Point3, Vector3};
 use trocar_dynamics::coupling::external_nodes::{GhostMoved, GhostNode};
 
 use super::FailureCause;
+use super::contact::Motion;
 use super::elastic::SurfacePoint;
 use super::island::coupled_body::{ComplianceRows, CoupledBody, Link};
 
@@ -158,7 +159,7 @@ impl CoupledBody for LyingOn<'_> {
         Some(self.obstacle)
     }
 
-    fn begin(&mut self, dt: f64) {
+    fn begin(&mut self, dt: f64, _motions: &[Motion]) {
         let soft = &mut *self.surface;
         soft.part = dt;
         soft.free.clear();

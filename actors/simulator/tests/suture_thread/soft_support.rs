@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_dynamics::coupling::external_nodes::{GhostNode, PredictedPath};
+use trocar_dynamics::instrument::deflection::InstrumentYields;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
@@ -71,6 +72,7 @@ impl Controller for Both {
             .writes::<LineMesh>(all())
             .writes::<ThreadMemory>(all())
             .writes::<KnotState>(all())
+            .writes::<InstrumentYields>(all())
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }

@@ -18,6 +18,7 @@ use trocar_scene::{
 };
 
 use super::suture_thread::knot::KnotState;
+use super::suture_thread::led_instruments::LedInstruments;
 use components::{SewnTissue, SutureMemory, SutureNeedle};
 use session::Sewing;
 
@@ -65,7 +66,7 @@ impl SutureController {
 impl Controller for SutureController {
     fn access(&self) -> Access {
         let needle = EntitySet::Of(vec![self.needle]);
-        Deformable::access(&[self.needle, self.tissue])
+        LedInstruments::access(Deformable::access(&[self.needle, self.tissue]), &[self.needle])
             .reads::<SutureNeedle>()
             .reads::<SewnTissue>()
             .reads::<Pose>()

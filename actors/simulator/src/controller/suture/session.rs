@@ -18,6 +18,7 @@ use crate::controller::suture_thread::cut::{follow as follow_cut, parted_at};
 use crate::controller::suture_thread::grasp::{GraspConstraints, GraspForce, SPARED, pulls, update};
 use crate::controller::suture_thread::knot::KnotState;
 use crate::controller::suture_thread::knot_job::KnotWatch;
+use crate::controller::suture_thread::led_instruments::LedInstruments;
 use crate::controller::suture_thread::obstacles::ObstacleParts;
 use crate::controller::suture_thread::remesh::{EDGES_EVERY, fineness, follow, held};
 use crate::controller::suture_thread::saved_state::ObstaclePose;
@@ -53,6 +54,7 @@ pub(crate) struct Sewing {
     deformation: Deformation,
     grips: Vec<Grip>,
     parts: ObstacleParts,
+    led: LedInstruments,
     leading: GraspConstraints,
     /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
@@ -112,6 +114,7 @@ impl Sewing {
             deformation: Deformation::default(),
             grips: Vec::new(),
             parts: ObstacleParts::default(),
+            led: LedInstruments::resume(scene, needle),
             leading: GraspConstraints::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
@@ -216,7 +219,10 @@ impl Sewing {
     /// One tick; the loads on instruments are left in `forces`, `reactions` and `pulls`.
     fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> Result<(), String> {
         let period = tick.period.as_secs_f64();
-        self.parts.read(scene, &Isometry3::identity(), self.kind.tool_friction, &self.memory.met);
+        let world = Isometry3::identity();
+        self.led.begin(scene, self.needle.entity, &world);
+        self.parts.read(scene, &world, self.kind.tool_friction, &self.memory.met, &self.led);
+        self.led.find(&self.parts);
         if !self.parts.are(&self.memory.met)
             && let Some(contacts) = self.suture.contacts_mut()
         {
@@ -261,9 +267,11 @@ impl Sewing {
                 twist_holds: &self.leading.twist_holds,
                 loads: &[],
                 obstacles: &obstacles,
+                led: self.led.solved(),
                 spared: &self.leading.spared,
             };
             self.report = self.suture.step(period / count, &around).map_err(|error| error.to_string())?;
+            self.led.end_step(self.suture.led(), &mut self.parts);
             for (sum, reaction) in self.reactions.iter_mut().zip(self.suture.reactions()) {
                 sum.force += reaction.force / count;
                 sum.torque += reaction.torque / count;
@@ -277,6 +285,7 @@ impl Sewing {
                 }
             }
         }
+        self.led.end(&self.reactions, &world, period, tick.time);
         let pose = self.suture.state().needle.pose();
         for (held, gripped) in self.memory.held.iter_mut().zip(self.suture.gripped()) {
             let place = pose * self.suture.solid().point(held.along);
@@ -352,6 +361,7 @@ impl Sewing {
         let still = vec![Vector3::zeros(); positions.len()];
         self.tissue.write(&positions, &still, out);
         out.put(line, self.memory.clone());
+        self.led.publish(line, out);
         if !self.has_knot {
             self.has_knot = true;
             out.put(line, self.knot.state().clone());
@@ -418,6 +428,8 @@ impl Sewing {
                 }
                 Err(why) => {
                     self.frozen = true;
+                    self.led.release(tick.time);
+                    self.led.publish(self.needle.entity, out);
                     self.needle.freeze(&why, tick, out);
                     self.tissue.freeze(&why, tick, out);
                 }

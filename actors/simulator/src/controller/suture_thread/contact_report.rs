@@ -9,8 +9,6 @@ use crate::suture_thread::Reaction;
 
 /// Smaller forces count as zero \[N\].
 const FORCE_MIN: f64 = 1e-6;
-/// Apparent contact stiffness of an instrument's rod with a thread \[N/m\]: the compliance of the shaft.
-const ROD_STIFFNESS: f64 = 1000.0;
 
 /// Contact results of a thread's tick.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +49,7 @@ impl ContactReport<'_> {
             };
             let depth = match &part.form {
                 PartShape::Elastic => self.displacement_max,
-                _ => size / ROD_STIFFNESS,
+                _ => size / part.stiffness,
             };
             let on_thread = self.world_from_thread.rotation * -reaction.force;
             add(part.met.entity, primitive, place, on_thread, depth);

@@ -14,6 +14,7 @@ pub mod grasp;
 pub(crate) mod group;
 pub mod knot;
 pub(crate) mod knot_job;
+pub mod led_instruments;
 pub mod obstacles;
 pub mod remesh;
 pub mod saved_state;
@@ -47,6 +48,7 @@ use grasp::{GraspConstraints, GraspForce, pulls, update};
 use group::ThreadGroup;
 use knot::KnotState;
 use knot_job::KnotWatch;
+use led_instruments::LedInstruments;
 use obstacles::{MovingObstacle, ObstacleParts, Part, PartShape};
 use remesh::{EDGES_EVERY, adapt};
 use saved_state::{ObstaclePose, ThreadMemory};
@@ -63,6 +65,7 @@ struct Body {
     /// Whether the scene already has this knot.
     has_knot: bool,
     parts: ObstacleParts,
+    led: LedInstruments,
     leading: GraspConstraints,
     report: ThreadReport,
     /// Mean reaction on each part over the last tick.
@@ -145,7 +148,8 @@ impl Controller for ThreadController {
             self.bodies.iter().flat_map(|body| body.lines.entities()).chain(refused).collect();
         let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(ElasticSupport::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
-        FastSide::access(bearing::access(Deformable::access(&moved), &bodies), &bodies)
+        let access = LedInstruments::access(Deformable::access(&moved), &bodies);
+        FastSide::access(bearing::access(access, &bodies), &bodies)
             .reads::<ThreadBody>()
             .reads::<TiedBody>()
             .reads::<Pose>()
@@ -204,6 +208,8 @@ impl Controller for ThreadController {
                     Err(why) => {
                         body.frozen = true;
                         body.lines.freeze(&why, tick, out);
+                        body.led.release(tick.time);
+                        body.led.publish(body.lines.first().entity, out);
                     }
                 }
             }
@@ -246,6 +252,7 @@ impl Body {
             frozen: scene.get::<Frozen>(entity).is_some(),
             borne: scene.get::<SoftContacts>(entity).cloned().unwrap_or_default(),
             parts,
+            led: LedInstruments::resume(scene, entity),
             leading: GraspConstraints::default(),
             report: ThreadReport::default(),
             reactions: Vec::new(),
@@ -275,7 +282,11 @@ impl Body {
         let thread_from_world = world_from_thread.inverse();
         // Another thread on the same body sees what this one has given it in the next tick.
         let mut borne = borne.to_vec();
-        self.parts.read(scene, world_from_thread, self.kind.tool_friction, &self.memory.met);
+        let me = self.lines.first().entity;
+        self.led.begin(scene, me, world_from_thread);
+        let friction = self.kind.tool_friction;
+        self.parts.read(scene, world_from_thread, friction, &self.memory.met, &self.led);
+        self.led.find(&self.parts);
         self.follow()?;
         let is_moved = |part: &Part| matches!(part.form, PartShape::Elastic) && part.met.at != part.to;
         if self.parts.list.iter().any(is_moved) {
@@ -329,6 +340,7 @@ impl Body {
                 twist_holds: &self.leading.twist_holds,
                 loads: &[],
                 obstacles: &obstacles,
+                led: self.led.solved(),
                 spared: &self.leading.spared,
                 elastic: elastic.map(|body| ElasticObstacle { obstacle: 0, body }),
             };
@@ -337,6 +349,7 @@ impl Body {
                 None => self.thread.step(dt, &around),
             };
             let done = done.map_err(|error| error.to_string())?;
+            self.led.end_step(self.thread.led(), &mut self.parts);
             if let Some(lying) = &mut self.lying {
                 lying.end_step(dt, self.thread.state());
             }
@@ -360,6 +373,7 @@ impl Body {
             }
         }
         self.report = report;
+        self.led.end(&self.reactions, world_from_thread, period, tick.time);
         self.pulls =
             pulls(&mut self.memory.grips, &self.parts, scene, self.thread.state(), self.thread.hold_forces());
         self.memory.met.clear();
@@ -435,6 +449,7 @@ impl Body {
         }
         self.lines.write(self.thread.state(), out);
         out.put(entity, self.memory.clone());
+        self.led.publish(entity, out);
         if let Some(tied) = &mut self.tied {
             tied.write(out);
         }

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use trocar_dynamics::soft_body::bearing::BorneBody;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::opening;
@@ -13,6 +13,7 @@ use trocar_scene::{
     Entity, Instrument, RigidBody, Shape as SceneShape, Snapshot, SurfaceMesh, VertexPositions,
 };
 
+use super::led_instruments::LedInstruments;
 use super::saved_state::ObstaclePose;
 use crate::suture_thread::{ContactMemory, Obstacle, ObstacleMobility, Shape};
 
@@ -24,6 +25,8 @@ pub type JawParts = [Option<usize>; 2];
 /// Nodes and triangles of a deformable obstacle.
 pub type DeformableMesh<'a> = (&'a [Point3<f64>], &'a [[u32; 3]]);
 
+/// Apparent contact stiffness of a body with a thread \[N/m\].
+const BODY_STIFFNESS: f64 = 1000.0;
 /// Resolution of triangle meshes for shapes that the thread solver does not support.
 const DETAIL: Detail = Detail { segments: 24, fine_segments: 8 };
 
@@ -43,10 +46,14 @@ pub enum PartShape {
 /// A part of an obstacle.
 #[derive(Clone, Debug)]
 pub struct Part {
-    /// Its entity, its part number, and its pose at the last tick.
+    /// Its entity, its part number, and its pose at the last tick; of an instrument, where its hand led it.
     pub met: ObstaclePose,
-    /// `thread_from_part` now.
+    /// `thread_from_part` now, likewise.
     pub to: Isometry3<f64>,
+    /// Of an instrument: how far it is from there \[m\], and the stiffness of the coupling to its hand \[N/m\].
+    pub displaced: Vector3<f64>,
+    /// See above; of a body, of the same order.
+    pub stiffness: f64,
     /// Its shape.
     pub form: PartShape,
     /// Coulomb friction coefficient.
@@ -58,6 +65,12 @@ pub struct Part {
 }
 
 impl Part {
+    /// A part of a body.
+    fn new(met: ObstaclePose, form: PartShape, friction: f64) -> Self {
+        let (displaced, stiffness) = (Vector3::zeros(), BODY_STIFFNESS);
+        Self { met, to: met.at, displaced, stiffness, form, friction, rod: None, jaw: None }
+    }
+
     /// Which of these rigid bodies it is.
     #[must_use]
     pub fn borne(&self, bodies: &[BorneBody]) -> Option<usize> {
@@ -165,13 +178,14 @@ impl ObstacleParts {
         Self { tied: Some((body, friction)), is_in_frame: true, ..Self::default() }
     }
 
-    /// Lists all parts in the scene. `known` are those of the last tick.
+    /// Lists all parts in the scene. `known` are those of the last tick, `led` the instruments that give way.
     pub fn read(
         &mut self,
         scene: &Snapshot,
         world_from_thread: &Isometry3<f64>,
         tool_friction: f64,
         known: &[ObstaclePose],
+        led: &LedInstruments,
     ) {
         self.list.clear();
         rods_of_all(scene, world_from_thread, &mut self.rods);
@@ -181,7 +195,7 @@ impl ObstacleParts {
             let to =
                 if in_frame { Isometry3::identity() } else { thread_from_world * scene.world_pose(entity) };
             let met = ObstaclePose { entity, part: 0, at: to };
-            self.list.push(Part { met, to, form: PartShape::Elastic, friction, rod: None, jaw: None });
+            self.list.push(Part::new(met, PartShape::Elastic, friction));
         }
         let mut count = 0;
         for (index, rod) in self.rods.iter().enumerate() {
@@ -189,7 +203,9 @@ impl ObstacleParts {
             let again = index > 0 && self.rods[index - 1].instrument == entity;
             count = if again { count + 1 } else { 0 };
             let Some(instrument) = scene.get::<Instrument>(entity) else { continue };
-            let thread_from_tip = thread_from_world * scene.world_pose(entity);
+            let [to_led, displaced] = led.shifts(entity);
+            let drawn = thread_from_world * scene.world_pose(entity);
+            let thread_from_tip = Translation3::from(to_led) * drawn;
             let jaws = if instrument.kind.has_jaws() { usize::from(instrument.jaws.min(2)) } else { 0 };
             let jaw = (1..=jaws).contains(&count).then(|| count - 1);
             let [angle, _] = opening(scene, entity);
@@ -199,10 +215,13 @@ impl ObstacleParts {
                 }
                 None => thread_from_tip,
             };
-            let ends = rod.ends.map(|end| to.inverse_transform_point(&end));
+            let ends = rod.ends.map(|end| to.inverse_transform_point(&(end + to_led)));
             let met = ObstaclePose { entity, part: count as u32, at: to };
             let form = PartShape::Capsule(ends, rod.radius);
-            self.list.push(Part { met, to, form, friction: tool_friction, rod: Some(*rod), jaw });
+            let rod = Rod { ends: rod.ends.map(|end| end + to_led + displaced), ..*rod };
+            let part = Part::new(met, form, tool_friction);
+            let stiffness = instrument.coupling_stiffness;
+            self.list.push(Part { displaced, stiffness, rod: Some(rod), jaw, ..part });
         }
         let mut bodies: Vec<Entity> = scene.iter::<RigidBody>().map(|(entity, _)| entity).collect();
         bodies.sort_unstable();
@@ -211,7 +230,7 @@ impl ObstacleParts {
             let to = thread_from_world * scene.world_pose(entity);
             if let Some(form) = self.form(scene, entity) {
                 let met = ObstaclePose { entity, part: 0, at: to };
-                self.list.push(Part { met, to, form, friction: body.friction, rod: None, jaw: None });
+                self.list.push(Part::new(met, form, body.friction));
             }
         }
         for part in &mut self.list {
@@ -265,13 +284,20 @@ impl ObstacleParts {
         contacts.sort_unstable_by_key(|contact| contact.key);
     }
 
-    /// The parts of an instrument: its tip's frame at the last tick and now, and the indices of its jaws in the list.
+    /// Sets how far an instrument is from where its hand leads it \[m\].
+    pub fn displace(&mut self, instrument: Entity, by: &Vector3<f64>) {
+        let own = |part: &&mut Part| part.met.entity == instrument && part.rod.is_some();
+        self.list.iter_mut().filter(own).for_each(|part| part.displaced = *by);
+    }
+
+    /// The parts of an instrument where it is: its tip's frame at the last tick and now, and the indices of its jaws in the list.
     #[must_use]
     pub fn instrument(&self, entity: Entity) -> Option<(FrameFromTo, JawParts)> {
         let of = |want: &dyn Fn(&Part) -> bool| {
             self.list.iter().position(|part| part.met.entity == entity && part.rod.is_some() && want(part))
         };
         let shaft = &self.list[of(&|part| part.jaw.is_none())?];
-        Some(([shaft.met.at, shaft.to], [0, 1].map(|side| of(&|part| part.jaw == Some(side)))))
+        let at = [shaft.met.at, shaft.to].map(|pose| Translation3::from(shaft.displaced) * pose);
+        Some((at, [0, 1].map(|side| of(&|part| part.jaw == Some(side)))))
     }
 }

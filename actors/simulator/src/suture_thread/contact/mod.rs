@@ -7,6 +7,7 @@ pub(crate) mod closest_points;
 pub(crate) mod constraint_rows;
 pub(crate) mod coulomb;
 pub(crate) mod force_law;
+mod led_instrument;
 mod obstacle;
 pub(crate) mod semismooth_newton;
 
@@ -14,6 +15,7 @@ pub(crate) use broad_phase::{Candidates, passed_through, passed_through_face};
 pub(crate) use constraint_rows::{Rows, Side, place, tangents};
 pub(crate) use coulomb::{CoulombState, FrictionLimit};
 pub(crate) use force_law::ForceLaw;
+pub use led_instrument::{LedInstrument, LedMotion};
 pub(crate) use obstacle::Motion;
 pub use obstacle::{Obstacle, ObstacleMobility, Shape, Yielded};
 pub(crate) use semismooth_newton::{Complementarity, SOFTENING};

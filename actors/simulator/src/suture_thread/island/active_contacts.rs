@@ -52,10 +52,14 @@ impl Island {
             self.touch_elastic(material, surroundings.obstacles[surface].friction);
         }
         self.ties.clear();
-        companion.tie(&self.at, &mut self.ties).map_err(|why| Failure { node: 0, why })?;
+        companion.tie(&self.at, &self.motions, &mut self.ties).map_err(|why| Failure { node: 0, why })?;
         let Self { ties, dense, .. } = self;
         dense.extend(ties.iter().enumerate().map(|(number, tie)| Active {
-            key: ContactKey { with: u32::MAX, edge: 0, feature: number as u32 },
+            key: ContactKey {
+                with: tie.obstacle.map_or(u32::MAX, |obstacle| 1 + obstacle as u32),
+                edge: 0,
+                feature: number as u32,
+            },
             rows: tie.rows,
             friction: 0.0,
             limit: FrictionLimit::Coefficient(0.0),

@@ -5,7 +5,7 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::suture_thread::FailureCause;
-use crate::suture_thread::contact::{ForceLaw, Rows};
+use crate::suture_thread::contact::{ForceLaw, Motion, Rows};
 use crate::suture_thread::discrete_elastic_rod::RodIterate;
 use crate::suture_thread::elastic::SurfacePoint;
 
@@ -35,6 +35,8 @@ pub(crate) struct Tie {
     pub yields: [f64; 3],
     /// Initial force \[N\].
     pub force: [f64; 3],
+    /// The obstacle that it presses on, if any: a led instrument gives way to it. The first direction points away from it.
+    pub obstacle: Option<usize>,
 }
 
 /// Result of a tie.
@@ -72,8 +74,9 @@ pub(crate) trait CoupledBody {
     /// The obstacle index of its surface, whose mesh is that at the beginning of the step.
     fn surface(&self) -> Option<usize>;
 
-    /// A substep of `dt` seconds begins, or is repeated with a shorter one.
-    fn begin(&mut self, _dt: f64) {}
+    /// A substep of `dt` seconds begins, or is repeated with a shorter one. The obstacles move like this, as far as it is
+    /// known.
+    fn begin(&mut self, _dt: f64, _motions: &[Motion]) {}
 
     /// Nodes of its surface at the beginning of the substep and at the iterate, in the world \[m\]; `None` for a
     /// surface that hardly moves in a step.
@@ -82,8 +85,8 @@ pub(crate) trait CoupledBody {
     }
 
     /// An edge of the rod that passes through a part of the coupled body while its nodes move from the first to the
-    /// second positions \[m\].
-    fn stops(&self, _way: [&[Point3<f64>]; 2]) -> Option<usize> {
+    /// second positions \[m\]; the first edge where the body itself passes through an obstacle.
+    fn stops(&self, _way: [&[Point3<f64>]; 2], _motions: &[Motion]) -> Option<usize> {
         None
     }
 
@@ -97,8 +100,13 @@ pub(crate) trait CoupledBody {
         None
     }
 
-    /// Lists its ties at the iterate.
-    fn tie(&mut self, _at: &RodIterate, _ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
+    /// Lists its ties at the iterate of rod and obstacles.
+    fn tie(
+        &mut self,
+        _at: &RodIterate,
+        _motions: &[Motion],
+        _ties: &mut Vec<Tie>,
+    ) -> Result<(), FailureCause> {
         Ok(())
     }
 

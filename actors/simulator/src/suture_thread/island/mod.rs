@@ -16,13 +16,15 @@ use coupled_body::{CoupledBody, Link, Tie, TieResult, Tolerance};
 pub(crate) use elastic::TiedAround;
 
 use super::contact::{
-    Candidates, Complementarity, CoulombState, ForceLaw, FrictionLimit, Motion, Rows, Yielded,
+    Candidates, Complementarity, CoulombState, ForceLaw, FrictionLimit, LedMotion, Motion, Rows, Yielded,
     passed_through, passed_through_face,
 };
 use super::discrete_elastic_rod::{RodIterate, assemble};
 use super::elastic::SurfacePoint;
 use super::state::{ContactKey, ContactMemory, ThreadState};
-use super::{FailureCause, Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError};
+use super::{
+    FailureCause, LedInstrument, Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError,
+};
 use crate::linear_algebra::block_banded::{Added, BlockBand, Cell, Factors, LaneCell};
 use crate::linear_algebra::block_sparse_lu::BlockSparse;
 
@@ -107,6 +109,8 @@ pub(crate) struct Island {
     motions: Vec<Motion>,
     /// How far each obstacle has given way in this step.
     yielded: Vec<Yielded>,
+    /// Motions of the led instruments in this step.
+    led: Vec<LedMotion>,
     giving: moving_obstacles::GivingObstacles,
     candidates: Candidates,
     /// Contacts with compliant bodies, ties, and strand contacts solved beside those.
@@ -153,6 +157,11 @@ impl Island {
         &self.yielded
     }
 
+    /// How each led instrument has moved in the step.
+    pub fn led(&self) -> &[LedMotion] {
+        &self.led
+    }
+
     /// Results of the ties of the last iteration, in the coupled body's order.
     pub fn tied(&self) -> &[TieResult] {
         &self.tied
@@ -179,6 +188,13 @@ impl Island {
         self.reactions.resize(surroundings.obstacles.len(), Reaction::default());
         self.yielded.clear();
         self.yielded.resize(surroundings.obstacles.len(), Yielded::default());
+        self.led.clear();
+        let begun = |led: &LedInstrument| LedMotion {
+            offset: led.offset,
+            velocity: led.velocity,
+            ..LedMotion::default()
+        };
+        self.led.extend(surroundings.led.iter().map(begun));
     }
 
     /// Advances the state by `dt`, or leaves it unchanged.
@@ -253,7 +269,6 @@ impl Island {
         report: &mut ThreadReport,
         companion: &mut impl CoupledBody,
     ) -> Result<(), Failure> {
-        companion.begin(dt);
         let diameter = material.diameter();
         let tolerance = companion.tolerance().unwrap_or(Tolerance {
             free: (0.1 * diameter, LENGTH_TOLERANCE),
@@ -275,6 +290,7 @@ impl Island {
         }
         self.former.clone_from(&self.trial.contacts);
         self.begin_giving_way(surroundings, dt);
+        companion.begin(dt, &self.motions);
         self.seek(material, surroundings);
         self.expect_giving_way(material, surroundings);
         self.tied.clear();
@@ -285,9 +301,9 @@ impl Island {
             self.answer(companion, report)?;
             let damped = self.damp(iteration);
             let of_rod = self.advance(material)?;
-            self.advance_obstacles();
+            let of_led = self.advance_obstacles();
             let of_companion = self.advance_companion(companion)?;
-            let largest = of_rod.max(of_companion);
+            let largest = of_rod.max(of_companion).max(of_led);
             self.guard(material, surroundings, companion)?;
             let error = self.length_error(material);
             let touches = self.contacts().any(|contact| contact.force[0] > 0.0);
@@ -322,6 +338,7 @@ impl Island {
     }
 
     fn seek(&mut self, material: &ThreadMaterial, surroundings: &Surroundings) {
+        self.see_led();
         if self.trial.positions.is_empty() {
             self.candidates.found.clear();
             return;
@@ -469,6 +486,8 @@ impl Island {
                 further = true;
             }
         }
+        // An instrument that the thread has pushed out of the way in which contacts were sought.
+        further |= self.led_beyond(0.1 * material.diameter());
         if further {
             self.seek(material, surroundings);
         }
@@ -498,7 +517,7 @@ impl Island {
                 return Err(Failure { node: candidate.key.edge as usize, why: FailureCause::PassedThrough });
             }
         }
-        match companion.stops([from, to]) {
+        match companion.stops([from, to], &self.motions) {
             Some(node) => Err(Failure { node, why: FailureCause::PassedThrough }),
             None => Ok(()),
         }
