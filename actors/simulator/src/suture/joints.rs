@@ -155,6 +155,22 @@ pub(super) fn side(
     (joint, tie)
 }
 
+/// Contact of the needle with an instrument's rod, by the index of that obstacle: the first direction points from the rod
+/// to the needle; `gap` along that, tangential displacement along the others.
+pub(super) fn rod(
+    needle: &NeedleState,
+    touching: &Point3<f64>,
+    obstacle: usize,
+    directions: [Vector3<f64>; 3],
+    gap: [f64; 3],
+    friction: f64,
+) -> Pair {
+    let (mut joint, mut tie) = pair(directions, gap, ForceLaw::Contact { friction });
+    joint.needle = directions.map(|direction| on_needle(&direction, &(touching - needle.center)));
+    tie.obstacle = Some(obstacle);
+    (joint, tie)
+}
+
 /// Contact of a strand with the needle: `rows` act on the thread, the first direction pointing from the needle to it;
 /// `gap` along that, tangential displacement along the others; `force` is the initial force on the strand, in the world
 /// \[N\].

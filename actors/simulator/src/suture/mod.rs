@@ -8,6 +8,7 @@
 //! | Needle and tissue as bodies coupled to the thread's island | `needle_tissue.rs` |
 //! | Contact of the needle's body and the thread with the tissue surface | `tissue_surface.rs` |
 //! | Contact of the thread with the needle | `needle_thread_contact.rs` |
+//! | Contact of the needle with instruments | `needle_instrument_contact.rs` |
 //! | Tip transitions: entry, passage, exit, withdrawal | `puncture.rs` |
 //! | Cutting and breaking the thread | `cut.rs` |
 //! | State kept from step to step | `state.rs` |
@@ -31,7 +32,7 @@
 //!
 //! # Limits
 //! Cutting a channel does not change the tissue's stiffness, and the channel fits what is in it. The needle contacts
-//! only tissue, its own thread (except next to the swage) and the jaws that hold it. Near a hole, within one spacing of
+//! only tissue, its own thread (except next to the swage), the jaws that hold it and the rods of other instruments. Near a hole, within one spacing of
 //! channel points, thread and needle do not contact the surface. Small displacements of the tissue only: see
 //! [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
 
@@ -40,6 +41,7 @@ mod error;
 pub(crate) mod joints;
 mod material;
 pub mod needle;
+pub(crate) mod needle_instrument_contact;
 pub(crate) mod needle_thread_contact;
 pub(crate) mod needle_tissue;
 pub(crate) mod puncture;
@@ -120,6 +122,8 @@ pub struct StepInputs<'a> {
     pub led: &'a [LedInstrument],
     /// Parts of the thread that ignore some of the obstacles.
     pub spared: &'a [IgnoredObstacle],
+    /// Obstacles that the needle passes without contact: those of instruments that hold it, and open jaws.
+    pub needle_passes: &'a [usize],
 }
 
 /// Statistics of a step. Forces are those at its end.
@@ -143,6 +147,8 @@ pub struct SutureReport {
     pub drag: f64,
     /// Largest lateral force at a channel point per length represented \[N/m\]: this tears tissue.
     pub across_max: f64,
+    /// Forces between the needle and instruments that do not hold it: sum of the magnitudes, mean over the step \[N\].
+    pub force_on_instruments: f64,
     /// Resultant force on the tissue, mean over the step \[N\].
     pub force_on_tissue: Vector3<f64>,
     /// Length of needle and thread in the tissue \[m\].
@@ -168,6 +174,8 @@ pub struct Suture {
     events: Vec<Event>,
     gripped: Vec<GripResult>,
     on_tissue: Vector3<f64>,
+    /// Sum of the forces between needle and instruments that do not hold it, mean over the step \[N\].
+    on_instruments: f64,
 }
 
 impl Suture {
@@ -210,6 +218,7 @@ impl Suture {
             events: Vec::with_capacity(EVENTS_MAX),
             gripped: Vec::new(),
             on_tissue: Vector3::zeros(),
+            on_instruments: 0.0,
         })
     }
 
@@ -300,7 +309,7 @@ impl Suture {
         self.island.hold_forces()
     }
 
-    /// Reactions of the obstacles to the thread in the last step, in their order.
+    /// Reactions of the obstacles to thread and needle in the last step, in their order.
     #[must_use]
     pub fn reactions(&self) -> &[Reaction] {
         let all = self.island.reactions();
@@ -329,6 +338,7 @@ impl Suture {
         self.trial.clone_from(&self.state);
         self.events.clear();
         self.on_tissue = Vector3::zeros();
+        self.on_instruments = 0.0;
         self.gripped.clear();
         let nothing = GripResult { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
         self.gripped.resize(surroundings.grips.len(), nothing);
@@ -429,6 +439,7 @@ impl Suture {
                 tissue: &mut self.tissue,
                 workspace: &mut self.workspace,
                 surroundings: here.surroundings,
+                obstacles: here.obstacles,
                 dt,
                 fractions,
                 surface,
@@ -464,7 +475,8 @@ impl Suture {
     /// Accumulates the reactions on grips and tissue in this substep, weighted by its share of the step.
     fn feel(&mut self, fractions: [f64; 2], surroundings: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
-        let (layout, tied) = (self.workspace.layout, self.island.tied());
+        let (layout, tied) = (self.workspace.layout, self.island.tied().to_vec());
+        let tied = &tied[..];
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
             let first = layout.grips + 2 * index;
             let [place, turn] = [tied[first], tied[first + 1]];
@@ -481,6 +493,12 @@ impl Suture {
                 Isometry3::from_parts(translation.into(), rotation)
             });
         }
+        for (place, (obstacle, at)) in self.workspace.touched.iter().enumerate() {
+            let force = self.workspace.force(tied, layout.touches + place) * -weight;
+            self.on_instruments += force.norm();
+            let origin = Point3::from(surroundings.obstacles[*obstacle].to.translation.vector);
+            self.island.add_reaction(*obstacle, &force, at, &origin);
+        }
         for tie in layout.channel..layout.sides {
             self.on_tissue -= self.workspace.force(tied, tie) * weight;
         }
@@ -495,6 +513,7 @@ impl Suture {
         report.contacts = of_thread.contacts;
         report.penetration_max = of_thread.penetration_max;
         report.force_on_tissue = self.on_tissue;
+        report.force_on_instruments = self.on_instruments;
         report.tip_force = self.state.tip_force.norm();
         let (state, length) = (&self.state, self.solid.shape().length());
         for (index, point) in state.channel.iter().enumerate() {

@@ -40,12 +40,12 @@ fn chord_along(solid: &Solid, chord: usize) -> [f64; 2] {
     [chord, chord + 1].map(|end| length * end as f64 / CHORDS as f64)
 }
 
-fn chord_at(solid: &Solid, needle: &NeedleState, chord: usize) -> Segment {
+pub(super) fn chord_at(solid: &Solid, needle: &NeedleState, chord: usize) -> Segment {
     let pose = needle.pose();
     chord_along(solid, chord).map(|along| pose * solid.point(along))
 }
 
-fn radius_at(solid: &Solid, chord: usize, share: f64) -> f64 {
+pub(super) fn radius_at(solid: &Solid, chord: usize, share: f64) -> f64 {
     let [from, to] = chord_along(solid, chord);
     solid.shape().wire_radius_at(from + (to - from) * share)
 }

@@ -8,6 +8,7 @@ use super::StepInputs;
 use super::joints::{self, Joint, JointPoint, Mobility, Pair};
 use super::material::Resistance;
 use super::needle::{NeedleState, Solid};
+use super::needle_instrument_contact::{self, Touch};
 use super::needle_thread_contact::{self, Strand};
 use super::state::{NeedleContact, StrandContact, SutureState, Tip};
 use super::tissue::{Tissue, TissueFeature};
@@ -18,7 +19,7 @@ use crate::suture_thread::elastic::SurfaceForce;
 use crate::suture_thread::island::coupled_body::{
     ComplianceRows, CoupledBody, Link, Tie, TieResult, Tolerance,
 };
-use crate::suture_thread::{FailureCause, ThreadMaterial};
+use crate::suture_thread::{FailureCause, Obstacle, ThreadMaterial};
 
 /// Convergence criteria of a substep: momentum exchanged by needle and thread agrees to the last relevant digit.
 const TOLERANCE: Tolerance =
@@ -41,6 +42,8 @@ pub(super) struct TieLayout {
     pub sides: usize,
     /// One per strand near the needle.
     pub strands: usize,
+    /// One per place where an instrument's rod touches the needle.
+    pub touches: usize,
 }
 
 /// Workspace and results of a substep.
@@ -53,6 +56,9 @@ pub(super) struct Workspace {
     pub sites: Vec<JointPoint>,
     pub sides: Vec<NeedleSide>,
     pub strands: Vec<Strand>,
+    /// Places where rods may touch the needle; those that ties stand for, with the point in the world.
+    pub touches: Vec<Touch>,
+    pub touched: Vec<(usize, Point3<f64>)>,
     /// Joints of all ties, in their order.
     pub joints: Vec<Joint>,
     /// Directions of their rows.
@@ -99,6 +105,8 @@ pub(super) struct Sewing<'a> {
     pub tissue: &'a mut Tissue,
     pub workspace: &'a mut Workspace,
     pub surroundings: &'a StepInputs<'a>,
+    /// All obstacles, the tissue's surface included.
+    pub obstacles: &'a [Obstacle<'a>],
     pub dt: f64,
     pub fractions: [f64; 2],
     /// Obstacle index of the tissue's surface.
@@ -330,6 +338,18 @@ impl Sewing<'_> {
 }
 
 impl CoupledBody for Sewing<'_> {
+    fn begin(&mut self, dt: f64, motions: &[Motion]) {
+        let (surface, passes) = (self.surface, self.surroundings.needle_passes);
+        needle_instrument_contact::near(
+            self.solid,
+            &self.start.needle,
+            (self.obstacles, motions),
+            |index| index != surface && !passes.contains(&index),
+            dt,
+            &mut self.workspace.touches,
+        );
+    }
+
     fn surface(&self) -> Option<usize> {
         self.thread.map(|_| self.surface)
     }
@@ -338,8 +358,14 @@ impl CoupledBody for Sewing<'_> {
         Some([self.tissue.before(), self.tissue.positions()])
     }
 
-    fn stops(&self, way: [&[Point3<f64>]; 2], _motions: &[Motion]) -> Option<usize> {
-        let (material, needle) = (self.thread?, self.workspace.needle?);
+    fn stops(&self, way: [&[Point3<f64>]; 2], motions: &[Motion]) -> Option<usize> {
+        let needle = self.workspace.needle?;
+        let both = [&self.start.needle, &needle];
+        let touches = &self.workspace.touches;
+        if needle_instrument_contact::passes(self.solid, both, (self.obstacles, motions), touches) {
+            return Some(0);
+        }
+        let material = self.thread?;
         needle_thread_contact::passes(self.solid, material.radius, self.start, &needle, way)
     }
 
@@ -351,12 +377,7 @@ impl CoupledBody for Sewing<'_> {
         Some(TOLERANCE)
     }
 
-    fn tie(
-        &mut self,
-        at: &RodIterate,
-        _motions: &[Motion],
-        ties: &mut Vec<Tie>,
-    ) -> Result<(), FailureCause> {
+    fn tie(&mut self, at: &RodIterate, motions: &[Motion], ties: &mut Vec<Tie>) -> Result<(), FailureCause> {
         let needle = self.workspace.needle.unwrap_or(self.start.needle);
         let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(FailureCause::NoInertia)?;
         self.workspace.left = self.residual(&needle);
@@ -398,6 +419,17 @@ impl CoupledBody for Sewing<'_> {
                 let pair =
                     needle_thread_contact::contact(self.solid, material, (self.start, &needle), at, &strand);
                 self.push(pair, &free, ties);
+            }
+        }
+        self.workspace.layout.touches = ties.len();
+        self.workspace.touched.clear();
+        for index in 0..self.workspace.touches.len() {
+            let touch = self.workspace.touches[index];
+            let of = (&self.obstacles[touch.obstacle], &motions[touch.obstacle]);
+            let both = [&self.start.needle, &needle];
+            if let Some((pair, at)) = needle_instrument_contact::contact(self.solid, both, of, &touch) {
+                self.push(pair, &free, ties);
+                self.workspace.touched.push((touch.obstacle, at));
             }
         }
         if self.workspace.forces.len() == ties.len() {

@@ -4,6 +4,7 @@ mod controller;
 mod island;
 mod knot;
 mod needle;
+mod needle_instrument;
 mod needle_thread_contact;
 mod puncture;
 mod stitch;

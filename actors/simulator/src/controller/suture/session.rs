@@ -55,6 +55,8 @@ pub(crate) struct Sewing {
     grips: Vec<Grip>,
     parts: ObstacleParts,
     led: LedInstruments,
+    /// Parts that the needle passes.
+    passes: Vec<usize>,
     leading: GraspConstraints,
     /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
@@ -115,6 +117,7 @@ impl Sewing {
             grips: Vec::new(),
             parts: ObstacleParts::default(),
             led: LedInstruments::resume(scene, needle),
+            passes: Vec::new(),
             leading: GraspConstraints::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
@@ -147,6 +150,13 @@ impl Sewing {
         }
         self.memory.closed = closed;
         let busy: Vec<Entity> = self.memory.held.iter().map(|held| held.instrument).collect();
+        // Jaws that are open are to close around the needle.
+        let is_open = |entity| angle(entity).is_some_and(|angle| angle > CLOSED);
+        self.passes.clear();
+        self.passes.extend(self.parts.list.iter().enumerate().filter_map(|(index, part)| {
+            let entity = part.met.entity;
+            (busy.contains(&entity) || (part.jaw.is_some() && is_open(entity))).then_some(index)
+        }));
         if let Some(thread) = &self.suture.state().thread {
             let radius = self.suture.thread_radius();
             if update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy) {
@@ -269,6 +279,7 @@ impl Sewing {
                 obstacles: &obstacles,
                 led: self.led.solved(),
                 spared: &self.leading.spared,
+                needle_passes: &self.passes,
             };
             self.report = self.suture.step(period / count, &around).map_err(|error| error.to_string())?;
             self.led.end_step(self.suture.led(), &mut self.parts);

@@ -162,6 +162,20 @@ impl Island {
         &self.led
     }
 
+    /// Adds to the reaction of an obstacle: a force at a point, both in the world.
+    pub fn add_reaction(
+        &mut self,
+        index: usize,
+        force: &Vector3<f64>,
+        at: &Point3<f64>,
+        origin: &Point3<f64>,
+    ) {
+        if let Some(reaction) = self.reactions.get_mut(index) {
+            reaction.force += force;
+            reaction.torque += (at - origin).cross(force);
+        }
+    }
+
     /// Results of the ties of the last iteration, in the coupled body's order.
     pub fn tied(&self) -> &[TieResult] {
         &self.tied

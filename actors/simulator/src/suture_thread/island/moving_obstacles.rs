@@ -25,7 +25,8 @@ pub(super) enum GivingKind {
 /// How an obstacle gives way in the current substep.
 #[derive(Clone, Copy, Debug)]
 enum Yielding {
-    /// A body that moves freely, with its mass matrix over the substep and the time in which a change of velocity moves it.
+    /// A body that moves freely, with its mass matrix over the substep and the time in which a change of velocity moves
+    /// it.
     Free(ObstacleMobility, Matrix6<f64>),
     /// A led instrument, by its index, at the beginning of a substep of this length \[s\].
     Led(usize, LedInstrument, f64),
