@@ -153,3 +153,19 @@ fn a_free_thread_and_a_free_weight_that_collide_keep_their_momentum() {
     assert!(exchanged > 1e-6, "they collide: {exchanged} N·s");
     assert!(lost < 1e-6 * exchanged, "{lost} of {exchanged} N·s");
 }
+
+#[test]
+fn a_weight_that_touches_a_thread_from_the_very_first_step_is_met() {
+    let nodes: Vec<Point3<f64>> =
+        (0..=40).map(|k| Point3::new(-0.02 + 1e-3 * f64::from(k), 0.0, 0.0)).collect();
+    let material = ThreadMaterial::silk_2_0();
+    let mut thread = Thread::new(material, &nodes).expect("a thread");
+    let mut weight = Weight::new(3.7e-5);
+    weight.pose.translation.vector.z = RADIUS + material.radius + 1e-5;
+    weight.velocity.z = -0.05;
+    let obstacles = [weight.obstacle(&Vector3::zeros(), 1e-3, 0.3)];
+    let around = Surroundings { obstacles: &obstacles, ..Surroundings::default() };
+    thread.step(1e-3, &around).expect("a step");
+    let [impulse, _] = thread.yielded()[0].impulse;
+    assert!(impulse.z > 0.0 && impulse.z < 2.0 * 0.05 * weight.mass, "{impulse:?} N·s");
+}
