@@ -105,7 +105,7 @@ mod tests {
         let (mut offset, mut velocity, mut force) = (Vector3::zeros(), Vector3::zeros(), 0.0);
         let wall = 0.01;
         for _ in 0..(0.5 / dt) as usize {
-            force = -stiffness * (wall + offset.x).max(0.0);
+            force = -stiffness * f64::max(wall + offset.x, 0.0);
             let k = if force != 0.0 { Matrix3::identity() * stiffness } else { Matrix3::zeros() };
             let push = Vector3::x() * force;
             let by = coupling.change([&offset, &velocity], (&push, &k), &Vector3::zeros(), dt);

@@ -475,8 +475,7 @@ impl Suture {
     /// Accumulates the reactions on grips and tissue in this substep, weighted by its share of the step.
     fn feel(&mut self, fractions: [f64; 2], surroundings: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
-        let (layout, tied) = (self.workspace.layout, self.island.tied().to_vec());
-        let tied = &tied[..];
+        let (layout, tied) = (self.workspace.layout, self.island.tied());
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
             let first = layout.grips + 2 * index;
             let [place, turn] = [tied[first], tied[first + 1]];
@@ -493,14 +492,14 @@ impl Suture {
                 Isometry3::from_parts(translation.into(), rotation)
             });
         }
+        for tie in layout.channel..layout.sides {
+            self.on_tissue -= self.workspace.force(tied, tie) * weight;
+        }
         for (place, (obstacle, at)) in self.workspace.touched.iter().enumerate() {
-            let force = self.workspace.force(tied, layout.touches + place) * -weight;
+            let force = self.workspace.force(self.island.tied(), layout.touches + place) * -weight;
             self.on_instruments += force.norm();
             let origin = Point3::from(surroundings.obstacles[*obstacle].to.translation.vector);
             self.island.add_reaction(*obstacle, &force, at, &origin);
-        }
-        for tie in layout.channel..layout.sides {
-            self.on_tissue -= self.workspace.force(tied, tie) * weight;
         }
         self.on_tissue +=
             self.workspace.presses.iter().map(|press| press.force).sum::<Vector3<f64>>() * weight;

@@ -5,9 +5,10 @@
 //! rate of a detector. A contact that is about to begin counts as well, so that nothing passes in a long step.
 //!
 //! Each contact is a stiff plane that is fixed to the rigid body, and the rigid body's motion in the step is solved
-//! together with the soft body's ([`rigid_response`]). Friction is a tangential spring at each contact that slides at
+//! together with the soft body's: exactly by methods that solve a step at once ([`rigid_response`]), in sweeps by those that
+//! divide it ([`rigid_motion`]). Friction is a tangential spring at each contact that slides at
 //! Coulomb's limit, of the normal force of the last step. The rigid body's controller takes the impulses
-//! ([`super::contact::rigid`]), so momentum is conserved for any rates and delays.
+//! ([`super::contact::RigidContacts`]), so momentum is conserved for any rates and delays.
 
 pub mod joint;
 mod proximity;
@@ -17,6 +18,7 @@ pub mod rigid_response;
 pub(crate) mod rigid_surface;
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
@@ -254,12 +256,13 @@ impl Bearings {
         });
         let body = |entity: Entity| {
             let body = scene.get::<RigidBody>(entity)?;
-            if !self.rigid.contains_key(&entity) {
-                self.rigid.insert(entity, RigidSurface::of(scene, entity)?);
-            }
+            let surface = match self.rigid.entry(entity) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(new) => new.insert(RigidSurface::of(scene, entity)?),
+            };
             let told = match scene.get::<RigidContacts>(entity) {
                 Some(told) => told,
-                None => &first_report(body, &self.rigid[&entity], gravity_in_world, now)?,
+                None => &first_report(body, surface, gravity_in_world, now)?,
             };
             let proxy = RigidProxy::of(scene, entity, (now, period), told, given.clone(), in_batches)?;
             Some(BorneBody { entity, friction: body.friction, proxy })

@@ -165,15 +165,6 @@ impl RigidPresses<'_> {
         }
     }
 
-    /// Mobility of the rigid body at a contact, along its normal \[1/kg\].
-    #[must_use]
-    pub fn mobility(&self, contact: &PlaneContact) -> f64 {
-        let body = &self.bodies[contact.body as usize];
-        let turn = contact.arm.cross(&contact.normal);
-        let inverse = body.inertia.try_inverse().unwrap_or_else(Matrix3::zeros);
-        body.mass.recip() + turn.dot(&(inverse * turn))
-    }
-
     /// Force of the contacts with the rigid bodies held, per depth: what an approximate Hessian takes for each contact
     /// \[N/m\]. Contacts share the mobility of their body.
     pub fn stiffnesses(&self, step: f64, presses: impl Fn(usize) -> bool, out: &mut Vec<f64>) {

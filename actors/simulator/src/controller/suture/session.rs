@@ -150,8 +150,8 @@ impl Sewing {
         }
         self.memory.closed = closed;
         let busy: Vec<Entity> = self.memory.held.iter().map(|held| held.instrument).collect();
-        // Jaws that are open are to close around the needle.
-        let is_open = |entity| angle(entity).is_some_and(|angle| angle > CLOSED);
+        // Jaws that are open, or of which nothing is known yet, are to close around the needle.
+        let is_open = |entity| angle(entity).is_none_or(|angle| angle > CLOSED);
         self.passes.clear();
         self.passes.extend(self.parts.list.iter().enumerate().filter_map(|(index, part)| {
             let entity = part.met.entity;

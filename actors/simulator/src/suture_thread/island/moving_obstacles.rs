@@ -24,6 +24,7 @@ pub(super) enum GivingKind {
 
 /// How an obstacle gives way in the current substep.
 #[derive(Clone, Copy, Debug)]
+#[expect(clippy::large_enum_variant, reason = "there are a handful of them, and a step allocates nothing")]
 enum Yielding {
     /// A body that moves freely, with its mass matrix over the substep and the time in which a change of velocity moves
     /// it.
@@ -434,7 +435,8 @@ impl Island {
             match &giving.how {
                 Yielding::Free(mobility, inertia) => {
                     let wrench = inertia * giving.gone;
-                    let wrench = [wrench.fixed_rows::<3>(0), wrench.fixed_rows::<3>(3)].map(|of| of.into_owned());
+                    let wrench =
+                        [wrench.fixed_rows::<3>(0), wrench.fixed_rows::<3>(3)].map(|of| of.into_owned());
                     let yielded = &mut self.yielded[giving.parts[0]];
                     *yielded = yielded.after(mobility, dt, wrench);
                 }
