@@ -18,7 +18,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
 use trocar_dynamics::soft_body::bearing::rigid_motion::{PressedNodes, RigidMotion, press, press_as_before};
-use trocar_dynamics::soft_body::method::{ContactParams, Measures, StepContext, bearing_stiffness};
+use trocar_dynamics::soft_body::method::{
+    ContactParams, Measures, StepContext, bearing_stiffness, bearing_substep, pressure_wave_squared,
+};
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
@@ -26,6 +28,9 @@ use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 
 use crate::conversion::{point_from_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::LENGTH_UNIT;
+
+/// Maximum number of substeps of a step.
+const PARTS_MAX: u32 = 100;
 
 /// Rapier's solver for the elements.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -88,7 +93,7 @@ impl EngineSoftBody {
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=0.49, "0 to 0.49")?;
         ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
-        ComponentError::range("parts", f64::from(self.parts), 1.0..=100.0, "1 to 100")?;
+        ComponentError::range("parts", f64::from(self.parts), 1.0..=f64::from(PARTS_MAX), "1 to 100")?;
         ComponentError::range("iterations", f64::from(self.iterations), 1.0..=100.0, "1 to 100")?;
         ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
@@ -107,12 +112,16 @@ pub struct EngineSoftMethod {
     mobility: Vec<f64>,
     /// Stiffness of each contact with a rigid body that moves \[N/m\].
     bearing_stiffness: f64,
+    /// Longest substep under a rigid body \[s\].
+    bearing_substep: f64,
     /// Fixed vertices, ascending.
     pinned: Vec<u32>,
     /// Vertices held by jaws, ascending.
     driven: Vec<u32>,
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
+    /// What the elements bore in the last substep of the push of rigid bodies on a vertex \[N\].
+    borne: BTreeMap<u32, Vector3<f64>>,
 }
 
 /// A contact with a rod during a step.
@@ -206,18 +215,31 @@ impl EngineSoftMethod {
     }
 }
 
-/// The vertices before a substep, with the contacts' forces on them.
+/// The vertices before a substep, with the contacts' forces on them. What the elements bore of the last push they are
+/// taken to bear again: a vertex that is only seen as a free mass would seem to make way for any push, and bodies at rest
+/// would sink in by several times as much as their weight presses the elements together.
 struct PushedNodes<'a> {
     of: &'a EngineSoftMethod,
     h: f64,
     pushes: BTreeMap<u32, Vector3<f64>>,
 }
 
+/// What the elements bore of a push \[N\], by the change of velocity of a vertex in a substep and that by the weight alone:
+/// a share of the push, from none to all of it.
+fn borne_of(push: &Vector3<f64>, accelerating: &Vector3<f64>) -> Vector3<f64> {
+    let size = push.norm_squared();
+    if size == 0.0 {
+        return Vector3::zeros();
+    }
+    push * (1.0 - accelerating.dot(push) / size).clamp(0.0, 1.0)
+}
+
 impl PressedNodes for PushedNodes<'_> {
     fn at_end(&self, node: u32) -> (Vector3<f64>, Vector3<f64>, f64) {
         let (index, mobility) = (node as usize, self.of.mobility[node as usize]);
         let push = self.pushes.get(&node).copied().unwrap_or_default();
-        let velocity = self.of.velocities[index] + push * (mobility * self.h);
+        let borne = self.of.borne.get(&node).copied().unwrap_or_default();
+        let velocity = self.of.velocities[index] + (push - borne) * (mobility * self.h);
         (self.of.positions[index].coords + velocity * self.h, velocity, mobility)
     }
 
@@ -301,10 +323,15 @@ impl SoftMethod for EngineSoftMethod {
             masses,
             mobility,
             bearing_stiffness,
+            bearing_substep: bearing_substep(
+                pressure_wave_squared(kind.young_modulus, kind.poisson_ratio, kind.density),
+                body,
+            ),
             pinned,
             driven: Vec::new(),
             positions,
             velocities,
+            borne: BTreeMap::new(),
         })
     }
 
@@ -319,7 +346,13 @@ impl SoftMethod for EngineSoftMethod {
     fn terms(&self) -> Option<ContactParams<'_>> {
         let EngineSoftBody { contact_stiffness: stiffness, friction, .. } = self.kind;
         let (masses_inverse, bearing_stiffness) = (&self.mobility[..], self.bearing_stiffness);
-        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, friction })
+        Some(ContactParams {
+            masses_inverse,
+            stiffness,
+            bearing_stiffness,
+            young_modulus: self.kind.young_modulus,
+            friction,
+        })
     }
 
     fn contact_surface<'a>(&'a self, body: &'a Deformable) -> ContactSurface<'a> {
@@ -334,7 +367,11 @@ impl SoftMethod for EngineSoftMethod {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         self.lead(site)?;
-        let parts = self.kind.parts;
+        let parts = if site.rigid.contacts.is_empty() {
+            self.kind.parts
+        } else {
+            self.kind.parts.max((site.period_secs() / self.bearing_substep).ceil() as u32).min(PARTS_MAX)
+        };
         let mut moving: Vec<RigidMotion> =
             site.rigid.bodies.iter().map(|body| RigidMotion::of(body, site.period_secs())).collect();
         let began: Vec<Vector3<f64>> =
@@ -371,9 +408,11 @@ impl SoftMethod for EngineSoftMethod {
             press(site.rigid.contacts, &began, &mut now, &mut moving, h, &mut nodes);
             let pushes = nodes.pushes;
             let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
-            for (node, push) in pushes {
-                body.add_particle_force(node as usize, vector_to_rapier(&push), false);
+            for (&node, push) in &pushes {
+                body.add_particle_force(node as usize, vector_to_rapier(push), false);
             }
+            let before: Vec<Vector3<f64>> =
+                pushes.keys().map(|&node| self.velocities[node as usize]).collect();
             borne.iter_mut().zip(&now).for_each(|(total, force)| *total += force * h);
             moving.iter_mut().for_each(|motion| motion.end(h));
             let share = f64::from(part + 1) / f64::from(parts);
@@ -382,6 +421,12 @@ impl SoftMethod for EngineSoftMethod {
                 body.set_particle_kinematic_target(driven.vertex as usize, vector_to_rapier(&target.coords));
             }
             self.part()?;
+            self.borne.clear();
+            for ((node, push), before) in pushes.iter().zip(before) {
+                let (now, mass) = (self.velocities[*node as usize], self.masses[*node as usize]);
+                let accelerating = ((now - before) / h - site.gravity) * mass;
+                self.borne.insert(*node, borne_of(push, &accelerating));
+            }
         }
         forces.extend(pressed.iter().map(|of| of.impulse / site.period_secs()));
         let of_rigid = site.rigid.contacts.iter().zip(&borne);

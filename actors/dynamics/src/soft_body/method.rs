@@ -186,6 +186,8 @@ pub struct ContactParams<'a> {
     /// The same of each contact with a rigid body that moves: well above that of the body itself between neighbouring
     /// vertices, so that what lies on it does not sink in \[N/m\].
     pub bearing_stiffness: f64,
+    /// Young's modulus of a volume \[Pa\]; 0 of others.
+    pub young_modulus: f64,
     /// Coulomb friction coefficient.
     pub friction: f64,
 }
@@ -198,14 +200,37 @@ const STIFFER: f64 = 10.0;
 /// well above that of tissue of this Young's modulus \[Pa\] over the mean edge of its surface.
 #[must_use]
 pub fn bearing_stiffness(contact_stiffness: f64, young_modulus: f64, body: &Deformable) -> f64 {
+    contact_stiffness.max(STIFFER * young_modulus * mean_edge(body))
+}
+
+/// Longest substep under a rigid body, over the time that a wave takes across an edge, of methods that divide a step: in
+/// longer ones their constraints are so far from converged that the body is many times too soft, and heavy rigid bodies
+/// fall through.
+const CONVERGED: f64 = 0.7;
+
+/// Longest substep \[s\] in which a method that divides its steps bears rigid bodies, for the square of the speed at which
+/// waves of strain travel in the body \[m²/s²\]; infinite for a body without a surface.
+#[must_use]
+pub fn bearing_substep(speed_squared: f64, body: &Deformable) -> f64 {
+    let edge = mean_edge(body);
+    if edge > 0.0 { CONVERGED * edge / speed_squared.sqrt() } else { f64::INFINITY }
+}
+
+/// Square of the speed of pressure waves in a solid \[m²/s²\], by Young's modulus \[Pa\], Poisson's ratio and density
+/// \[kg/m³\].
+#[must_use]
+pub fn pressure_wave_squared(young_modulus: f64, poisson_ratio: f64, density: f64) -> f64 {
+    let nu = poisson_ratio;
+    young_modulus * (1.0 - nu) / ((1.0 + nu) * (1.0 - 2.0 * nu) * density)
+}
+
+/// Mean edge of a body's surface at rest \[m\]; 0 without triangles.
+#[must_use]
+fn mean_edge(body: &Deformable) -> f64 {
     let edges = body.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
     let lengths = edges.map(|[a, b]| (body.rest[a as usize] - body.rest[b as usize]).norm());
     let (sum, count) = lengths.fold((0.0, 0.0), |(sum, count), length| (sum + length, count + 1.0));
-    if count == 0.0 {
-        contact_stiffness
-    } else {
-        contact_stiffness.max(STIFFER * young_modulus * sum / count)
-    }
+    if count == 0.0 { 0.0 } else { sum / count }
 }
 
 /// Prediction of a body's next step.

@@ -3,7 +3,7 @@
 use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState};
 use trocar_dynamics::particles::StepError;
 
-use super::{Xpbd, XpbdConfig, XpbdInput};
+use super::{PARTS_MAX, Xpbd, XpbdConfig, XpbdInput};
 
 /// A body of an island.
 #[derive(Debug)]
@@ -40,7 +40,8 @@ pub fn step_together(
     external_nodes.prepare(scratch);
     let most = |of: fn(&XpbdConfig) -> u32| members.iter().map(|member| of(&member.body.config)).max();
     let (parts, iterations) = (most(|config| config.parts), most(|config| config.iterations));
-    let parts = parts.unwrap_or(1);
+    let wanted = members.iter().map(|member| member.input.parts_min).max().unwrap_or(0);
+    let parts = parts.unwrap_or(1).max(wanted).min(PARTS_MAX);
     let h = dt / f64::from(parts);
     // Without external nodes there is nothing to gather in each substep.
     let has_company = !(external_nodes.ghost_nodes.is_empty() && external_nodes.ties.is_empty());

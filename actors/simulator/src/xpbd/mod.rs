@@ -40,6 +40,8 @@ use tetrahedra::{TetPack, Tets};
 
 /// Constraints of a colour (packs of tetrahedra count as one) above which threads pay off.
 const PARALLEL: usize = 512;
+/// Maximum number of substeps of a step.
+pub const PARTS_MAX: u32 = 1000;
 /// Definition of a body.
 #[derive(Clone, Debug, Default)]
 pub struct Body<'a> {
@@ -105,6 +107,8 @@ pub struct XpbdInput<'a> {
     pub contacts: &'a [Contact],
     /// Contacts with rigid bodies that move.
     pub rigid: RigidPresses<'a>,
+    /// Number of substeps at least, whatever the configuration says; at most [`PARTS_MAX`] count.
+    pub parts_min: u32,
     /// External nodes of other bodies, and the ties to them.
     pub external_nodes: ExternalNodes<'a>,
 }
@@ -165,7 +169,7 @@ impl Xpbd {
         let nodes = body.rest.len();
         let invalid = |what, value, valid| Err(NetworkError::Parameter { what, value, valid });
         for (what, value) in [("parts", config.parts), ("iterations", config.iterations)] {
-            if !(1..=1000).contains(&value) {
+            if !(1..=PARTS_MAX).contains(&value) {
                 return invalid(what, f64::from(value), "1 to 1000");
             }
         }

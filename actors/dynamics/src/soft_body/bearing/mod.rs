@@ -10,6 +10,7 @@
 //! Coulomb's limit, of the normal force of the last step. The rigid body's controller takes the impulses
 //! ([`super::contact::RigidContacts`]), so momentum is conserved for any rates and delays.
 
+mod hysteresis;
 pub mod joint;
 mod proximity;
 pub mod rigid_motion;
@@ -191,6 +192,8 @@ pub struct Bearing {
     /// On the soft surface, and the rigid body's centre of mass when it is there, in world \[m\].
     at_in_world: Point3<f64>,
     centre_in_world: Point3<f64>,
+    /// Moment of hysteresis on the rigid body besides those of forces \[N·m\], in world.
+    moment: Vector3<f64>,
 }
 
 /// Finds and answers the contacts of a controller's soft bodies with rigid ones.
@@ -316,6 +319,7 @@ impl Bearings {
                         normal_in_world,
                         at_in_world,
                         centre_in_world: seen.centre(),
+                        moment: Vector3::zeros(),
                         plane: PlaneContact {
                             nodes: near.nodes,
                             weights: near.weights,
@@ -335,6 +339,7 @@ impl Bearings {
             found.truncate(first + BORNE_MAX);
         }
         rub(&mut found, bearers, bodies, step);
+        self.add_losses(&mut found, bearers, bodies, step);
         found
     }
 }
@@ -412,6 +417,7 @@ fn join(found: &mut Vec<Bearing>, bearer: usize, of: &Bearer<'_>, bodies: &[Born
                 normal_in_world: normal,
                 at_in_world: at,
                 centre_in_world: *proxy.centre(),
+                moment: Vector3::zeros(),
                 plane: PlaneContact {
                     nodes: [joint.vertex; 3],
                     weights: [1.0, 0.0, 0.0],
@@ -493,11 +499,12 @@ impl Bearing {
 
     /// The impulse of the friction on the rigid body in a step.
     pub fn friction_given(&self, step: f64) -> Option<ImpulseTotals> {
-        if self.contact.friction == Vector3::zeros() {
+        if [self.contact.friction, self.moment] == [Vector3::zeros(); 2] {
             return None;
         }
         let mut given = ImpulseTotals { body: Some(self.contact.body), ..ImpulseTotals::default() };
         given.add(&(self.contact.friction * -step), &(self.at_in_world - self.centre_in_world));
+        given.moment += self.moment * step;
         Some(given)
     }
 
@@ -516,11 +523,14 @@ impl Bearing {
         let force = self.normal_in_world * normal + self.contact.friction;
         if force != Vector3::zeros() {
             let impulse = force * -step;
-            let arm = self.at_in_world - self.centre_in_world;
-            ImpulseTotals::of(given, bodies[self.borne].entity).add(&impulse, &arm);
-            ImpulseTotals::of(last, bodies[self.borne].entity).add(&impulse, &arm);
+            let moment = (self.at_in_world - self.centre_in_world).cross(&impulse) + self.moment * step;
+            for sums in [given, last] {
+                let sums = ImpulseTotals::of(sums, bodies[self.borne].entity);
+                sums.impulse += impulse;
+                sums.moment += moment;
+            }
             totals[self.borne][0] += impulse;
-            totals[self.borne][1] += arm.cross(&impulse);
+            totals[self.borne][1] += moment;
         }
         force
     }

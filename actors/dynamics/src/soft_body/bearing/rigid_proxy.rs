@@ -175,6 +175,11 @@ impl RigidProxy {
         }
     }
 
+    /// Length of its controller's ticks \[s\].
+    pub fn own_step(&self) -> f64 {
+        self.tick
+    }
+
     /// Its mass properties.
     pub fn inertia(&self) -> &Inertia {
         &self.inertia

@@ -28,7 +28,7 @@ pub struct BorneContact {
     pub feature: BearingFeature,
     /// Normal force in the last step \[N\].
     pub force: f64,
-    /// Friction on the soft body in the last step, in world \[N\].
+    /// Friction on the soft body in the last step, with the force of its hysteresis along the normal, in world \[N\].
     pub friction: Vector3<f64>,
     /// Displacement of the tangential spring \[m\], in world.
     pub drawn: Vector3<f64>,

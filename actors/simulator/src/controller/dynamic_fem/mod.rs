@@ -280,7 +280,9 @@ impl SoftMethod for DynamicFemMethod {
     fn terms(&self) -> Option<ContactParams<'_>> {
         let DynamicFemBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
         let bearing_stiffness = self.bearing_stiffness;
-        Some(ContactParams { masses_inverse: &self.mobility, stiffness, bearing_stiffness, friction })
+        let young_modulus = self.of.kind.young_modulus;
+        let masses_inverse = &self.mobility;
+        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, young_modulus, friction })
     }
 
     fn publish(&mut self, body: &Deformable, site: &StepContext<'_>, out: &mut Commands) {

@@ -43,7 +43,6 @@ use trocar_scene::{
 use super::cutting::divisible_volume::DivisibleVolume;
 use super::cutting::volume::FailureCriteria;
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
-use bearing::OnOrgan;
 use blend::InverseBlend;
 use contacts::{ConstraintReaction, ConstraintSource, Contacts};
 use embedded_points::{PinPlaces, Pins};
@@ -135,11 +134,17 @@ pub(super) struct Body {
     mobility: Vec<f64>,
     bearing_stiffness: f64,
     borne_force: f64,
+    /// Whether they have changed in this tick.
+    borne_changed: bool,
     pub(super) is_pinned: Vec<bool>,
     deformation: Deformation,
     /// Whether the strain was outside the validity of linear elasticity.
     beyond: bool,
     frozen: bool,
+    /// Its pose in this tick, instruments in its frame, and its reactions in the last step.
+    world_from_body: Isometry3<f64>,
+    pub(super) rods: Vec<Rod>,
+    answers: Vec<ConstraintReaction>,
 }
 
 /// Steps every body that carries [`LinearFemBody`].
@@ -147,7 +152,6 @@ pub struct LinearFemController {
     cache: Option<Cache>,
     bodies: Vec<Body>,
     refused: Vec<RejectedBody>,
-    rods: Vec<Rod>,
     bearings: Bearings,
     gravity_in_world: Vector3<f64>,
 }
@@ -175,7 +179,7 @@ impl LinearFemController {
             return Err(ControllerError::Scene("linear-fem: no entity has a 'linear_fem'".into()));
         }
         let cache = cache.map(|folder| Cache::new(&folder));
-        Ok(Self { cache, bodies, refused, rods: Vec::new(), bearings: Bearings::default(), gravity_in_world })
+        Ok(Self { cache, bodies, refused, bearings: Bearings::default(), gravity_in_world })
     }
 }
 
@@ -199,65 +203,21 @@ impl Controller for LinearFemController {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        for (index, body) in self.bodies.iter_mut().enumerate().filter(|(_, body)| !body.frozen) {
+            body.world_from_body = scene.world_pose(body.body.entity);
+            rods_of_all(scene, &body.world_from_body, &mut body.rods);
+            if body.kind.cut {
+                body.rods.retain(|rod| !is_blade(scene, rod.instrument));
+            }
+            if let Err(why) = body.begin(index, self.cache.as_ref(), scene, tick, out) {
+                body.freeze(&why, tick, out);
+            }
+        }
+        self.solve(scene, tick, out);
         let mut collisions: Vec<Collision> = Vec::new();
         let mut measured = Measured::default();
-        let (borne, mut bearings) = self.press(scene, tick);
-        for (index, body) in self.bodies.iter_mut().enumerate() {
-            let OnOrgan { mut bearings, presses, rigid } = std::mem::take(&mut bearings[index]);
-            let world_from_body = scene.world_pose(body.body.entity);
-            let mut forces = [0.0; 2];
-            if !body.frozen {
-                rods_of_all(scene, &world_from_body, &mut self.rods);
-                if body.kind.cut {
-                    self.rods.retain(|rod| !is_blade(scene, rod.instrument));
-                }
-                let site = StepContext {
-                    scene,
-                    tick,
-                    step_secs: tick.period.as_secs_f64(),
-                    world_from_body: &world_from_body,
-                    gravity: Vector3::zeros(),
-                    rods: &self.rods,
-                    touches: &[],
-                    rigid: RigidPresses { bodies: &rigid, contacts: &presses },
-                    forces: &[],
-                    driven: &[],
-                };
-                let done = body.step(index, self.cache.as_ref(), &site, out);
-                match done {
-                    Ok(answers) => {
-                        body.bear(&answers, &mut bearings, &borne, tick, out);
-                        for answer in &answers {
-                            match answer.by {
-                                ConstraintSource::Pin(_) => forces[1] += answer.force.norm(),
-                                ConstraintSource::Body(_) => {}
-                                _ => forces[0] += answer.force.norm(),
-                            }
-                            collisions.extend(body.collision_of(
-                                answer,
-                                &self.rods,
-                                &world_from_body,
-                                tick.time,
-                            ));
-                        }
-                        if body.solver.is_some() {
-                            body.write(out);
-                        }
-                        if body.leaves_linear_range(tick) {
-                            out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
-                            if scene.get::<OutOfValidity>(body.body.entity).is_none() {
-                                out.put(body.body.entity, body.validity_warning(tick));
-                            }
-                        }
-                    }
-                    Err(why) => {
-                        body.frozen = true;
-                        // As in the scene.
-                        body.positions = body.body.positions.to_vec();
-                        body.body.freeze(&why, tick, out);
-                    }
-                }
-            }
+        for body in &mut self.bodies {
+            let forces = if body.frozen { [0.0; 2] } else { body.end(scene, tick, &mut collisions, out) };
             body.measure(forces, &mut measured.values);
         }
         self.refused.iter_mut().for_each(|body| body.report(tick, &mut measured, out));
@@ -266,6 +226,28 @@ impl Controller for LinearFemController {
         out.contribute(CollisionList { collisions, penetration_max: 0.0 });
         out.put(tick.me, measured);
         Ok(())
+    }
+}
+
+/// What a step of an organ is given.
+fn site<'a>(
+    scene: &'a Snapshot,
+    tick: &'a Tick<'a>,
+    world_from_body: &'a Isometry3<f64>,
+    rods: &'a [Rod],
+    rigid: RigidPresses<'a>,
+) -> StepContext<'a> {
+    StepContext {
+        scene,
+        tick,
+        step_secs: tick.period.as_secs_f64(),
+        world_from_body,
+        gravity: Vector3::zeros(),
+        rods,
+        touches: &[],
+        rigid,
+        forces: &[],
+        driven: &[],
     }
 }
 
@@ -306,25 +288,56 @@ impl Body {
             mobility: is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }).collect(),
             bearing_stiffness: bearing_stiffness(0.0, kind.young_modulus, &body),
             borne_force: 0.0,
+            borne_changed: false,
             is_pinned,
             deformation: Deformation::default(),
             beyond: false,
             frozen: scene.get::<Frozen>(entity).is_some(),
+            world_from_body: scene.world_pose(entity),
+            rods: Vec::new(),
+            answers: Vec::new(),
             body,
         })
     }
 
-    /// A tick, without its reports.
-    fn step(
+    /// Begins a tick: takes its inverse, and applies topology changes.
+    fn begin(
         &mut self,
         index: usize,
         cache: Option<&Cache>,
-        site: &StepContext<'_>,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
         out: &mut Commands,
-    ) -> Result<Vec<ConstraintReaction>, String> {
+    ) -> Result<(), String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
-        self.wait(keys[0], cache, site.tick)?;
-        self.alter(keys[1], site, out)?;
+        self.answers.clear();
+        self.wait(keys[0], cache, tick)?;
+        let (rods, world_from_body) = (std::mem::take(&mut self.rods), self.world_from_body);
+        let site = site(scene, tick, &world_from_body, &rods, RigidPresses::default());
+        let done = self.alter(keys[1], &site, out);
+        self.rods = rods;
+        done
+    }
+
+    /// A step, in which it presses on these rigid bodies; its reactions are in `answers`.
+    fn step(
+        &mut self,
+        step_secs: f64,
+        rigid: RigidPresses<'_>,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
+    ) -> Result<(), String> {
+        let (rods, world_from_body) = (std::mem::take(&mut self.rods), self.world_from_body);
+        let site = StepContext { step_secs, ..site(scene, tick, &world_from_body, &rods, rigid) };
+        let done = self.react(&site);
+        self.rods = rods;
+        self.answers = done?;
+        let bad = self.answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
+        bad.map_or(Ok(()), |at| Err(format!("the force of contact {at} is no finite number")))
+    }
+
+    /// The reactions of a step.
+    fn react(&mut self, site: &StepContext<'_>) -> Result<Vec<ConstraintReaction>, String> {
         if self.solver.is_none() {
             return Ok(self.bear_undeformed(site));
         }
@@ -341,14 +354,55 @@ impl Body {
             }
         }
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
-        // Results of the last evaluation are for the next tick.
-        self.evaluate_interior(site.tick);
-        if !self.divisible.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
-            self.blend.take_if(InverseBlend::is_over);
-        }
         finite_vertices(&self.positions, &[])?;
-        let bad = answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
-        bad.map_or(Ok(answers), |at| Err(format!("the force of contact {at} is no finite number")))
+        Ok(answers)
+    }
+
+    /// Ends a tick: writes the body and its contact forces; returns the sums of the forces of contacts and of pins \[N\].
+    fn end(
+        &mut self,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
+        collisions: &mut Vec<Collision>,
+        out: &mut Commands,
+    ) -> [f64; 2] {
+        if self.solver.is_some() {
+            // Results of the last evaluation are for the next tick.
+            self.evaluate_interior(tick);
+            if !self.divisible.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
+                self.blend.take_if(InverseBlend::is_over);
+            }
+            if let Err(why) = finite_vertices(&self.positions, &[]) {
+                self.freeze(&why, tick, out);
+                return [0.0; 2];
+            }
+        }
+        let mut forces = [0.0; 2];
+        for answer in &self.answers {
+            match answer.by {
+                ConstraintSource::Pin(_) => forces[1] += answer.force.norm(),
+                ConstraintSource::Body(_) => {}
+                _ => forces[0] += answer.force.norm(),
+            }
+            collisions.extend(self.collision_of(answer, &self.rods, &self.world_from_body, tick.time));
+        }
+        if self.solver.is_some() {
+            self.write(out);
+        }
+        if self.leaves_linear_range(tick) {
+            out.event("beyond_linear", self.body.entity, None, tick.time.as_secs_f64());
+            if scene.get::<OutOfValidity>(self.body.entity).is_none() {
+                out.put(self.body.entity, self.validity_warning(tick));
+            }
+        }
+        forces
+    }
+
+    fn freeze(&mut self, why: &str, tick: &Tick<'_>, out: &mut Commands) {
+        self.frozen = true;
+        // As in the scene.
+        self.positions = self.body.positions.to_vec();
+        self.body.freeze(&why, tick, out);
     }
 
     /// Applies thermal damage, cuts and tears to its elements.

@@ -338,7 +338,8 @@ impl SoftMethod for MassSpringMethod {
     fn terms(&self) -> Option<ContactParams<'_>> {
         let MassSpringBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
         let (masses_inverse, bearing_stiffness) = (self.of.solver.mobility(), self.bearing_stiffness);
-        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, friction })
+        let young_modulus = self.of.kind.volume().unwrap_or(0.0);
+        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, young_modulus, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {

@@ -149,10 +149,11 @@ fn step_all(
     let mut members: Vec<Member<'_>> = steps
         .iter_mut()
         .map(|step| {
-            let XpbdMethod { of, contacts, prescribed, forces, .. } = &mut *step.method;
+            let XpbdMethod { of, contacts, prescribed, forces, bearing_substep, .. } = &mut *step.method;
             let gravity: Vector3<f64> = step.site.gravity;
             let (rigid, external_nodes) = (step.site.rigid, ExternalNodes::default());
-            let input = XpbdInput { gravity, forces, contacts, prescribed, rigid, external_nodes };
+            let parts_min = if rigid.contacts.is_empty() { 0 } else { (dt / *bearing_substep).ceil() as u32 };
+            let input = XpbdInput { gravity, forces, contacts, prescribed, rigid, parts_min, external_nodes };
             Member { body: &mut of.solver, input }
         })
         .collect();

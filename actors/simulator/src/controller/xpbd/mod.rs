@@ -15,7 +15,8 @@ use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::method::{
-    ContactParams, Measures, Step, StepContext, SurfaceChange, bearing_stiffness,
+    ContactParams, Measures, Step, StepContext, SurfaceChange, bearing_stiffness, bearing_substep,
+    pressure_wave_squared,
 };
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact};
 use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
@@ -152,6 +153,19 @@ impl XpbdBody {
             tears: self.strength.map(|strength| (strength, [lambda, mu])),
             is_linear: false,
             young_modulus,
+        }
+    }
+
+    /// Longest substep under a rigid body \[s\].
+    fn bearing_substep(&self, body: &Deformable) -> f64 {
+        match self.matter {
+            Matter::Volume { young_modulus, poisson_ratio, density } => {
+                bearing_substep(pressure_wave_squared(young_modulus, poisson_ratio, density), body)
+            }
+            Matter::Cloth { membrane_stiffness, density, .. } => {
+                bearing_substep(membrane_stiffness / density, body)
+            }
+            Matter::Rod { .. } => f64::INFINITY,
         }
     }
 
@@ -349,6 +363,8 @@ pub struct XpbdMethod {
     pub(super) coupled: Option<FastSide>,
     /// Stiffness of each contact with a rigid body that moves \[N/m\].
     bearing_stiffness: f64,
+    /// Longest substep under a rigid body \[s\].
+    pub(super) bearing_substep: f64,
     pub(super) contacts: Vec<Contact>,
     pub(super) prescribed: Vec<Prescribed>,
     pub(super) forces: Vec<NodeForce>,
@@ -441,6 +457,7 @@ impl SoftMethod for XpbdMethod {
             line,
             coupled,
             bearing_stiffness,
+            bearing_substep: kind.bearing_substep(body),
             contacts,
             prescribed,
             forces,
@@ -458,7 +475,8 @@ impl SoftMethod for XpbdMethod {
     fn terms(&self) -> Option<ContactParams<'_>> {
         let XpbdBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
         let (masses_inverse, bearing_stiffness) = (self.of.solver.mobility(), self.bearing_stiffness);
-        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, friction })
+        let young_modulus = self.of.kind.volume().map_or(0.0, |[young_modulus, _]| young_modulus);
+        Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, young_modulus, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
