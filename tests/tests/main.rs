@@ -2,6 +2,7 @@
 //!
 //! Tests that need the machine for themselves are in `alone.rs`.
 
+mod bearing;
 mod collision_gallery;
 mod detectors;
 mod determinism;

@@ -1,8 +1,6 @@
 //! Scenes of soft matter, in lock-step: each checked by its outcome, and with a control that fails.
 
-use trocar::app::SCENARIOS;
 use trocar::run::{RunOptions, RunOutcome, start};
-use trocar::session::forecast;
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{DeviceForce, HapticStatus, RestPositions, SimTime, TetMesh, VertexPositions};
 use trocar_test_support::thorough;
@@ -424,85 +422,5 @@ fn nine_instruments_do_what_each_is_for_and_straight_rods_in_their_place_do_not(
         let errors: Vec<String> =
             control.summary.task.errors.iter().map(|error| error.kind.clone()).collect();
         assert!(!errors.is_empty() && errors.iter().all(|error| error.starts_with(of)), "{with}: {errors:?}");
-    }
-}
-
-/// A ball with a radius of 12 mm above a block that is 40 mm thick.
-fn ball_above_block(material: &str, mass: f64) -> String {
-    format!(
-        r#"schema = 1
-name = "ball"
-title = "A ball on a block"
-description = "A ball on a block"
-gravity = [0.0, 0.0, -9.81]
-[[entity]]
-name = "block"
-pose = {{ translation = [0.0, 0.0, 0.02] }}
-mesh = {{ block = {{ size = [0.06, 0.06, 0.04], cells = [6, 6, 4] }} }}
-{material}
-anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0199] }} }}] }}
-[[entity]]
-name = "ball"
-pose = {{ translation = [0.0, 0.0, 0.0521] }}
-mesh = {{ shape = {{ sphere = {{ radius = 0.012 }} }}, segments = 16 }}
-rigid_body = {{ motion = "dynamic", mass = {mass}, friction = 0.3 }}
-[task]
-seconds = 0.02
-expect = [{{ measure = "ball.z_m", min = 0.0, max = 1.0 }}]
-[[controller]]
-name = "block"
-kind = "dynamic-fem"
-rate_hz = 100
-[[controller]]
-name = "engine"
-kind = "rapier"
-rate_hz = 500
-[[controller]]
-name = "judge"
-kind = "outcome"
-rate_hz = 100
-"#
-    )
-}
-
-#[test]
-fn a_mass_that_sinks_in_too_deep_is_told_once_and_another_is_not() {
-    let app = app();
-    for young in [1e3, 8e3, 1e5, 1e6] {
-        for mass in [1e-3, 0.05, 0.5, 5.0] {
-            let material = format!(
-                "dynamic_fem = {{ young_modulus = {young:?}, poisson_ratio = 0.45, density = 1000.0 }}"
-            );
-            let text = ball_above_block(&material, mass);
-            let scenario = Scenario::parse("ball.toml".as_ref(), &text, app.registry()).expect("valid");
-            let scene = scenario.spawn(app.registry()).expect("a scene").snapshot();
-            let told = forecast(&scene, &scenario);
-            let plane = young / (1.0 - 0.45 * 0.45);
-            let hertz = (mass * 9.81 / (4.0 / 3.0 * plane * 0.012_f64.sqrt())).powf(2.0 / 3.0);
-            let wanted = usize::from(hertz > 0.3 * 0.04);
-            assert_eq!(told.len(), wanted, "{young} Pa, {mass} kg, {hertz} m: {told:?}");
-            assert!(told.iter().all(|line| line.contains("young_modulus") && line.contains("block")));
-        }
-    }
-}
-
-#[test]
-fn a_run_tells_its_warnings_in_the_summary() {
-    let app = app();
-    let material = "dynamic_fem = { young_modulus = 1e3, poisson_ratio = 0.45, density = 1000.0 }";
-    let text = ball_above_block(material, 5.0);
-    let scenario = Scenario::parse("ball.toml".as_ref(), &text, app.registry()).expect("valid");
-    let outcome = finish(&app, &scenario, &lockstep(1));
-    assert_eq!(outcome.summary.warnings.len(), 1, "{:?}", outcome.summary.warnings);
-}
-
-#[test]
-fn the_shipped_scenarios_are_not_warned_of() {
-    let app = app();
-    for (name, _) in SCENARIOS {
-        let scenario = app.scenario(name).unwrap_or_else(|error| panic!("{error}"));
-        let scene = scenario.spawn(app.registry()).expect("a scene").snapshot();
-        let told = forecast(&scene, &scenario);
-        assert!(told.is_empty(), "{name}: {told:?}");
     }
 }
