@@ -67,6 +67,8 @@ pub struct BuildContext<'a> {
     /// Time of construction; in a session resumed from a snapshot, the time of the controller's last tick before it, to
     /// which its rows belong.
     pub time: SimTime,
+    /// Length of its steps: the period of its rate.
+    pub period: SimTime,
     /// The controller's name.
     pub name: &'a str,
     /// Its own entity.

@@ -191,8 +191,15 @@ fn what_has_no_future_is_stopped_and_what_is_no_volume_is_refused() {
     let store = scene(sheet);
     let snapshot = store.snapshot();
     let me = trocar_scene::Entity::of_writer(0, 7);
-    let context =
-        BuildContext { scene: &snapshot, time: Default::default(), name: "soft", me, epoch: 1, seed: 1 };
+    let context = BuildContext {
+        scene: &snapshot,
+        time: Default::default(),
+        period: trocar_scene::SimTime::from_millis(1),
+        name: "soft",
+        me,
+        epoch: 1,
+        seed: 1,
+    };
     let Err(error) = build(&context) else { panic!("a cloth is none of it") };
     assert!(error.to_string().contains("'cloth'") && error.to_string().contains("xpbd"), "{error}");
 }

@@ -58,8 +58,15 @@ fn a_press_of_five_milliseconds_is_an_event_with_its_edges() {
     let mut driver = DriverCore::new(DriverConfig::default(), &device, end, DeviceFaults::new());
     let snapshot = store.snapshot();
     let me = Entity::of_writer(0, 2);
-    let context =
-        BuildContext { scene: &snapshot, time: SimTime::ZERO, name: "haptics.left", me, epoch: 1, seed: 1 };
+    let context = BuildContext {
+        scene: &snapshot,
+        time: SimTime::ZERO,
+        period: SimTime::from_millis(1),
+        name: "haptics.left",
+        me,
+        epoch: 1,
+        seed: 1,
+    };
     let mut controller = HapticsController::new(
         &context,
         bench::HAND,

@@ -80,6 +80,7 @@ fn a_live_log_gives_the_same_revisions_and_hash_in_lock_step() {
         let context = trocar_scene::BuildContext {
             scene: &empty,
             time: SimTime::ZERO,
+            period: controller.period(),
             name: &controller.name,
             me: Entity::of_writer(0, controller.writer),
             epoch: 1,

@@ -30,8 +30,9 @@ fn a_warmed_publication_reaches_the_recorder_without_touching_the_heap() {
     let mut sink = spec.commit_sink.take().expect("installed");
     let recorder = spec.controllers.pop().expect("installed");
     let (me, registry) = (Entity::of_writer(0, recorder.writer), store.view().registry().clone());
-    let (time, seed) = (SimTime::ZERO, 1);
-    let context = BuildContext { scene: store.view(), time, name: &recorder.name, me, epoch: 1, seed };
+    let (time, period, seed) = (SimTime::ZERO, recorder.period(), 1);
+    let context =
+        BuildContext { scene: store.view(), time, period, name: &recorder.name, me, epoch: 1, seed };
     let mut life = (recorder.factory)(&context).expect("nobody else has the file");
 
     let mut core = ModelCore::new(store, 0).expect("encodes");

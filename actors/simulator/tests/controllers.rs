@@ -116,7 +116,8 @@ fn bodies_that_one_tip_is_at_share_what_the_generator_gives_and_one_alone_gets_a
     let rules = [7, 8].map(|me| {
         let me = trocar_scene::Entity::of_writer(0, me);
         let (scene, time) = (store.view(), trocar_scene::SimTime::ZERO);
-        let context = trocar_scene::BuildContext { scene, time, name: "heat", me, epoch: 1, seed: 1 };
+        let period = trocar_scene::SimTime::from_millis(1);
+        let context = trocar_scene::BuildContext { scene, time, period, name: "heat", me, epoch: 1, seed: 1 };
         let controller = ElectrosurgeryController::new(&context).expect("a membrane");
         let access = trocar_scene::Controller::access(&controller);
         trocar_scene::WriterRules::compile(&access, scene.registry(), me).expect("its access is right")

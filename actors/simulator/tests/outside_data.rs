@@ -57,6 +57,7 @@ fn refused<C: Controller, T: Component>(
     let context = BuildContext {
         scene: stage.store.view(),
         time: SimTime::ZERO,
+        period: SimTime::from_millis(1),
         name: "controller",
         me: Entity::of_writer(0, 7),
         epoch: 1,

@@ -82,7 +82,9 @@ impl Bench {
     fn referee(&self, config: &PegTransferConfig) -> Result<PegTransferController, String> {
         let scene = self.store.snapshot();
         let time = SimTime::from_millis(self.millis);
-        let context = BuildContext { scene: &scene, time, name: "task", me: REFEREE, epoch: 1, seed: 0 };
+        let period = SimTime::from_millis(10);
+        let context =
+            BuildContext { scene: &scene, time, period, name: "task", me: REFEREE, epoch: 1, seed: 0 };
         PegTransferController::new(config, &context).map_err(|error| error.to_string())
     }
 

@@ -428,7 +428,13 @@ fn wrong_files_are_refused_with_their_place() {
                 [[controller]]\nname = \"soft\"\nkind = \"dynamic-fem\"\nrate_hz = 60\n";
     write("bare.toml", soft);
     write("bench.toml", &soft.replace("dynamic_fem = {}", "").replace("dynamic-fem", "peg-transfer"));
-    let cases: [(&[&str], &[&str]); 9] = [
+    let gauze = "schema = 1\nname = \"x\"\n[[entity]]\nname = \"strip\"\n\
+                 mesh = { sheet = { size = [0.02, 0.012], cells = [20, 12] } }\nmass_spring = {}\n\
+                 [[controller]]\nname = \"springs\"\nkind = \"mass-spring\"\nrate_hz = 50\n";
+    write("gauze.toml", gauze);
+    let too_fine: &[&str] =
+        &["gauze.toml:3:1", "'strip': a step of 20 ms", "at most 200", "method = \"implicit\"", "lag"];
+    let cases: [(&[&str], &[&str]); 11] = [
         // What only a controller finds when it starts.
         (
             &["run", "bare.toml", "--lockstep"],
@@ -436,6 +442,8 @@ fn wrong_files_are_refused_with_their_place() {
         ),
         (&["run", "bare.toml", "--headless"], &["bare.toml:6:8", "'liver' has no vertices"]),
         (&["run", "bench.toml", "--lockstep"], &["bench.toml:8:1", "soft did not start", "torus"]),
+        (&["run", "gauze.toml", "--lockstep"], too_fine),
+        (&["run", "gauze.toml", "--headless"], too_fine),
         (&["run", "broken.toml", "--json"], &["broken.toml:4:1", "colour"]),
         (&["run", "kind.toml"], &["kind.toml:5:8", "unknown kind 'rapeir'", "rapier"]),
         (&["run", "params.toml"], &["params.toml:5:11", "seconds", "-2 is out of range"]),
@@ -451,7 +459,7 @@ fn wrong_files_are_refused_with_their_place() {
             assert!(message.contains(name), "{arguments:?}: '{name}' is not in: {message}");
         }
     }
-    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 8, "something was written");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 9, "something was written");
 }
 
 #[test]

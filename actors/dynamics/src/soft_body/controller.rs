@@ -98,7 +98,7 @@ impl<M: SoftMethod> SoftController<M> {
         let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<M::Kind>(context.scene) {
             let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
-            match Body::read(kind, entity, context.scene) {
+            match Body::read(kind, entity, context.scene, context.period.as_secs_f64()) {
                 Ok(body) => bodies.push(body),
                 Err(error) => refused.push(RejectedBody::of(context, entity, FrozenPart::Body, error)?),
             }
@@ -356,7 +356,12 @@ impl<M: SoftMethod> Body<M> {
         })
     }
 
-    fn read(kind: &M::Kind, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
+    fn read(
+        kind: &M::Kind,
+        entity: Entity,
+        scene: &Snapshot,
+        step_secs: f64,
+    ) -> Result<Self, ControllerError> {
         let mut body = Deformable::read(scene, entity)?;
         let method = M::build(kind, &mut body, scene)
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
@@ -366,6 +371,12 @@ impl<M: SoftMethod> Body<M> {
             .fit(body.rest.len(), body.holdable().len())
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let frozen = scene.get::<Frozen>(entity).is_some();
+        if !frozen {
+            // A frozen body is not stepped.
+            method
+                .check_step(step_secs)
+                .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
+        }
         let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
         let slow_side = if answers { SlowSide::new(&body, scene) } else { None };
         let contacts = match scene.get::<SoftContacts>(entity) {

@@ -66,6 +66,14 @@ pub trait SoftMethod: Send + Sized + 'static {
     /// What is wrong with the body.
     fn build(kind: &Self::Kind, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String>;
 
+    /// Whether the body can take steps of this length at all \[s\], as it is now and without contacts.
+    ///
+    /// # Errors
+    /// Why it cannot, and what helps.
+    fn check_step(&self, _step_secs: f64) -> Result<(), String> {
+        Ok(())
+    }
+
     /// Reads and writes in addition to those of every soft body.
     fn access(access: Access, _bodies: &[Entity]) -> Access {
         access

@@ -47,7 +47,8 @@ struct Bench {
 
 fn build(scene: &Snapshot, time: SimTime, epoch: u32, settings: Settings) -> RigidBodiesController<W> {
     let me = Entity::of_writer(0, ME);
-    let context = BuildContext { scene, time, name: "engine", me, epoch, seed: 1 };
+    let period = SimTime::from_millis(1);
+    let context = BuildContext { scene, time, period, name: "engine", me, epoch, seed: 1 };
     RigidBodiesController::new(&context, settings).unwrap()
 }
 

@@ -301,7 +301,9 @@ fn build(
 ) -> HapticsController {
     let snapshot = store.snapshot();
     let me = Entity::of_writer(0, HAPTICS);
-    let context = BuildContext { scene: &snapshot, time: now, name: "haptics.left", me, epoch, seed: 1 };
+    let period = SimTime::from_millis(1);
+    let context =
+        BuildContext { scene: &snapshot, time: now, period, name: "haptics.left", me, epoch, seed: 1 };
     let link = slot.take(epoch).unwrap();
     HapticsController::new(&context, HAND, link, device.capabilities().clone(), config).unwrap()
 }

@@ -132,9 +132,9 @@ impl Session {
     ) {
         let scene = self.store.snapshot();
         let me = Entity::of_writer(0, spawner);
-        let time = SimTime::from_millis(self.millis);
+        let (time, period) = (SimTime::from_millis(self.millis), SimTime::from_millis(period_ms));
         let seed = self.seed;
-        let context = BuildContext { scene: &scene, time, name: "lockstep", me, epoch: 1, seed };
+        let context = BuildContext { scene: &scene, time, period, name: "lockstep", me, epoch: 1, seed };
         let controller = build(&context);
         let registry = scene.registry().clone();
         let rules = WriterRules::compile(&controller.access(), &registry, me).unwrap();

@@ -120,6 +120,7 @@ fn build(shared: &Shared, writer: &Writer, life: &Life) -> Result<Box<dyn Contro
     let context = BuildContext {
         scene: &scene,
         time: shared.clock.now(),
+        period: writer.spec.period(),
         name: &writer.state.name,
         me: writer.allocator.me(),
         epoch: life.incarnation,

@@ -79,6 +79,7 @@ impl LockstepSession {
             scene: self.core.view(),
             // Its state in the scene dates from its last tick.
             time: if self.resuming { slot.last_tick() } else { self.now },
+            period: slot.spec.period(),
             name: &slot.spec.name,
             me: slot.me,
             epoch,

@@ -20,18 +20,7 @@ impl MassSpring {
             input.rigid.bodies.iter().map(|body| RigidMotion::of(body, dt)).collect();
         let damping = self.config.damping + self.config.lag * eigenvalue + damped;
         let safe = stability::safe_step(eigenvalue + stiff, damping);
-        let parts = match too_large {
-            _ if dt <= safe => 1,
-            TooLarge::Accept => 1,
-            TooLarge::Refuse => return Err(StepError::TooLarge { step: dt, safe }),
-            TooLarge::Divide { most } => {
-                let parts = (dt / safe).ceil();
-                if parts > f64::from(most) {
-                    return Err(StepError::TooManyParts { step: dt, parts, safe, most });
-                }
-                parts as u32
-            }
-        };
+        let parts = parts(dt, safe, too_large)?;
         let part = dt / f64::from(parts);
         for index in 0..parts {
             self.explicit_part(part, f64::from(index) * part, input, &mut moving);
@@ -107,6 +96,22 @@ impl MassSpring {
             *position += velocity * part;
         }
         moving.iter_mut().for_each(|motion| motion.end(part));
+    }
+}
+
+/// Number of equal parts of a step of `dt` seconds, when the largest safe step is `safe`.
+pub(super) fn parts(dt: f64, safe: f64, too_large: TooLarge) -> Result<u32, StepError> {
+    match too_large {
+        _ if dt <= safe => Ok(1),
+        TooLarge::Accept => Ok(1),
+        TooLarge::Refuse => Err(StepError::TooLarge { step: dt, safe }),
+        TooLarge::Divide { most } => {
+            let parts = (dt / safe).ceil();
+            if parts > f64::from(most) {
+                return Err(StepError::TooManyParts { step: dt, parts, safe, most });
+            }
+            Ok(parts as u32)
+        }
     }
 }
 

@@ -419,6 +419,18 @@ impl MassSpring {
         let eigenvalue = self.bound.largest();
         stability::safe_step(eigenvalue, self.config.damping + self.config.lag * eigenvalue)
     }
+
+    /// Whether a step of `dt` seconds without contacts is short enough to be taken, as the network is now.
+    ///
+    /// # Errors
+    /// The step is above the safe one, or needs more substeps than the configuration allows.
+    pub fn check_step(&self, dt: f64) -> Result<(), StepError> {
+        match self.config.integrator {
+            Integrator::Explicit { too_large } => explicit::parts(dt, self.safe_step(), too_large).map(drop),
+            Integrator::Implicit { .. } => Ok(()),
+        }
+    }
+
     /// Positions and velocities of the nodes.
     #[must_use]
     pub fn state(&self) -> &State {

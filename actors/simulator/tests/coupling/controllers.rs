@@ -130,6 +130,7 @@ fn what_cannot_be_coupled_is_refused_by_name() {
         let context = BuildContext {
             scene: store.view(),
             time: trocar_scene::SimTime::ZERO,
+            period: trocar_scene::SimTime::from_millis(1),
             name: "controller",
             me: trocar_scene::Entity::of_writer(0, 7),
             epoch: 1,

@@ -281,6 +281,7 @@ fn springs_tear_by_what_is_of_their_mesh() {
         let context = BuildContext {
             scene: store.view(),
             time: trocar_scene::SimTime::ZERO,
+            period: trocar_scene::SimTime::from_millis(1),
             name: "springs",
             me: trocar_scene::Entity::of_writer(0, 7),
             epoch: 1,

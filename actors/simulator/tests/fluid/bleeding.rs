@@ -202,6 +202,7 @@ fn a_vessel_is_a_line() {
     let context = BuildContext {
         scene: store.view(),
         time: SimTime::ZERO,
+        period: SimTime::from_millis(1),
         name: "vessels",
         me: Entity::of_writer(0, 7),
         epoch: 1,
@@ -259,9 +260,9 @@ impl Play {
         let registry = self.store.view().registry().clone();
         for (number, (build, every)) in (20..).zip(cast) {
             let me = Entity::of_writer(0, number);
-            let time = SimTime(self.ticks * 5_000_000);
+            let (time, period) = (SimTime(self.ticks * 5_000_000), SimTime(5_000_000 * u64::from(*every)));
             let context =
-                BuildContext { scene: self.store.view(), time, name: "actor", me, epoch: 1, seed: 1 };
+                BuildContext { scene: self.store.view(), time, period, name: "actor", me, epoch: 1, seed: 1 };
             let controller = build(&context).unwrap_or_else(|error| panic!("{error}"));
             let access: Access = controller.access();
             let rules = WriterRules::compile(&access, &registry, me).expect("its access is right");
@@ -500,8 +501,15 @@ fn an_irrigator_brings_liquid_and_a_sucker_takes_it_while_they_are_switched_on()
     let both = scene(&text("sucker = {}\nirrigator = {}"));
     let snapshot = both.snapshot();
     let me = trocar_scene::Entity::of_writer(0, 7);
-    let context =
-        BuildContext { scene: &snapshot, time: Default::default(), name: "liquid", me, epoch: 1, seed: 1 };
+    let context = BuildContext {
+        scene: &snapshot,
+        time: SimTime::ZERO,
+        period: SimTime::from_millis(1),
+        name: "liquid",
+        me,
+        epoch: 1,
+        seed: 1,
+    };
     let Err(error) = build(&context) else { panic!("one switch for both") };
     assert!(error.to_string().contains("'drain'"), "{error}");
 }

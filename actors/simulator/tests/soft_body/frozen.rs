@@ -11,7 +11,7 @@ use trocar_dynamics::rigid_bodies::RigidBodiesController;
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
     Activation, BuildContext, Burn, Controller, ControllerError, Frozen, HeatFrozen, Pose, RestPositions,
-    SimTime, SurfaceMesh, Temperature, Velocity, VertexPositions, VertexVelocities,
+    SimTime, Store, SurfaceMesh, Temperature, Velocity, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::{
     DynamicFemController, ElectrosurgeryController, HeatState, LinearFemController, MassSpringController,
@@ -137,6 +137,35 @@ fn explicit_springs_for_which_a_step_has_become_too_large_stop_alone_in_that_ste
         pressed = pressed.max(stage.measured("good.contact_force_n"));
     }
     assert!(pressed > 0.0 && !stage.has::<Frozen>("good"), "the other falls onto its rod");
+}
+
+/// A sheet whose largest safe step is known: 200 of them are the longest step that it takes.
+#[test]
+fn explicit_springs_that_no_step_can_take_are_refused_at_the_start_by_name() {
+    let gauze = |more: &str| {
+        format!(
+            "[[entity]]\nname = \"gauze\"\nmesh = {{ sheet = {{ size = [0.02, 0.012], cells = [20, 12] }} }}\n\
+             mass_spring = {{ {more} }}\n"
+        )
+    };
+    let build = |store: &Store, period: f64, epoch: u32| {
+        let period = SimTime::from_secs_f64(period);
+        mass_spring(&BuildContext { period, ..context(store, SimTime::ZERO, epoch) })
+    };
+    let mut stage = Stage::new(scene(&gauze("lag = 1e-5")), 1000.0, mass_spring as Build<_>);
+    stage.tick();
+    let safe = stage.measured("gauze.safe_step_s");
+    let store = scene(&gauze("lag = 1e-5"));
+    assert!(build(&store, 199.9 * safe, 1).is_ok());
+    let told = build(&store, 200.1 * safe, 1).err().expect("201 parts").to_string();
+    for part in
+        ["'gauze': a step of", "takes 201 parts of", "at most 200", "method = \"implicit\"", "'lag'", "cells"]
+    {
+        assert!(told.contains(part), "'{part}' is not in: {told}");
+    }
+    assert!(build(&scene(&gauze("method = \"implicit\"")), 200.1 * safe, 1).is_ok());
+    // In a session that runs, springs that have become too stiff are frozen.
+    assert!(build(&store, 200.1 * safe, 2).is_ok());
 }
 
 #[test]

@@ -292,6 +292,7 @@ fn a_scene_without_tissue_is_refused() {
     let context = BuildContext {
         scene: store.view(),
         time: trocar_scene::SimTime::ZERO,
+        period: trocar_scene::SimTime::from_millis(1),
         name: "suture",
         me: trocar_scene::Entity::of_writer(0, 7),
         epoch: 1,

@@ -179,6 +179,7 @@ fn what_cannot_be_lain_on_is_refused_by_name() {
         let context = BuildContext {
             scene: store.view(),
             time: trocar_scene::SimTime::ZERO,
+            period: trocar_scene::SimTime::from_millis(1),
             name: "thread",
             me: trocar_scene::Entity::of_writer(0, 7),
             epoch: 1,

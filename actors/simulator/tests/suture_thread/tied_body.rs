@@ -119,6 +119,7 @@ fn what_it_cannot_be_tied_around_is_named() {
         let context = BuildContext {
             scene: store.view(),
             time: trocar_scene::SimTime::ZERO,
+            period: trocar_scene::SimTime::from_millis(1),
             name: "thread",
             me: trocar_scene::Entity::of_writer(0, 7),
             epoch: 1,

@@ -316,6 +316,10 @@ impl SoftMethod for MassSpringMethod {
         })
     }
 
+    fn check_step(&self, step_secs: f64) -> Result<(), String> {
+        self.of.solver.check_step(step_secs).map_err(|error| error.to_string())
+    }
+
     fn access(access: Access, bodies: &[Entity]) -> Access {
         let access = access
             .writes::<LineMesh>(EntitySet::Of(bodies.to_vec()))

@@ -56,7 +56,8 @@ impl<C: Controller> Stage<C> {
     ) -> Self {
         let registry = store.view().registry().clone();
         let period = SimTime::from_secs_f64(1.0 / hz);
-        let controller = build(&context(&store, SimTime::ZERO, 1)).unwrap_or_else(|error| panic!("{error}"));
+        let controller = build(&BuildContext { period, ..context(&store, SimTime::ZERO, 1) })
+            .unwrap_or_else(|error| panic!("{error}"));
         let rules = WriterRules::compile(&controller.access(), &registry, Entity::of_writer(0, ME))
             .expect("its access is right");
         let commands = Commands::new(registry.clone(), EntityAllocator::new(0, ME));
@@ -109,8 +110,8 @@ impl<C: Controller> Stage<C> {
         &mut self,
         build: impl FnOnce(&BuildContext<'_>) -> Result<C, trocar_scene::ControllerError>,
     ) {
-        self.controller =
-            build(&context(&self.store, self.now(), 2)).unwrap_or_else(|error| panic!("{error}"));
+        self.controller = build(&BuildContext { period: self.period, ..context(&self.store, self.now(), 2) })
+            .unwrap_or_else(|error| panic!("{error}"));
     }
 
     pub fn entity(&self, name: &str) -> Entity {
@@ -134,11 +135,12 @@ impl<C: Controller> Stage<C> {
     }
 }
 
-/// The build context of a controller, for a scene without a stage.
+/// The build context of a controller of 1,000 Hz, for a scene without a stage.
 pub fn context(store: &Store, time: SimTime, epoch: u32) -> BuildContext<'_> {
     BuildContext {
         scene: store.view(),
         time,
+        period: SimTime::from_millis(1),
         name: "controller",
         me: Entity::of_writer(0, ME),
         epoch,

@@ -22,6 +22,11 @@ pub struct Other {
     pub every: u32,
 }
 
+/// The first controller's ticks count as 1 ms.
+fn period(every: u32) -> SimTime {
+    SimTime(1_000_000 * u64::from(every))
+}
+
 impl Other {
     pub fn new<C: Controller, D: Controller>(
         stage: &Stage<C>,
@@ -33,6 +38,7 @@ impl Other {
         let context = BuildContext {
             scene: stage.store.view(),
             time: stage.now(),
+            period: period(every),
             name: "other",
             me,
             epoch: 1,
@@ -61,7 +67,8 @@ impl Other {
         build: impl FnOnce(&BuildContext<'_>) -> Result<D, ControllerError>,
     ) {
         let scene = stage.store.view();
-        let context = BuildContext { scene, time: self.last, name: "other", me: self.me, epoch: 2, seed: 1 };
+        let (time, period) = (self.last, period(self.every));
+        let context = BuildContext { scene, time, period, name: "other", me: self.me, epoch: 2, seed: 1 };
         self.controller = Box::new(build(&context).unwrap_or_else(|error| panic!("{error}")));
     }
 
@@ -73,7 +80,7 @@ impl Other {
         self.finished.drain(..).for_each(|(key, output)| jobs.deliver(key, output));
         let tick = Tick {
             time: stage.now(),
-            period: SimTime(1_000_000 * u64::from(self.every)),
+            period: period(self.every),
             number: self.ticks,
             me: self.me,
             epoch: 1,
