@@ -14,13 +14,16 @@ const TIMES_MAX: usize = 6;
 
 /// Contacts that were not kept that the text names one by one; the others are in report and JSON.
 const UNKEPT_SHOWN: usize = 4;
+/// Frozen bodies that the text and the window name; the others are in report and JSON.
+const FROZEN_SHOWN: usize = 4;
 
 /// The result as the window shows it.
 pub fn verdict(summary: &RunSummary, bad: bool) -> Verdict {
     let task = &summary.task;
     if !task.is_exercise() {
         let title = if summary.error.is_some() { "failed" } else { "the session has ended" };
-        let lines = summary.error.iter().map(|error| printable(error)).collect();
+        let frozen = frozen_bodies(summary).into_iter();
+        let lines = frozen.chain(summary.error.iter().map(|error| printable(error))).collect();
         return Verdict { title: title.to_owned(), lines, bad };
     }
     let how = match () {
@@ -35,8 +38,18 @@ pub fn verdict(summary: &RunSummary, bad: bool) -> Verdict {
     }
     lines.extend(summary.too_slow().map(|slow| format!("disturbed: {slow}")));
     lines.extend(errors_of(task).iter().map(|error| printable(error)));
+    lines.extend(frozen_bodies(summary));
     lines.extend(summary.error.iter().map(|error| printable(error)));
     Verdict { title: how.to_owned(), lines, bad }
+}
+
+/// The bodies that stand still: their names in one line, and each with its reason.
+fn frozen_bodies(summary: &RunSummary) -> Vec<String> {
+    let Some(names) = summary.frozen_names(FROZEN_SHOWN) else { return Vec::new() };
+    let mut lines = vec![format!("frozen: {}", printable(&names))];
+    let each = summary.frozen_bodies.iter().take(FROZEN_SHOWN);
+    lines.extend(each.map(|body| format!("  {}", printable(&body.to_string()))));
+    lines
 }
 
 /// Errors in words, one line each: every expectation that was not met, with its value and its bound; of other errors
@@ -107,6 +120,7 @@ pub fn text(summary: &RunSummary) -> String {
         lines.push(format!("contacts that were not kept: {}", summary.contacts_not_kept));
         lines.extend(summary.unkept_contacts.iter().take(UNKEPT_SHOWN).map(|contact| format!("  {contact}")));
     }
+    lines.extend(frozen_bodies(summary));
     if !summary.faults.is_empty() {
         lines.push(format!(
             "no force was held for longer than {} ms after its last fresh command; {} commands of zombies were refused",
@@ -212,7 +226,7 @@ fn rates(summary: &RunSummary) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trocar::summary::TaskErrorSummary;
+    use trocar::summary::{FrozenBody, FrozenPart, TaskErrorSummary};
 
     fn task(errors: &[(&str, f64)]) -> TaskSummary {
         let error =
@@ -243,6 +257,35 @@ mod tests {
         let lines = errors_of(&task(&many));
         assert_eq!(lines.len(), ERRORS_MAX + 1);
         assert_eq!(lines[ERRORS_MAX], "… and 9 more, in the report and with --json");
+    }
+
+    #[test]
+    fn frozen_bodies_have_lines_of_their_own_on_the_terminal_and_in_the_window() {
+        let mut summary = RunSummary::new("x", Mode::Live, 1);
+        let body = |n: usize| FrozenBody {
+            name: format!("pad-{n}"),
+            part: if n == 1 { FrozenPart::Heat } else { FrozenPart::Body },
+            at_secs: 0.5,
+            at_in_world: [0.0; 3],
+            reason: format!("reason {n}\u{1b}[2J"),
+        };
+        assert!(!text(&summary).contains("frozen"));
+        (summary.frozen_bodies, summary.bodies_frozen) = ((0..6).map(body).collect(), 6);
+        let shown = text(&summary);
+        for line in [
+            "frozen: pad-0, the heat of pad-1, pad-2, pad-3, …\n",
+            "\n  pad-0 stands still since 0.50 s: reason 0",
+            "\n  the heat of pad-1 stands still since 0.50 s: reason 1",
+        ] {
+            assert!(shown.contains(line), "'{line}' is not in: {shown}");
+        }
+        assert!(!shown.contains("not kept") && !shown.contains("reason 4"), "{shown}");
+        assert!(!shown.contains("\u{1b}[2J"), "{shown}");
+        for task in [TaskSummary::default(), TaskSummary { completed: true, ..TaskSummary::default() }] {
+            summary.task = task;
+            let lines = verdict(&summary, true).lines;
+            assert!(lines.iter().any(|line| line.starts_with("frozen: pad-0,")), "{lines:?}");
+        }
     }
 
     #[test]

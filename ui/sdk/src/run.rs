@@ -22,6 +22,7 @@ use crate::session::{Finished, Session, doubts, forecast};
 use crate::summary::{Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 use crate::watch::contacts::ContactWatch;
+use crate::watch::frozen::FrozenWatch;
 use crate::watch::motion::HandMotions;
 use crate::watch::rates::RateWatch;
 
@@ -64,14 +65,15 @@ pub struct RunOutcome {
 
 impl RunOutcome {
     /// The exit code of the process: not ok if the exercise was not completed, an expectation failed, a controller
-    /// failed too often, everything that a controller wrote was refused, or an exercise had a contact that was not kept.
+    /// failed too often, everything that a controller wrote was refused, or an exercise had a contact that was not kept or a frozen body.
     pub fn exit(&self) -> Exit {
         if self.kernel.code != 0 {
             return Exit::Internal;
         }
         let held = !self.kernel.held.is_empty() || !self.kernel.refused.is_empty();
-        let unkept = self.summary.contacts_not_kept > 0 && self.summary.task.is_exercise();
-        self.summary.exit(held || unkept || !self.failed_expectations.is_empty())
+        let unkept = self.summary.contacts_not_kept > 0 || self.summary.bodies_frozen > 0;
+        let spoilt = unkept && self.summary.task.is_exercise();
+        self.summary.exit(held || spoilt || !self.failed_expectations.is_empty())
     }
 }
 
@@ -140,6 +142,7 @@ pub fn run(
     let warnings = forecast(&session.snapshot(), scenario);
     let mut health = session.health();
     let (mut motions, mut contacts) = (HandMotions::default(), ContactWatch::default());
+    let mut frozen = FrozenWatch::default();
     let rows = session.reports();
     let mut rates = RateWatch::new(rows.into_iter().map(|row| (row.name, row.target_hz)));
     rates.look(session.now(), &session.ticks());
@@ -151,6 +154,7 @@ pub fn run(
         rates.look(now, &session.ticks());
         motions.look(scene.time().as_secs_f64(), &scene);
         contacts.look(now, &scene);
+        frozen.look(&scene);
         if scene.iter::<TaskState>().next().is_none() {
             contacts.keep_quiet();
         } else if contacts.has_news() {
@@ -176,7 +180,10 @@ pub fn run(
             next += LOOK_EVERY;
         }
     }
-    trace.sample(&session.snapshot());
+    let last = session.snapshot();
+    trace.sample(&last);
+    frozen.look(&last);
+    drop(last);
     let accesses = session.accesses();
     let finished = session.finish();
     let mut graph = ActorGraph::from_access(
@@ -194,6 +201,7 @@ pub fn run(
     summary.task.disturbed = !summary.slow_actors.is_empty();
     motions.complete(&mut summary.task.metrics);
     (summary.unkept_contacts, summary.contacts_not_kept) = contacts.found();
+    (summary.frozen_bodies, summary.bodies_frozen) = frozen.found();
     summary.warnings = warnings;
     let failed_expectations = options.faults.as_ref().map_or_else(Vec::new, |plan| {
         let measured = Measured {

@@ -93,11 +93,15 @@ pub struct RunSummary {
     pub commands_refused: u64,
     /// Deepest penetration of two bodies \[m\].
     pub penetration_max: f64,
-    /// How often a contact was not kept: too deep, too strong, or of a body that stands still because its solver could
-    /// not go on. An exercise with any such contact ends with exit code 1.
+    /// How often a contact was not kept: too deep, or too strong. An exercise with any such contact ends with exit code 1.
     pub contacts_not_kept: u64,
     /// The first 64 of them, in order.
     pub unkept_contacts: Vec<UnkeptContact>,
+    /// Number of bodies that stand still, in all or in their heat, because their solver could not go on. An exercise with
+    /// any such body ends with exit code 1.
+    pub bodies_frozen: u64,
+    /// The first 64 of them, in order.
+    pub frozen_bodies: Vec<FrozenBody>,
     /// File of the recording.
     pub recording: Option<String>,
     /// Whether the recording holds every commit; false without a recording.
@@ -139,6 +143,8 @@ impl RunSummary {
             penetration_max: 0.0,
             contacts_not_kept: 0,
             unkept_contacts: Vec::new(),
+            bodies_frozen: 0,
+            frozen_bodies: Vec::new(),
             recording: None,
             recording_complete: false,
             report: None,
@@ -147,6 +153,13 @@ impl RunSummary {
             warnings: Vec::new(),
             error: None,
         }
+    }
+
+    /// The names of the bodies that stand still, at most `shown` of them, if there are any.
+    pub fn frozen_names(&self, shown: usize) -> Option<String> {
+        let names: Vec<String> = self.frozen_bodies.iter().take(shown).map(FrozenBody::title).collect();
+        let more = if self.frozen_bodies.len() > names.len() { ", …" } else { "" };
+        (!names.is_empty()).then(|| format!("{}{more}", names.join(", ")))
     }
 
     /// One sentence about the actors that were too slow, if there were any.
@@ -216,8 +229,6 @@ pub enum UnkeptKind {
     Penetration,
     /// A force above 100 N.
     Force,
-    /// A body that stands still because its solver could not go on.
-    Frozen,
 }
 
 /// A contact that was not kept.
@@ -230,22 +241,20 @@ pub struct UnkeptContact {
     pub at_secs: f64,
     /// One body.
     pub a: String,
-    /// The other one; null for a body that stands still.
-    pub b: Option<String>,
+    /// The other one.
+    pub b: String,
     /// Where, in world \[m\].
     pub at_in_world: [f64; 3],
-    /// The depth \[m\] or the force \[N\]; 0 for a body that stands still.
+    /// The depth \[m\] or the force \[N\].
     pub value: f64,
     /// The largest that counts as kept.
     pub limit: f64,
-    /// Why a body stands still.
-    pub reason: Option<String>,
 }
 
 impl std::fmt::Display for UnkeptContact {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { kind, at_secs, a, b, at_in_world, value, limit, reason } = self;
-        let pair = b.as_ref().map_or(a.clone(), |b| format!("{a} and {b}"));
+        let Self { kind, at_secs, a, b, at_in_world, value, limit } = self;
+        let pair = format!("{a} and {b}");
         let [x, y, z] = at_in_world.map(|at| 1e3 * at);
         let place = format!("at {at_secs:.2} s at [{x:.1}, {y:.1}, {z:.1}] mm");
         match kind {
@@ -253,14 +262,49 @@ impl std::fmt::Display for UnkeptContact {
                 write!(f, "{pair}: {:.1} mm deep {place}; at most {:.1} mm is kept", 1e3 * value, 1e3 * limit)
             }
             UnkeptKind::Force => write!(f, "{pair}: {value:.0} N {place}; at most {limit:.0} N is kept"),
-            UnkeptKind::Frozen => {
-                write!(
-                    f,
-                    "{pair} stands still since {at_secs:.2} s: {}",
-                    reason.as_deref().unwrap_or("unknown")
-                )
-            }
         }
+    }
+}
+
+/// What of a body stands still.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FrozenPart {
+    /// All of it: it no longer moves.
+    Body,
+    /// Its temperatures.
+    Heat,
+}
+
+/// A body that stands still because its solver could not go on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FrozenBody {
+    /// Its name.
+    pub name: String,
+    /// What of it stands still.
+    pub part: FrozenPart,
+    /// Since when \[s\].
+    pub at_secs: f64,
+    /// Where its frame was, in world \[m\].
+    pub at_in_world: [f64; 3],
+    /// Why.
+    pub reason: String,
+}
+
+impl FrozenBody {
+    /// Its name, with the part unless all of it stands still.
+    pub fn title(&self) -> String {
+        match self.part {
+            FrozenPart::Body => self.name.clone(),
+            FrozenPart::Heat => format!("the heat of {}", self.name),
+        }
+    }
+}
+
+impl std::fmt::Display for FrozenBody {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} stands still since {:.2} s: {}", self.title(), self.at_secs, self.reason)
     }
 }
 

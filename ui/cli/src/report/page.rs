@@ -153,6 +153,15 @@ fn failures(out: &mut String, report: &Report) {
         );
     }
     let mut list = String::new();
+    for body in &report.summary.frozen_bodies {
+        let _ = write!(list, "<li>{}</li>", escape(&body.to_string()));
+    }
+    if !list.is_empty() {
+        let count = report.summary.bodies_frozen;
+        let _ =
+            write!(out, "<section class=\"notice\"><h2>Frozen bodies: {count}</h2><ul>{list}</ul></section>");
+    }
+    let mut list = String::new();
     for line in &report.summary.losses {
         let _ = write!(list, "<li>{}</li>", escape(line));
     }
@@ -232,7 +241,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use trocar::summary::{ControllerSummary, RunSummary, TaskErrorSummary};
+    use trocar::summary::{ControllerSummary, FrozenBody, FrozenPart, RunSummary, TaskErrorSummary};
     use trocar::trace::{Mark, RunTrace};
 
     #[test]
@@ -241,6 +250,14 @@ mod tests {
         let mut summary = RunSummary::new(hostile, Mode::Live, 7);
         summary.controllers = vec![ControllerSummary { name: hostile.into(), ..Default::default() }];
         summary.task.errors = vec![TaskErrorSummary { kind: hostile.into(), at_secs: 1.0 }];
+        summary.bodies_frozen = 1;
+        summary.frozen_bodies = vec![FrozenBody {
+            name: hostile.into(),
+            part: FrozenPart::Body,
+            at_secs: 0.5,
+            at_in_world: [0.0; 3],
+            reason: hostile.into(),
+        }];
         let mut trace = RunTrace::new();
         trace.secs = 10.0;
         trace.phases.push(Mark { secs: 0.0, what: hostile.into(), subject: None, position_in_world: None });
@@ -262,6 +279,8 @@ mod tests {
             assert!(!found.contains(outside), "{outside}");
         }
         assert!(html.contains("not clinically validated"));
+        assert!(html.contains("Frozen bodies: 1") && html.contains("stands still since 0.50 s"));
+        assert!(!html.contains("not kept"));
     }
 
     #[test]

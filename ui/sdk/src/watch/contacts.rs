@@ -1,5 +1,4 @@
-//! Watches whether contacts are kept: bodies that penetrate each other too deeply, forces that are too large, bodies that
-//! stand still because their solver could not go on.
+//! Watches whether contacts are kept: bodies that penetrate each other too deeply, and forces that are too large.
 //!
 //! Whatever detects or answers a contact, its row of the collision list says between whom, where, how deep and how
 //! strong it is. A contact that is not kept is told once, until it has been kept again for a while.
@@ -9,8 +8,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
-    Activation, Collision, CollisionList, Commands, Entity, Frozen, HeatFrozen, Instrument, RigidBody, Shape,
-    SimTime, Snapshot, TetMesh, VertexPositions,
+    Activation, Collision, CollisionList, Commands, Entity, Instrument, RigidBody, Shape, SimTime, Snapshot,
+    TetMesh, VertexPositions,
 };
 
 use crate::summary::{UnkeptContact, UnkeptKind};
@@ -49,14 +48,6 @@ impl ContactWatch {
         for (_, list) in scene.iter::<CollisionList>() {
             for row in &list.collisions {
                 self.judge(now, scene, row);
-            }
-        }
-        let bodies = scene.iter::<Frozen>().map(|(body, of)| (body, &of.reason));
-        for (body, reason) in bodies.chain(scene.iter::<HeatFrozen>().map(|(body, of)| (body, &of.reason))) {
-            let place = scene.world_pose(body).translation.vector.into();
-            let is_new = self.find(now, scene, UnkeptKind::Frozen, (body, body), place, (0.0, 0.0));
-            if let (true, Some(told)) = (is_new, self.told.last_mut()) {
-                told.reason = Some(reason.clone());
             }
         }
     }
@@ -103,7 +94,7 @@ impl ContactWatch {
         }
     }
 
-    /// Takes in a contact that is not kept; returns whether it was told.
+    /// Takes in a contact that is not kept.
     fn find(
         &mut self,
         now: SimTime,
@@ -112,31 +103,24 @@ impl ContactWatch {
         (a, b): (Entity, Entity),
         at_in_world: Point3<f64>,
         (value, limit): (f64, f64),
-    ) -> bool {
+    ) {
         let last = self.last.insert((a.min(b), a.max(b), kind), now);
-        let goes_on = last.is_some_and(|last| kind == UnkeptKind::Frozen || now < last + KEPT_AGAIN);
-        if goes_on {
-            return false;
+        if last.is_some_and(|last| now < last + KEPT_AGAIN) {
+            return;
         }
         self.count += 1;
-        // A frozen body has an event of its own, by its simulator.
-        if kind != UnkeptKind::Frozen {
-            self.untold.push((a, Some(b), value));
-        }
-        let is_told = self.told.len() < TOLD_MAX;
-        if is_told {
+        self.untold.push((a, Some(b), value));
+        if self.told.len() < TOLD_MAX {
             self.told.push(UnkeptContact {
                 kind,
                 at_secs: now.as_secs_f64(),
                 a: scene.name(a),
-                b: (a != b).then(|| scene.name(b)),
+                b: scene.name(b),
                 at_in_world: at_in_world.coords.into(),
                 value,
                 limit,
-                reason: None,
             });
         }
-        is_told
     }
 
     fn thickness_of(&mut self, scene: &Snapshot, body: Entity) -> Option<f64> {
