@@ -190,6 +190,13 @@ fn matter_and_looks(formats: &mut Formats) {
         },
         true,
     );
+    let ball = Joint { kind: JointKind::Ball, at: Point3::new(0.1, -0.2, 0.3), axis: None, to: Some(e(4)) };
+    let hinge = Joint { kind: JointKind::Hinge, axis: Some(v(2.0)), to: None, ..ball };
+    formats.check(Joints(vec![ball, hinge, Joint { kind: JointKind::Fixed, ..ball }]), true);
+    let frame = |joint| JointFrame { joint, in_body: pose(), in_other: Pose::at(0.1, 0.2, 0.4) };
+    formats.check(JointFrames { joints: vec![frame(ball), frame(hinge)] }, true);
+    let load = JointLoad { force: v(1.0), torque: v(-2.0), position_error: 1e-7, angle_error: 2e-6 };
+    formats.check(JointState { joints: vec![load, JointLoad::default()] }, true);
     formats.check(Tissue("liver".into()), true);
     let source = |from: &str, range| {
         let source = Source { from: from.into(), range };

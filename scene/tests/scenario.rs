@@ -4,6 +4,7 @@ use crate::support as common;
 use std::path::Path;
 use std::sync::Arc;
 
+use nalgebra::Vector3;
 use proptest::prelude::*;
 use trocar_scene::scenario::{self, Scenario, ScenarioError};
 use trocar_scene::*;
@@ -326,6 +327,63 @@ fn mistakes_are_named_with_their_place() {
             assert!(error.contains(part), "'{part}' is missing in '{error}' for\n{text}");
         }
     }
+}
+
+#[test]
+fn joints_are_read_one_or_several_and_those_that_join_nothing_are_refused_with_their_place() {
+    let body = |name: &str, motion: &str, joint: &str| {
+        format!(
+            "[[entity]]\nname = \"{name}\"\nshape = {{ sphere = {{ radius = 0.01 }} }}\n\
+             rigid_body = {{ motion = \"{motion}\" }}\n{joint}"
+        )
+    };
+    let ball = "{ kind = \"ball\", at = [0.0, 0.0, 0.1], to = \"frame\" }";
+    let hinge = "{ kind = \"hinge\", at = [0.0, 0.0, 0.2], axis = [0.0, 2.0, 0.0] }";
+    let others = body("frame", "static", "") + &body("wall", "static", "");
+    let read = |joint: &str| {
+        let text = format!("{HEAD}{others}{}", body("link", "dynamic", &format!("joint = {joint}\n")));
+        let scenario = parse(&text).unwrap_or_else(|error| panic!("{error}"));
+        let scene = scenario.spawn(&Registry::standard()).expect("valid").snapshot();
+        let joints = scene.get::<Joints>(scenario.entity("link").expect("named")).expect("put").0.clone();
+        (joints, scenario.entity("frame"))
+    };
+    let (one, frame) = read(ball);
+    assert_eq!((one.len(), one[0].kind, one[0].to, one[0].at.z), (1, JointKind::Ball, frame, 0.1));
+    let (two, _) = read(&format!("[{ball}, {hinge}]"));
+    assert_eq!((two.len(), two[0], two[1].to), (2, one[0], None));
+    assert_eq!(two[1].frame_in_world() * Vector3::z(), Vector3::y());
+
+    let refused = |text: String, place: &str, says: &[&str]| {
+        let error = parse(&text).err().unwrap_or_else(|| panic!("this must be refused:\n{text}")).to_string();
+        for part in says.iter().chain(&[place]) {
+            assert!(error.contains(part), "'{part}' is missing in '{error}' for\n{text}");
+        }
+    };
+    // The joint of a body stands in line 15, behind the two others.
+    let link = |motion: &str, joint: &str| {
+        format!("{HEAD}{others}{}", body("link", motion, &format!("joint = {joint}\n")))
+    };
+    let to = |name: &str| ball.replace("frame", name);
+    refused(
+        link("dynamic", &to("nobody")),
+        ":15:",
+        &["entity 'link', joint", "'nobody'", "frame, link, wall"],
+    );
+    refused(link("dynamic", &to("link")), ":15:", &["'to' leads from 'link' to itself"]);
+    refused(link("static", &to("frame")), ":15:", &["neither 'link' nor 'frame'", "dynamic"]);
+    refused(link("kinematic", hinge), ":15:", &["'link' does not move by forces"]);
+    refused(link("dynamic", &hinge.replace("2.0", "0.0")), ":15:", &["'axis' has no direction"]);
+    refused(link("dynamic", &hinge.replace("hinge", "fixed")), ":15:", &["'axis' is of a hinge"]);
+    refused(
+        link("dynamic", &hinge.replace("hinge", "slider")),
+        ":15:",
+        &["slider", "ball", "hinge", "fixed"],
+    );
+    refused(link("dynamic", &format!("[{hinge}, {}]", to("link"))), ":15:", &["'link' to itself"]);
+    let bare = format!("{HEAD}{others}[[entity]]\nname = \"tool\"\ninstrument = {{}}\n");
+    refused(format!("{bare}joint = {hinge}\n"), ":14:", &["give 'tool' a 'rigid_body'"]);
+    let to_tool = format!("{bare}{}", body("link", "dynamic", &format!("joint = {}\n", to("tool"))));
+    refused(to_tool, ":18:", &["'tool' is no rigid body; there are: frame, wall"]);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 //! A plain type: no scene, no actor, no clock. [`RigidWorld::step`] advances by one substep. Two worlds that receive
 //! the same calls have bit-identical states.
 
+mod joints;
 mod scheduled;
 mod surfaces;
 
@@ -38,6 +39,8 @@ use crate::jaws::jaw_count;
 use crate::penalty::{Penalties, PoseHistory};
 use crate::settings::EngineSettings;
 use crate::{EngineError, contacts, shapes};
+
+pub use joints::JOINTS_MAX;
 
 /// Maximum number of bodies, instruments not counted.
 pub const BODIES_MAX: usize = 4096;
@@ -99,6 +102,7 @@ pub struct RigidWorld {
     /// Contacts from external detectors.
     penalties: Penalties,
     tools: BTreeMap<Entity, PoseHistory>,
+    joints: joints::WorldJoints,
 }
 
 impl RigidWorld {
@@ -133,6 +137,7 @@ impl RigidWorld {
             pads: Vec::new(),
             penalties: Penalties::default(),
             tools: BTreeMap::new(),
+            joints: joints::WorldJoints::default(),
         })
     }
 
@@ -282,6 +287,7 @@ impl RigidWorld {
         };
         let strongest = self.graspers.values().map(force).fold(0.0, f64::max);
         self.physics.integration_parameters = self.settings.integration_parameters(strongest);
+        self.ease_joints();
     }
 
     /// Removes a body or an instrument. Returns whether it existed.

@@ -1,15 +1,17 @@
 //! After warming up, a solver's step allocates nothing.
 
 use crate::support::suture::{jaws, pad, pose, straight, threaded, tissue};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_scene::JointKind;
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
 use trocar_simulator::fluid::{Fluid, FluidConfig};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::mass_spring::{
     self, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
+use trocar_simulator::rigid::{self, BodyJoint, JointEnd, RigidBodies, RigidMass, RigidState};
 use trocar_simulator::suture::{Resistance, StepInputs};
 use trocar_simulator::suture_thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
@@ -122,6 +124,36 @@ fn a_thread_that_lies_on_itself_and_on_a_table_steps_without_allocating() {
     });
     allocates_nothing("a thread", || touched += thread.step(1e-3, &around).expect("a step").contacts);
     assert!(touched >= WARM, "{touched} contacts in all");
+}
+
+/// Links of a chain that swings, the light last ones so fast that their steps are taken in parts.
+#[test]
+fn joined_bodies_step_without_allocating() {
+    let mass = |mass: f64| RigidMass { mass, inertia: Vector3::new(1e-6, 4e-5, 4e-5) * mass };
+    let masses = [0.1, 0.01, 0.001, 0.001].map(mass);
+    let state = |link: usize| RigidState {
+        position: Point3::new(0.01 + 0.02 * link as f64, 0.0, 0.0),
+        rotation: UnitQuaternion::identity(),
+        momentum: Vector3::zeros(),
+        angular_momentum: Vector3::zeros(),
+    };
+    let states = [0, 1, 2, 3].map(state);
+    let end = |x: f64| Isometry3::translation(x, 0.0, 0.0);
+    let joint = |link: usize| BodyJoint {
+        body: link as u32,
+        body_from_joint: end(-0.01),
+        other: match link.checked_sub(1) {
+            Some(before) => JointEnd::Body { body: before as u32, body_from_joint: end(0.01) },
+            None => JointEnd::World([Isometry3::identity(); 2]),
+        },
+        kind: JointKind::Ball,
+    };
+    let (integrator, config) = (rigid::Integrator::Symplectic, rigid::ContactConfig::default());
+    let mut bodies = RigidBodies::new(&masses, &states, GRAVITY, integrator, config).expect("bodies");
+    bodies.set_joints(&[0, 1, 2, 3].map(joint)).expect("joints");
+    (0..1000).for_each(|_| bodies.step(1e-3, &[], &[]).expect("a step"));
+    allocates_nothing("joined bodies", || bodies.step(1e-3, &[], &[]).expect("a step"));
+    assert!((0..4).all(|joint| bodies.joint_errors(joint)[0] < 1e-9));
 }
 
 #[test]

@@ -6,6 +6,7 @@ pub mod device;
 pub mod field;
 pub mod graph;
 pub mod instrument;
+pub mod joint;
 pub mod matter;
 pub mod mesh;
 pub mod particles;
@@ -27,6 +28,7 @@ pub use instrument::{
     Activation, ActivationMode, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind,
     InstrumentTarget, JawState, LocalContactModel, Port,
 };
+pub use joint::{JOINTS_MAX, Joint, JointFrame, JointFrames, JointKind, JointLoad, JointState, Joints};
 pub use matter::{Burn, Motion, Parameter, RigidBody, Source, Sources, Temperature, Tissue};
 pub use mesh::{
     BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TetRegions, TextureCoordinates,
@@ -52,7 +54,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         VertexPositions, VertexVelocities, RestPositions, Anchors,
         Frozen, OutOfValidity, HeatFrozen, MeshRepaired, MeshRemarks,
         VisualMaterial, Light, Camera, Optics, HeadTracked,
-        RigidBody, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
+        RigidBody, Joints, JointFrames, JointState, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
         Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
         CollisionList, TaskState, Measured, VitalSigns,

@@ -11,6 +11,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::document::{Params, Source, Step, Table, join, named_in, not_finite_in, shown};
 use super::error::ScenarioError;
+use super::joints;
 use super::mesh_source::{self, LoadedMesh};
 use super::tissue_defaults::{completed, doubt};
 use super::{
@@ -81,6 +82,7 @@ pub(super) fn parse(
     check_parents(&root)?;
     let meshes = load_meshes(&root, folder, assets, &names)?;
     commands(&source, &document, registry, &names, &meshes)?;
+    joints::check(&root, &names)?;
     Ok(Scenario {
         file: file.into(),
         name: name.to_owned(),

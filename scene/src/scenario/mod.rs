@@ -27,6 +27,7 @@
 
 mod document;
 mod error;
+mod joints;
 mod load;
 mod mesh_source;
 mod procedural_mesh;

@@ -2,8 +2,9 @@
 
 use trocar_scene::access::{Access, EntitySet};
 use trocar_scene::components::{
-    CollisionList, Frozen, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel,
-    Motion, Parent, Pose, RigidBody, Shape, SurfaceMesh, Velocity, VertexPositions,
+    CollisionList, Frozen, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState, JointFrames,
+    JointState, Joints, LocalContactModel, Motion, Parent, Pose, RigidBody, Shape, SurfaceMesh, Velocity,
+    VertexPositions,
 };
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
@@ -70,6 +71,12 @@ pub(crate) fn declared_access(
         .writes::<LocalContactModel>(modelled)
         .writes::<Grasp>(on(instruments.clone()))
         .contributes::<CollisionList>();
+    let jointed: Vec<Entity> = scene.iter::<Joints>().map(|(entity, _)| entity).collect();
+    let access = access
+        .reads::<Joints>()
+        .reads::<JointFrames>()
+        .writes::<JointFrames>(on(jointed.clone()))
+        .writes::<JointState>(on(jointed));
     let access = if modelled_by_others.is_empty() { access } else { access.reads::<LocalContactModel>() };
     let access = match meets_soft_bodies(scene) {
         true => access

@@ -2,12 +2,14 @@
 //! and writes poses, forces, contacts and grasps back.
 //!
 //! The scene holds everything that a restart needs: poses and velocities of bodies and tips ([`Pose`], [`Velocity`]),
-//! jaw openings ([`JawState`]), held bodies with their anchors ([`Grasp`]), and, where the session registers it, the
+//! jaw openings ([`JawState`]), held bodies with their anchors ([`Grasp`]), where joints sit in their bodies
+//! ([`JointFrames`](trocar_scene::JointFrames)), and, where the session registers it, the
 //! play of the mechanism ([`MechanismState`]).
 
 pub(crate) mod access;
 pub mod external_contact_model;
 pub(crate) mod geometry;
+mod joints;
 pub(crate) mod soft_contact;
 mod write_scene;
 
@@ -36,6 +38,7 @@ use crate::soft_body::contact::RigidContacts;
 use access::{declared_access, declared_rows, meets_soft_bodies, moved_entities};
 use external_contact_model::{held_by, modelled_by_others};
 use geometry::Geometry;
+use joints::JointKeeper;
 
 /// Maximum number of contacts in the collision list; the deepest are kept.
 pub const COLLISIONS_MAX: usize = 256;
@@ -75,6 +78,7 @@ pub struct RigidBodiesController<W: World> {
     pub(crate) meets_soft_bodies: bool,
     /// Bodies that receive impulses from soft bodies in this tick.
     pub(crate) pushed: Vec<Entity>,
+    joints: JointKeeper,
 }
 
 pub(crate) struct KnownBody {
@@ -101,7 +105,7 @@ struct KnownInstrument {
 
 impl<W: World> RigidBodiesController<W> {
     /// Builds the world from the scene.
-    /// Builds the world from the scene.
+    ///
     /// # Errors
     /// A component or setting that cannot be simulated.
     pub fn new(context: &BuildContext<'_>, settings: W::Settings) -> Result<Self, WorldError> {
@@ -124,6 +128,7 @@ impl<W: World> RigidBodiesController<W> {
             may_be_told_frozen: moved_entities(context.scene),
             meets_soft_bodies: meets_soft_bodies(context.scene),
             pushed: Vec::new(),
+            joints: JointKeeper::new(context.scene, scheduling.claims_all_poses),
         };
         this.read_changes(context.scene, 0.0)?;
         Ok(this)
@@ -155,6 +160,7 @@ impl<W: World> RigidBodiesController<W> {
         for (entity, instrument) in scene.iter::<Instrument>() {
             self.take_instrument(scene, entity, instrument)?;
         }
+        self.take_joints(scene)?;
         self.publish_inertia(scene, period_secs);
         self.take_contacts(scene);
         self.seen = scene.revision();
@@ -162,10 +168,11 @@ impl<W: World> RigidBodiesController<W> {
     }
 
     fn drop_vanished(&mut self, scene: &Snapshot) {
-        let world = &mut self.world;
+        let (world, joints) = (&mut self.world, &mut self.joints);
         self.bodies.retain(|entity, _| {
             let stays = scene.get::<RigidBody>(*entity).is_some() && Geometry::is_there(scene, *entity);
             if !stays {
+                joints.bodies_changed();
                 world.remove(*entity);
             }
             stays
@@ -259,6 +266,8 @@ impl<W: World> RigidBodiesController<W> {
                 let pose = self.world.pose(entity).ok_or(WorldError::Unknown { entity })?;
                 self.freeze(entity, &pose, error.to_string())?;
             }
+            // The world has forgotten the joints of what was built anew.
+            self.joints.hand_over(&mut self.world)?;
         }
         Ok(())
     }
@@ -271,6 +280,7 @@ impl<W: World> RigidBodiesController<W> {
         pose: &Pose,
         velocity: &Velocity,
     ) -> Result<(), WorldError> {
+        self.joints.bodies_changed();
         match geometry {
             Geometry::Shape(shape) => self.world.insert_body(entity, body, shape, pose, velocity),
             Geometry::Surface(vertices, triangles) => {
@@ -422,6 +432,7 @@ impl<W: World> Controller for RigidBodiesController<W> {
         }
         self.write_frozen(scene, tick, out);
         self.write_bodies(scene, out);
+        self.write_joints(out);
         self.write_given(tick.time, out);
         self.write_instruments(scene, tick, out);
         Ok(())

@@ -50,6 +50,18 @@ pub enum WorldError {
         /// The limit.
         max: usize,
     },
+    /// More joints than the world allows, or more that hang together.
+    #[error("{entity}: {joints} joints {what}, and {max} are the limit")]
+    TooManyJoints {
+        /// A body with one of them.
+        entity: Entity,
+        /// How many.
+        joints: usize,
+        /// In all, or in one piece.
+        what: &'static str,
+        /// The limit.
+        max: usize,
+    },
     /// A dynamic body needs a closed surface.
     #[error("{entity}: its surface encloses no volume; a dynamic body needs a closed one, or a shape")]
     NoVolume {

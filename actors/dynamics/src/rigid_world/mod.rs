@@ -9,4 +9,4 @@ pub(crate) mod world;
 pub use error::WorldError;
 pub use mobility::tangential_mobility_max;
 pub use settings::{WorldSettings, check_setting};
-pub use world::{FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, check};
+pub use world::{BodyJoint, FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, check};

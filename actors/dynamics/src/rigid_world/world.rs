@@ -1,12 +1,12 @@
 //! Interface of a world of rigid bodies and instruments, independent of its solver; the rigid-body controller schedules
 //! any.
 
-use nalgebra::{Matrix3, Point3};
+use nalgebra::{Isometry3, Matrix3, Point3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
-    Collision, Component, Detection, Entity, Instrument, InstrumentTarget, Pose, RigidBody, Shape, SimTime,
-    Velocity,
+    Collision, Component, Detection, Entity, Instrument, InstrumentTarget, JointKind, JointLoad, Pose,
+    RigidBody, Shape, SimTime, Velocity,
 };
 
 use super::WorldError;
@@ -45,6 +45,21 @@ pub struct Inertia {
     pub centre_in_body: Point3<f64>,
     /// Inverse inertia tensor about the centre of mass, in the body's axes \[1/(kg·m²)\].
     pub inertia_inverse_in_body: Matrix3<f64>,
+}
+
+/// A joint of a body with another one, or with a fixed point of the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BodyJoint {
+    /// The body whose joint it is.
+    pub body: Entity,
+    /// The other one; `None`: the world.
+    pub other: Option<Entity>,
+    /// What it leaves free; the axis of a hinge is z of its frames.
+    pub kind: JointKind,
+    /// `body_from_joint`.
+    pub body_from_joint: Isometry3<f64>,
+    /// `other_from_joint`, or `world_from_joint`.
+    pub other_from_joint: Isometry3<f64>,
 }
 
 /// An instrument in a world.
@@ -153,6 +168,15 @@ pub trait World: Send + Sized + 'static {
     fn has_surfaces(&self) -> bool;
     /// Replaces all detected contacts.
     fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>);
+
+    /// Replaces all joints. A joint of a body that is not there, or of two that do not move by forces, joins nothing until
+    /// the next call. Joined bodies do not collide with each other.
+    ///
+    /// # Errors
+    /// [`WorldError::TooManyJoints`].
+    fn set_joints(&mut self, joints: &[BodyJoint]) -> Result<(), WorldError>;
+    /// What each joint bore in the last step, in their order.
+    fn joint_loads(&self, loads: &mut Vec<JointLoad>);
 
     /// Applies a constant wrench to a body from the next step on, until the next call: force \[N\], and torque about
     /// its centre of mass \[N·m\]. A sleeping body wakes.

@@ -7,9 +7,9 @@ use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
-use trocar_dynamics::rigid_world::{Inertia, Scheduling, ToolView, World};
+use trocar_dynamics::rigid_world::{BodyJoint, Inertia, Scheduling, ToolView, World};
 use trocar_scene::components::{
-    Collision, Detection, Instrument, InstrumentTarget, Pose, RigidBody, Shape, Velocity,
+    Collision, Detection, Instrument, InstrumentTarget, JointLoad, Pose, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
 use trocar_scene::kinematics::spatial::Wrench;
@@ -94,6 +94,12 @@ impl World for RigidWorld {
     }
     fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), EngineError> {
         self.push(entity, push)
+    }
+    fn set_joints(&mut self, joints: &[BodyJoint]) -> Result<(), EngineError> {
+        self.set_joints(joints)
+    }
+    fn joint_loads(&self, loads: &mut Vec<JointLoad>) {
+        self.joint_loads(loads);
     }
     fn inertia(&self, entity: Entity) -> Option<Inertia> {
         self.inertia(entity)

@@ -53,8 +53,11 @@ impl RigidWorld {
     /// [`PENALTIES_MAX`](penalty::PENALTIES_MAX) deepest ones act.
     pub fn set_penalties<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         let is_surface = |entity: &Entity| self.bodies.get(entity).is_some_and(|body| body.trail.is_some());
-        let mut found: Vec<&Collision> =
-            found.into_iter().filter(|found| is_surface(&found.a) || is_surface(&found.b)).collect();
+        let mut found: Vec<&Collision> = found
+            .into_iter()
+            .filter(|found| is_surface(&found.a) || is_surface(&found.b))
+            .filter(|found| !self.joints.joins(found.a, found.b))
+            .collect();
         if found.len() > penalty::PENALTIES_MAX {
             found.sort_by(|a, b| b.depth.total_cmp(&a.depth));
             found.truncate(penalty::PENALTIES_MAX);

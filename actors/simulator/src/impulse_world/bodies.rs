@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
 
@@ -109,6 +109,20 @@ impl Body {
     pub fn velocity_at(&self, point: &Point3<f64>) -> Vector3<f64> {
         let lever = point - Point3::from(self.pose.translation.vector);
         self.velocity.linear + self.velocity.angular.cross(&lever)
+    }
+
+    /// Its pose at the end of the next step, if it is led along a way.
+    pub fn pose_after_step(&self) -> Isometry3<f64> {
+        let Some(travel) = self.travel.filter(|travel| travel.steps > 1) else {
+            return self.travel.map_or(self.pose, |travel| travel.to);
+        };
+        let share = 1.0 / f64::from(travel.steps);
+        let way = travel.to.translation.vector - self.pose.translation.vector;
+        let turn = (travel.to.rotation * self.pose.rotation.inverse()).scaled_axis();
+        Isometry3::from_parts(
+            (self.pose.translation.vector + way * share).into(),
+            UnitQuaternion::from_scaled_axis(turn * share) * self.pose.rotation,
+        )
     }
 
     /// Takes over the solver's state.

@@ -8,6 +8,7 @@
 //! | Narrow phase and bounding boxes | `narrow_phase.rs`, `aabb.rs` |
 //! | Contact points of two parts | `closest_features.rs`, `box_box.rs` |
 //! | Contacts from external detectors | `detected_contact.rs` |
+//! | Joints of bodies | `joints.rs` |
 //! | Obstacles ahead of an instrument | `obstacle_prediction.rs` |
 
 pub(crate) mod aabb;
@@ -19,6 +20,7 @@ pub(crate) mod convex_parts;
 pub(crate) mod detected_contact;
 pub(crate) mod grasp_detection;
 pub(crate) mod instrument;
+mod joints;
 pub(crate) mod narrow_phase;
 pub(crate) mod obstacle_prediction;
 mod settings;
@@ -27,5 +29,6 @@ pub(crate) mod world_adapter;
 
 pub use closest_features::{TouchPoint, touch};
 pub use convex_parts::{Core, Part, mass_of, parts_of};
+pub use joints::JOINTS_MAX;
 pub use settings::RigidSettings;
 pub use world::{BODIES_MAX, ImpulseWorld, TOOLS_MAX};

@@ -75,6 +75,8 @@ pub(super) struct WorldView<'a> {
     pub bodies: &'a mut BTreeMap<Entity, Body>,
     pub tools: &'a BTreeMap<Entity, Tool>,
     pub found: &'a [DetectedContact],
+    /// Pairs that a joint joins: they do not collide. Each ascending; sorted.
+    pub joined: &'a [(Entity, Entity)],
     pub step_secs: f64,
 }
 
@@ -94,6 +96,11 @@ impl WorldView<'_> {
             Collider::Body(entity) => self.bodies.get(&entity).map(|body| &body.solid),
             Collider::Tool(entity) => self.tools.get(&entity).map(|tool| &tool.solid),
         }
+    }
+
+    /// Whether a joint joins them.
+    fn are_joined(&self, a: Entity, b: Entity) -> bool {
+        !self.joined.is_empty() && self.joined.binary_search(&(a.min(b), a.max(b))).is_ok()
     }
 
     /// Whether it may be moving now.
@@ -208,6 +215,9 @@ impl NarrowPhase {
             Collider::Body(entity) | Collider::Tool(entity) => entity,
         };
         let (first, second) = if rank(first) <= rank(second) { (first, second) } else { (second, first) };
+        if world_view.are_joined(rank(first), rank(second)) {
+            return;
+        }
         let (Some(a), Some(b)) = (world_view.solid(first), world_view.solid(second)) else { return };
         if a.all.is_apart(&b.all, margin) {
             return;
@@ -287,7 +297,8 @@ impl NarrowPhase {
         for (index, found) in world_view.found.iter().enumerate() {
             let pose = |entity: Entity| world_view.pose(entity).unwrap_or_else(Isometry3::identity);
             let (points, normal, depth) = found.now(found.entities.map(pose));
-            if depth < -MARGIN {
+            let [a, b] = found.entities;
+            if depth < -MARGIN || world_view.are_joined(a, b) {
                 continue;
             }
             let contact_side = |side: usize| {

@@ -14,6 +14,7 @@ use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 use super::bodies::{Body, PoseHistory, Solid, state_of};
 use super::detected_contact::DetectedContact;
 use super::instrument::Tool;
+use super::joints::WorldJoints;
 use super::narrow_phase::{Key, NarrowPhase, WorldView};
 use super::{RigidSettings, grasp_detection};
 use crate::rigid::{
@@ -24,6 +25,8 @@ use crate::rigid::{
 pub const BODIES_MAX: usize = 4096;
 /// Maximum number of instruments.
 pub const TOOLS_MAX: usize = 64;
+/// The entity that stands for none in messages.
+pub(super) const NOBODY: Entity = Entity::of_writer(0, 0);
 /// A body slower than this for this long falls asleep \[m/s, s\].
 const SLEEP_SPEED: f64 = 5e-4;
 const SLEEP_AFTER_SECS: f64 = 0.3;
@@ -41,6 +44,7 @@ pub struct ImpulseWorld {
     pub(super) former: Vec<(Key, Vector3<f64>)>,
     pub(super) penetration_max: f64,
     pub(super) contacts: Vec<Contact>,
+    pub(super) joints: WorldJoints,
     scratch: Scratch,
 }
 
@@ -81,6 +85,7 @@ impl ImpulseWorld {
             former: Vec::new(),
             penetration_max: 0.0,
             contacts: Vec::new(),
+            joints: WorldJoints::default(),
             scratch: Scratch::default(),
             settings,
         }
@@ -88,6 +93,7 @@ impl ImpulseWorld {
 
     /// Rebuilds the solver's bodies, with one appended or removed.
     pub(super) fn rebuild(&mut self, add: Option<(RigidMass, RigidState)>, remove: Option<usize>) -> usize {
+        self.joints.is_stale = true;
         let (mut masses, mut states) = (self.solver.masses().to_vec(), self.solver.states().to_vec());
         if let Some(gone) = remove {
             masses.remove(gone);
@@ -290,18 +296,13 @@ impl ImpulseWorld {
         }
         let (masses, states) = (self.solver.masses(), self.solver.states());
         for body in self.bodies.values_mut() {
+            let pose = body.pose_after_step();
             if let Some(travel) = &mut body.travel {
-                let share = 1.0 / f64::from(travel.steps);
-                let way = travel.to.translation.vector - body.pose.translation.vector;
-                let turn = (travel.to.rotation * body.pose.rotation.inverse()).scaled_axis();
-                body.pose.translation.vector += way * share;
-                body.pose.rotation =
-                    nalgebra::UnitQuaternion::from_scaled_axis(turn * share) * body.pose.rotation;
                 travel.steps -= 1;
                 if travel.steps == 0 {
-                    body.pose = travel.to;
                     body.travel = None;
                 }
+                body.pose = pose;
                 body.solid.place(&body.pose);
             }
             let Some(slot) = body.slot.filter(|_| !body.sleeps) else { continue };
@@ -377,6 +378,7 @@ impl ImpulseWorld {
             // External detections vanish without notice when their detector stops.
             let is_pushed = body.push != Wrench::default();
             let may_sleep = speed < SLEEP_SPEED && body.trail.is_none() && !is_pushed && !is_touched(*entity);
+            let may_sleep = may_sleep && !self.joints.holds(*entity);
             body.still_secs = if may_sleep { body.still_secs + step_secs } else { 0.0 };
             if body.still_secs >= SLEEP_AFTER_SECS {
                 body.sleeps = true;
@@ -399,11 +401,16 @@ impl ImpulseWorld {
     /// Advances by one step.
     pub(super) fn step(&mut self) -> Result<(), WorldError> {
         let step_secs = self.settings.substep_secs;
+        if self.joints.is_stale {
+            self.resolve_joints()?;
+        }
         self.prepare();
+        self.lead_joints();
         self.narrow_phase.detect(WorldView {
             bodies: &mut self.bodies,
             tools: &self.tools,
             found: &self.found,
+            joined: &self.joints.joined,
             step_secs,
         });
         self.rows();

@@ -7,12 +7,13 @@ use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 use trocar_dynamics::rigid_world::{
-    FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, WorldError, check, mass_properties,
+    BodyJoint, FLOOR, FLOOR_HALF_EXTENTS, Inertia, Scheduling, ToolView, World, WorldError, check,
+    mass_properties,
 };
 use trocar_scene::kinematics::spatial::Wrench;
 use trocar_scene::{
-    Collision, Detection, Entity, Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape,
-    SimTime, Velocity,
+    Collision, Detection, Entity, Instrument, InstrumentTarget, JointLoad, Motion, Pose, Primitive,
+    RigidBody, Shape, SimTime, Velocity,
 };
 
 use super::RigidSettings;
@@ -125,6 +126,7 @@ impl World for ImpulseWorld {
 
     fn remove(&mut self, entity: Entity) -> bool {
         self.found.retain(|found| !found.entities.contains(&entity));
+        self.joints.is_stale = true;
         if let Some(body) = self.bodies.remove(&entity) {
             for tool in self.tools.values_mut() {
                 tool.hold = tool.hold.filter(|hold| hold.held != entity);
@@ -232,6 +234,14 @@ impl World for ImpulseWorld {
             body.still_secs = 0.0;
         }
         Ok(())
+    }
+
+    fn set_joints(&mut self, joints: &[BodyJoint]) -> Result<(), WorldError> {
+        self.replace_joints(joints)
+    }
+
+    fn joint_loads(&self, loads: &mut Vec<JointLoad>) {
+        self.loads_of_joints(loads);
     }
 
     fn inertia(&self, entity: Entity) -> Option<Inertia> {

@@ -1,10 +1,10 @@
 //! Errors of rigid bodies and of their steps.
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Vector3};
 use thiserror::Error;
 use trocar_scene::kinematics::spatial::Wrench;
 
-use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState};
+use super::{Arm, BodyJoint, ContactConfig, Joint, JointEnd, RigidContact, RigidMass, RigidState};
 
 /// Maximum number of bodies, and of contacts in a step.
 const COUNT_MAX: usize = 1_000_000;
@@ -25,6 +25,26 @@ pub enum RigidError {
         "bodies {0:?}: a mass and moments above 0, each moment at most the sum of the others, and finite states are valid"
     )]
     Bodies(Vec<usize>),
+    /// A joint that joins nothing.
+    #[error(
+        "joint {joint}: finite frames and two different bodies of 0 to {bodies} - 1, or one and the world, are valid"
+    )]
+    Joint {
+        /// The joint.
+        joint: usize,
+        /// Number of bodies.
+        bodies: usize,
+    },
+    /// Joints that hang together too densely.
+    #[error(
+        "the joints take {products} products of blocks a step, at most {most} are valid: join fewer to one body"
+    )]
+    Joints {
+        /// How many they take.
+        products: usize,
+        /// The limit.
+        most: usize,
+    },
     /// A parameter out of range.
     #[error("{what} of {value}: {valid} is valid")]
     Parameter {
@@ -35,6 +55,22 @@ pub enum RigidError {
         /// Its valid range.
         valid: &'static str,
     },
+}
+
+/// Whether a joint is one between these bodies.
+pub(super) fn is_joint(joint: &BodyJoint, bodies: usize) -> bool {
+    let is_body = |body: u32| (body as usize) < bodies;
+    let is_finite = |frame: &Isometry3<f64>| {
+        frame.translation.vector.iter().chain(frame.rotation.coords.iter()).all(|x| x.is_finite())
+    };
+    is_body(joint.body)
+        && is_finite(&joint.body_from_joint)
+        && match &joint.other {
+            JointEnd::Body { body, body_from_joint } => {
+                is_body(*body) && *body != joint.body && is_finite(body_from_joint)
+            }
+            JointEnd::World(frames) => frames.iter().all(is_finite),
+        }
 }
 
 /// Why a step was rejected; the bodies are unchanged.

@@ -76,6 +76,12 @@ impl Islands {
         }
     }
 
+    /// The island of a body, after sorting, if it has contacts or jaws.
+    pub fn island_of(&mut self, body: usize) -> Option<u32> {
+        let island = self.number[self.joined.root(body)];
+        (island != NONE).then_some(island)
+    }
+
     /// Contacts and joints of each island.
     pub fn each(&self) -> impl Iterator<Item = (&[u32], &[u32])> {
         let mut from = [0; 2];

@@ -6,27 +6,36 @@
 //! | A body and its integrators | `body.rs` |
 //! | Contacts | `contact.rs` |
 //! | Jaw joints and their drives | `jaw_joint.rs` |
+//! | Joints of bodies: one, all that hang together, their factor, fast ones | `body_joint.rs`, `joint_system.rs`, `joint_factor.rs`, `joint_parts.rs` |
 //! | Impulse solver: a step, a contact, islands | `sequential_impulses.rs`, `contact_constraint.rs`, `islands.rs` |
 //! | What jaws hold, solved directly | `direct_grasp.rs` |
 
 mod body;
+mod body_joint;
 mod contact;
 pub(crate) mod contact_constraint;
 mod direct_grasp;
 mod error;
 mod islands;
 pub(crate) mod jaw_joint;
+mod joint_factor;
+mod joint_parts;
+mod joint_system;
 pub(crate) mod sequential_impulses;
 
 use nalgebra::Vector3;
 use trocar_scene::kinematics::spatial::Wrench;
 
 pub use body::{Integrator, RigidMass, RigidState};
+pub use body_joint::{BodyJoint, JointEnd, JointImpulse};
 pub use contact::{ContactConfig, ContactImpulse, RigidContact};
 pub use error::{RigidError, RigidStepError};
 pub use jaw_joint::{Arm, Joint};
 
 use sequential_impulses::Response;
+
+/// Most products of blocks in a factorisation of the joints' matrix: some 20 ms a step.
+const JOINT_PRODUCTS_MAX: usize = 50_000;
 
 /// Rigid bodies with contacts.
 #[derive(Clone, Debug)]
@@ -119,6 +128,46 @@ impl RigidBodies {
         Ok(())
     }
 
+    /// Replaces the joints of bodies. They are part of every later step.
+    ///
+    /// # Errors
+    /// [`RigidError::Joint`], [`RigidError::Joints`]; there are no joints then.
+    pub fn set_joints(&mut self, joints: &[BodyJoint]) -> Result<(), RigidError> {
+        let system = &mut self.response.joints;
+        let bodies = self.states.len();
+        let found = match joints.iter().position(|joint| !error::is_joint(joint, bodies)) {
+            Some(joint) => Err(RigidError::Joint { joint, bodies }),
+            None => system
+                .set(joints, bodies, JOINT_PRODUCTS_MAX)
+                .map_err(|products| RigidError::Joints { products, most: JOINT_PRODUCTS_MAX }),
+        };
+        if found.is_err() {
+            *system = joint_system::JointSystem::default();
+        }
+        found
+    }
+
+    /// Moves the world's side of a joint from one frame to another in the next step; of one between two bodies nothing changes.
+    pub fn lead_joint(&mut self, joint: usize, world_from_joint: [nalgebra::Isometry3<f64>; 2]) {
+        if let Some(BodyJoint { other: JointEnd::World(frames), .. }) =
+            self.response.joints.joints.get_mut(joint)
+        {
+            *frames = world_from_joint;
+        }
+    }
+
+    /// Impulses of the joints in the last step, in their order.
+    #[must_use]
+    pub fn joint_impulses(&self) -> &[JointImpulse] {
+        &self.response.joint_impulses
+    }
+
+    /// How far a joint is open now: distance \[m\], and angle in what it locks \[rad\].
+    #[must_use]
+    pub fn joint_errors(&self, joint: usize) -> [f64; 2] {
+        self.response.joints.errors(joint, &self.states)
+    }
+
     /// Sets the state of a body.
     ///
     /// # Errors
@@ -185,12 +234,14 @@ impl RigidBodies {
             arms,
             joints,
             &self.config,
+            self.integrator,
         );
         if self.integrator != Integrator::ExplicitEuler {
             for (next, mass) in self.next.iter_mut().zip(&self.masses) {
                 *next = mass.moved(next, dt, self.integrator);
             }
         }
+        self.response.joints.take_divided(&mut self.next);
         self.response.correct(dt, &mut self.next);
         if let Some(body) = self.next.iter().position(|state| !error::is_finite(state)) {
             return Err(RigidStepError::Body { body });

@@ -2,12 +2,14 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
+use super::body_joint::JointImpulse;
 use super::contact::{ContactConfig, ContactImpulse, RigidContact};
 use super::contact_constraint::{Row, Twist};
 use super::direct_grasp::{self, DirectGrasp};
 use super::islands::Islands;
 use super::jaw_joint::{Arm, Joint, Turning};
-use super::{RigidMass, RigidState};
+use super::joint_system::{self, JointSystem};
+use super::{Integrator, RigidMass, RigidState};
 
 /// Stiffness of a contact point of a jaw \[N/m\]: under 100 N it gives way by 10 µm. Rigid points would leave it open
 /// which of them bears: with all load on one corner of each pad, nothing keeps the body from turning about it.
@@ -30,6 +32,9 @@ pub(super) struct Response {
     inverse: Vec<(f64, Matrix3<f64>)>,
     turning: Vec<Turning>,
     direct: DirectGrasp,
+    pub joints: JointSystem,
+    /// Impulses of the joints of bodies in the last step.
+    pub joint_impulses: Vec<JointImpulse>,
 }
 
 impl Response {
@@ -46,14 +51,28 @@ impl Response {
         own_arms: &[[Option<Arm>; 2]],
         joints: &mut [Joint],
         config: &ContactConfig,
+        integrator: Integrator,
     ) {
         self.undo.clear();
         self.visits = 0;
-        if contacts.is_empty() && joints.is_empty() {
+        self.joint_impulses.clear();
+        if contacts.is_empty() && joints.is_empty() && self.joints.is_empty() {
             self.impulses.clear();
             return;
         }
-        let Self { rows, islands, impulses, visits, twists, undo, inverse, turning, direct } = self;
+        let Self {
+            rows,
+            islands,
+            impulses,
+            visits,
+            twists,
+            undo,
+            inverse,
+            turning,
+            direct,
+            joints: body_joints,
+            joint_impulses,
+        } = self;
         turning.clear();
         turning.extend(joints.iter().map(|joint| Turning::begin(joint, dt)));
         // A list of another length has other contacts; a changed list of the same length only costs iterations.
@@ -71,6 +90,8 @@ impl Response {
         undo.resize(stands + 1, [Vector3::zeros(); 2]);
         rows.clear();
         islands.begin(stands, joints.len());
+        body_joints.begin(dt, before, inverse);
+        body_joints.join(islands);
         for (index, contact) in contacts.iter().enumerate() {
             let bodies = [contact.body as usize, contact.other.map_or(stands, |other| other as usize)];
             let arms = bodies.map(|body| {
@@ -113,35 +134,55 @@ impl Response {
             rows.push(row);
         }
         islands.sort(stands, contacts.iter().map(|contact| contact.body as usize));
+        body_joints.sort(islands);
         // Each island by itself: easy ones end early.
-        for (of_rows, of_joints) in islands.each() {
+        for (island, (of_rows, of_joints)) in (0..).zip(islands.each()) {
+            let has_joints = body_joints.is_in(island);
             let is_grasp = !of_joints.is_empty()
                 && of_rows.len() <= direct_grasp::ROWS_MAX
                 && of_rows.iter().any(|row| rows[*row as usize].has_openings());
-            for round in 0..config.iterations {
-                // Largest velocity change in this iteration.
-                let mut change = 0.0_f64;
-                for &joint in of_joints {
-                    turning[joint as usize].solve(&joints[joint as usize], dt);
+            for _ in 0..=joint_system::ROUNDS_MAX + 1 {
+                for round in 0..config.iterations {
+                    // Largest velocity change in this iteration.
+                    let mut change = 0.0_f64;
+                    for &joint in of_joints {
+                        turning[joint as usize].solve(&joints[joint as usize], dt);
+                    }
+                    // Forwards and backwards: one order only would tilt every stack to one side.
+                    let mut solve = |row: &u32| {
+                        change = change.max(rows[*row as usize].solve(twists, undo, turning));
+                    };
+                    if round % 2 == 0 {
+                        of_rows.iter().for_each(&mut solve);
+                    } else {
+                        of_rows.iter().rev().for_each(&mut solve);
+                    }
+                    *visits += of_rows.len() as u64;
+                    if has_joints {
+                        body_joints.solve(island, twists, undo);
+                    }
+                    if change < config.tolerance {
+                        break;
+                    }
+                    if round % DIRECT_EVERY == DIRECT_AFTER && is_grasp {
+                        direct.solve(rows, of_rows, joints, of_joints, dt, twists, turning);
+                    }
                 }
-                // Forwards and backwards: one order only would tilt every stack to one side.
-                let mut solve = |row: &u32| {
-                    change = change.max(rows[*row as usize].solve(twists, undo, turning));
-                };
-                if round % 2 == 0 {
-                    of_rows.iter().for_each(&mut solve);
-                } else {
-                    of_rows.iter().rev().for_each(&mut solve);
-                }
-                *visits += of_rows.len() as u64;
-                if change < config.tolerance {
+                if !(has_joints && body_joints.look_ahead(island, dt, masses, next, twists, integrator)) {
                     break;
-                }
-                if round % DIRECT_EVERY == DIRECT_AFTER && is_grasp {
-                    direct.solve(rows, of_rows, joints, of_joints, dt, twists, turning);
                 }
             }
         }
+        if body_joints.is_in(joint_system::ALONE) {
+            for _ in 0..=joint_system::ROUNDS_MAX + 1 {
+                body_joints.solve(joint_system::ALONE, twists, undo);
+                if !body_joints.look_ahead(joint_system::ALONE, dt, masses, next, twists, integrator) {
+                    break;
+                }
+            }
+        }
+        body_joints.divide(dt, masses, before, next, integrator);
+        body_joints.end(next, joint_impulses);
         // Momenta from the impulses themselves: action and reaction agree to rounding.
         impulses.clear();
         for (row, contact) in rows.iter().zip(contacts) {
