@@ -156,6 +156,23 @@ fn joined_bodies_step_without_allocating() {
     assert!((0..4).all(|joint| bodies.joint_errors(joint)[0] < 1e-9));
 }
 
+/// A ring that lies flat on a table.
+#[test]
+fn a_closed_thread_on_a_table_steps_without_allocating() {
+    let on_ring = |turn: f64| Point3::new(0.02 * turn.cos(), 0.02 * turn.sin(), 0.0);
+    let points: Vec<_> = (0..80).map(|i| on_ring(std::f64::consts::TAU * f64::from(i) / 80.0)).collect();
+    let mut thread = Thread::closed(ThreadMaterial::silk_2_0(), &points).expect("a thread");
+    let table = Shape::HalfSpace { normal: Vector3::z() };
+    let obstacles = [Obstacle::fixed(table, Isometry3::translation(0.0, 0.0, -2e-4), 0.3)];
+    let around = Surroundings { gravity: GRAVITY, obstacles: &obstacles, ..Surroundings::default() };
+    let mut touched = 0;
+    (0..300).for_each(|_| {
+        thread.step(1e-3, &around).expect("a step");
+    });
+    allocates_nothing("a closed thread", || touched += thread.step(1e-3, &around).expect("a step").contacts);
+    assert!(touched >= WARM, "{touched} contacts in all");
+}
+
 #[test]
 fn a_needle_in_tissue_steps_without_allocating() {
     let (shape, material) = (straight(), Resistance::default());

@@ -22,7 +22,8 @@ pub(crate) type LaneCell = [[f64; LANES]; 4];
 /// A block, column by column.
 pub(crate) type Columns = [[f64; 4]; 4];
 
-/// The lower half of the symmetric matrix.
+/// The lower half of the symmetric matrix. Of a closed rod the matrix is cyclic: the blocks left of the first block
+/// column are those at the last ones.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BlockBand {
     pub diagonal: Vec<Block>,
@@ -48,7 +49,7 @@ pub(crate) struct Added {
     pub diagonal: Vec<Block>,
     /// Block row `i`, block column `i − 1`.
     pub below: Vec<Block>,
-    /// Block row `i − 1`, block column `i`.
+    /// Block row `i − 1`, block column `i`; as those below, cyclic for a closed rod.
     pub above: Vec<Block>,
     /// Whether it is unsymmetric.
     pub slanted: bool,

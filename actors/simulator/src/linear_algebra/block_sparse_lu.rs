@@ -28,6 +28,8 @@ struct BlockPosition {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BlockSparse {
     rows: usize,
+    /// Whether the rod is closed: its last node is followed by its first.
+    is_closed: bool,
     /// Touching edges in the pattern.
     couples: Vec<[u32; 2]>,
     /// Block rows in elimination order, and the position of each.
@@ -55,12 +57,14 @@ pub(crate) struct BlockSparse {
 }
 
 impl BlockSparse {
-    /// Computes an elimination order for this many block rows and touching edges; skipped where it is known.
-    pub fn analyse(&mut self, rows: usize, couples: impl Iterator<Item = [u32; 2]> + Clone) {
-        if rows == self.rows && couples.clone().eq(self.couples.iter().copied()) {
+    /// Computes an elimination order for this many block rows, of a closed rod or an open one, and touching edges; skipped
+    /// where it is known. A closed rod has at least five block rows.
+    pub fn analyse(&mut self, rows: usize, is_closed: bool, couples: impl Iterator<Item = [u32; 2]> + Clone) {
+        let is_known = (rows, is_closed) == (self.rows, self.is_closed);
+        if is_known && couples.clone().eq(self.couples.iter().copied()) {
             return;
         }
-        self.rows = rows;
+        (self.rows, self.is_closed) = (rows, is_closed);
         self.couples.clear();
         self.couples.extend(couples);
         self.find_neighbours();
@@ -73,21 +77,39 @@ impl BlockSparse {
         self.neighbours.resize_with(self.neighbours.len().max(rows), Vec::new);
         for (row, list) in self.neighbours[..rows].iter_mut().enumerate() {
             list.clear();
-            let near = [row.wrapping_sub(2), row.wrapping_sub(1), row + 1, row + 2];
-            list.extend(near.into_iter().filter(|other| *other < rows).map(|other| other as u32));
+            if self.is_closed {
+                list.extend([2, 1].map(|back| ((row + rows - back) % rows) as u32));
+                list.extend([1, 2].map(|ahead| ((row + ahead) % rows) as u32));
+            } else {
+                let near = [row.wrapping_sub(2), row.wrapping_sub(1), row + 1, row + 2];
+                list.extend(near.into_iter().filter(|other| *other < rows).map(|other| other as u32));
+            }
         }
         for &[first, second] in &self.couples {
-            for a in [first, first + 1] {
-                for b in [second, second + 1] {
-                    self.neighbours[a as usize].push(b);
-                    self.neighbours[b as usize].push(a);
+            for a in [first as usize, self.after(first)] {
+                for b in [second as usize, self.after(second)] {
+                    self.neighbours[a].push(b as u32);
+                    self.neighbours[b].push(a as u32);
                 }
             }
         }
-        for list in &mut self.neighbours[..rows] {
+        for (row, list) in self.neighbours[..rows].iter_mut().enumerate() {
             list.sort_unstable();
             list.dedup();
+            // Edges that touch beside each other across the seam share a node.
+            list.retain(|other| *other as usize != row);
         }
+    }
+
+    /// The node at the end of an edge.
+    fn after(&self, edge: u32) -> usize {
+        let node = edge as usize + 1;
+        if node < self.rows { node } else { 0 }
+    }
+
+    /// The node that far before one, if there is any.
+    fn before(&self, row: usize, back: usize) -> Option<usize> {
+        if self.is_closed { Some((row + self.rows - back) % self.rows) } else { row.checked_sub(back) }
     }
 
     /// The order, and the neighbours of each column, by block rows.
@@ -155,13 +177,13 @@ impl BlockSparse {
         band.clear();
         band.extend((0..self.rows).map(|row| {
             [1, 2].map(|back| {
-                row.checked_sub(back).map_or(BlockPosition::default(), |other| self.place(row, other))
+                self.before(row, back).map_or(BlockPosition::default(), |other| self.place(row, other))
             })
         }));
         far.clear();
         far.extend(self.couples.iter().map(|&[a, b]| {
-            let (a, b) = (a as usize, b as usize);
-            [(a, b), (a, b + 1), (a + 1, b), (a + 1, b + 1)].map(|(row, column)| self.place(row, column))
+            let [(a, a_end), (b, b_end)] = [a, b].map(|edge| (edge as usize, self.after(edge)));
+            [(a, b), (a, b_end), (a_end, b), (a_end, b_end)].map(|(row, column)| self.place(row, column))
         }));
         (self.band, self.far) = (band, far);
     }
@@ -192,7 +214,7 @@ impl BlockSparse {
             self.pivots[self.places[row] as usize] =
                 columns(&added.map_or(block, |added| block + added.diagonal[row]));
             for (back, blocks) in [&matrix.first, &matrix.second].into_iter().enumerate() {
-                if row <= back {
+                if row <= back && !self.is_closed {
                     continue;
                 }
                 let mut pair = [blocks[row], blocks[row].transpose()];
@@ -216,12 +238,13 @@ impl BlockSparse {
     /// Adds the contact of one pair of edges: the blocks of their four nodes, row by row.
     pub fn add_couple(&mut self, number: usize, blocks: &[[Block; 4]; 4], slanted: bool) {
         self.slanted |= slanted;
-        let [first, second] = self.couples[number].map(|edge| edge as usize);
-        for (k, node) in [first, first + 1, second, second + 1].into_iter().enumerate() {
+        let [(first, first_end), (second, second_end)] =
+            self.couples[number].map(|edge| (edge as usize, self.after(edge)));
+        for (k, node) in [first, first_end, second, second_end].into_iter().enumerate() {
             sum(&mut self.pivots[self.places[node] as usize], &blocks[k][k]);
         }
-        for (edge, k) in [(first, 0), (second, 2)] {
-            self.put_pair(self.band[edge + 1][0], &[blocks[k + 1][k], blocks[k][k + 1]]);
+        for (end, k) in [(first_end, 0), (second_end, 2)] {
+            self.put_pair(self.band[end][0], &[blocks[k + 1][k], blocks[k][k + 1]]);
         }
         for (place, (row, column)) in self.far[number].into_iter().zip([(0, 2), (0, 3), (1, 2), (1, 3)]) {
             self.put_pair(place, &[blocks[row][column], blocks[column][row]]);
@@ -308,7 +331,12 @@ mod tests {
     use rand_pcg::Pcg64Mcg;
 
     /// A rod with this many block rows and edges in contact, near and far, and the same as a dense matrix.
-    fn random(rows: usize, couples: &[[u32; 2]], slanted: bool) -> (BlockSparse, DMatrix<f64>) {
+    fn random(
+        rows: usize,
+        is_closed: bool,
+        couples: &[[u32; 2]],
+        slanted: bool,
+    ) -> (BlockSparse, DMatrix<f64>) {
         let mut random = Pcg64Mcg::seed_from_u64(rows as u64);
         let mut any = |size: f64| Block::from_fn(|_, _| random.random_range(-size..size));
         let mut band = BlockBand::default();
@@ -325,26 +353,28 @@ mod tests {
             for (back, blocks) in
                 [&mut band.diagonal, &mut band.first, &mut band.second].into_iter().enumerate()
             {
-                if i < back {
+                if i < back && !is_closed {
                     continue;
                 }
+                let left = (i + rows - back) % rows;
                 let mut block = any(1.0);
                 if back == 0 {
                     block = block + block.transpose() + Block::identity() * 30.0;
                 } else {
-                    put(&mut dense, i - back, i, &block.transpose());
+                    put(&mut dense, left, i, &block.transpose());
                 }
                 blocks[i] = block;
-                put(&mut dense, i, i - back, &block);
+                put(&mut dense, i, left, &block);
             }
-            if slanted && i > 0 {
+            if slanted && (i > 0 || is_closed) {
+                let left = (i + rows - 1) % rows;
                 (added.below[i], added.above[i]) = (any(1.0), any(1.0));
-                put(&mut dense, i, i - 1, &added.below[i]);
-                put(&mut dense, i - 1, i, &added.above[i]);
+                put(&mut dense, i, left, &added.below[i]);
+                put(&mut dense, left, i, &added.above[i]);
             }
         }
         let mut sparse = BlockSparse::default();
-        sparse.analyse(rows, couples.iter().copied());
+        sparse.analyse(rows, is_closed, couples.iter().copied());
         sparse.begin(&band, Some(&added));
         for (number, &[a, b]) in couples.iter().enumerate() {
             let mut blocks: [[Block; 4]; 4] = std::array::from_fn(|_| std::array::from_fn(|_| any(1.0)));
@@ -356,7 +386,7 @@ mod tests {
                     }
                 }
             }
-            let nodes = [a, a + 1, b, b + 1].map(|node| node as usize);
+            let nodes = [a, a + 1, b, b + 1].map(|node| node as usize % rows);
             for row in 0..4 {
                 for column in 0..4 {
                     put(&mut dense, nodes[row], nodes[column], &blocks[row][column]);
@@ -371,9 +401,19 @@ mod tests {
 
     #[test]
     fn it_solves_what_a_dense_matrix_solves_symmetric_or_not() {
-        for (rows, couples) in [(1, &[][..]), (2, &[]), (6, &COUPLES[..2]), (17, &COUPLES), (40, &COUPLES)] {
+        const OPEN: [(usize, &[[u32; 2]]); 5] =
+            [(1, &[]), (2, &[]), (6, &[[0, 3], [0, 4]]), (17, &COUPLES), (40, &COUPLES)];
+        // Across the seam edges 16 and 39 touch others; the shortest ring couples all of its nodes.
+        const CLOSED: [(usize, &[[u32; 2]]); 4] = [
+            (5, &[]),
+            (6, &[[0, 3]]),
+            (17, &[[3, 16], [0, 9], [13, 16], [8, 15]]),
+            (40, &[[5, 39], [20, 39]]),
+        ];
+        let all = OPEN.map(|of| (of, false)).into_iter().chain(CLOSED.map(|of| (of, true)));
+        for ((rows, couples), is_closed) in all {
             for slanted in [false, true] {
-                let (mut sparse, dense) = random(rows, couples, slanted);
+                let (mut sparse, dense) = random(rows, is_closed, couples, slanted);
                 sparse.factorise().expect("factors");
                 let right = DVector::from_fn(4 * rows, |i, _| (i * 7 % 11) as f64 - 5.0);
                 let mut x: Vec<_> = (0..rows).map(|i| Cell::from_fn(|k, _| right[4 * i + k])).collect();
@@ -394,28 +434,36 @@ mod tests {
         let rows = 400;
         let couples: Vec<_> = (0..198).map(|k| [k, 398 - k]).collect();
         let mut sparse = BlockSparse::default();
-        sparse.analyse(rows, couples.iter().copied());
+        sparse.analyse(rows, false, couples.iter().copied());
         let touched = (0..rows).map(|column| sparse.column(column).len()).max().expect("columns");
         assert!(touched <= 8, "{touched} block rows are touched at once");
         assert!(sparse.below.len() < 8 * rows);
         // A known order is not recomputed.
         let order = sparse.order.clone();
         sparse.order.reverse();
-        sparse.analyse(rows, couples.iter().copied());
+        sparse.analyse(rows, false, couples.iter().copied());
         assert!(sparse.order.iter().rev().eq(order.iter()));
-        sparse.analyse(rows, couples[1..].iter().copied());
+        sparse.analyse(rows, false, couples[1..].iter().copied());
         assert!(!sparse.order.iter().rev().eq(order.iter()));
     }
 
     #[test]
+    fn the_factors_of_a_ring_are_as_sparse_as_those_of_two_rods() {
+        let mut sparse = BlockSparse::default();
+        sparse.analyse(400, true, std::iter::empty());
+        let touched = (0..400).map(|column| sparse.column(column).len()).max().expect("columns");
+        assert!(touched <= 4, "{touched} block rows are touched at once");
+    }
+
+    #[test]
     fn the_block_row_at_which_there_are_no_factors_is_named() {
-        let (mut sparse, _) = random(17, &COUPLES, false);
+        let (mut sparse, _) = random(17, false, &COUPLES, false);
         let place = sparse.places[11] as usize;
         sparse.pivots[place][2][2] = f64::NAN;
         assert_eq!(sparse.factorise(), Err(11));
         let mut none = BlockBand::default();
         none.clear(3);
-        sparse.analyse(3, std::iter::empty());
+        sparse.analyse(3, false, std::iter::empty());
         sparse.begin(&none, None);
         assert!(sparse.factorise().is_err());
     }

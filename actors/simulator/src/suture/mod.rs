@@ -529,9 +529,10 @@ impl Suture {
     }
 
     fn check(&self, dt: f64, surroundings: &StepInputs<'_>) -> Result<(), SutureError> {
-        let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
+        let thread = self.state.thread.as_ref();
+        let [nodes, edges] = thread.map_or([0; 2], |of| [of.positions.len(), of.rest_lengths.len()]);
         let whole = StepObstacles { surroundings, obstacles: surroundings.obstacles, began: &[] };
-        let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
+        let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes, edges));
         sound.map_err(|error| match error {
             ThreadStepError::Given { what, index, why } => SutureError::Given { what, index, why },
             _ => SutureError::Number { what: "the step", value: dt, valid: "above 0, at most 2 ms" },

@@ -1,12 +1,14 @@
 //! Cutting or breaking a thread: it becomes two threads, whose new ends are one diameter apart, so that they do not
 //! touch. The piece between them is removed, as if crushed by the blades.
 //!
+//! A closed thread becomes one open thread, numbered from the cut.
+//!
 //! The cut is placed with an accuracy of half a radius; the edge is divided there. The remaining nodes keep position,
 //! velocity, twist and tension.
 
 use nalgebra::{Point3, Vector3};
 
-use super::state::{ContactKey, ContactMemory, ThreadState};
+use super::state::{ContactKey, ContactMemory, ThreadState, end_of};
 use super::{Thread, ThreadError};
 
 /// Least length of either piece, in radii: a shorter one has no node at which it could bend.
@@ -47,8 +49,8 @@ fn between(points: &[Point3<f64>], at: &CutAt) -> Point3<f64> {
     // An unmoved node keeps its value bit for bit.
     match at.share {
         0.0 => points[at.edge],
-        1.0 => points[at.edge + 1],
-        share => points[at.edge].lerp(&points[at.edge + 1], share),
+        1.0 => points[end_of(at.edge, points.len())],
+        share => points[at.edge].lerp(&points[end_of(at.edge, points.len())], share),
     }
 }
 
@@ -93,6 +95,9 @@ fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, 
     if !state.joins(cut.edge) || !(0.0..=1.0).contains(&cut.share) {
         return None;
     }
+    if state.is_closed() {
+        return opened(state, radius, cut);
+    }
     let [first, last] = state.threads().find(|[first, last]| (*first..*last).contains(&cut.edge))?;
     let mut arcs = vec![0.0];
     arcs.extend(state.rest_lengths[first..last].iter().scan(0.0, |arc, rest| {
@@ -134,14 +139,59 @@ fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, 
     Some(rebuilt(state, nodes, end))
 }
 
+/// A closed thread without a piece of one diameter about the cut.
+fn opened(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, CutNumbering)> {
+    let count = state.positions.len();
+    let length = state.rest_length();
+    if length - 2.0 * radius < 2.0 * LEAST * radius {
+        return None;
+    }
+    // Arc lengths from the cut of all nodes, from the one after it to the one before it.
+    let mut arc = (1.0 - cut.share) * state.rest_lengths[cut.edge];
+    let mut whole: Vec<(f64, usize)> = Vec::with_capacity(count);
+    for step in 0..count {
+        let node = (cut.edge + 1 + step) % count;
+        whole.push((arc, node));
+        arc += state.rest_lengths[node];
+    }
+    // A place between two of them, or before the first or after the last.
+    let place = |at: f64| {
+        let before = whole.partition_point(|(arc, _)| *arc <= at);
+        let (from, edge) = match before.checked_sub(1) {
+            Some(index) => whole[index],
+            None => (whole[0].0 - state.rest_lengths[cut.edge], cut.edge),
+        };
+        CutAt { edge, share: ((at - from) / state.rest_lengths[edge]).clamp(0.0, 1.0) }
+    };
+    let near = NEAR * radius;
+    let (begin, end) = (radius, length - radius);
+    let mut kept: Vec<CutAt> = Vec::with_capacity(count + 2);
+    let inner = whole.iter().filter(|(arc, _)| (begin - 1e-9 * length..=end + 1e-9 * length).contains(arc));
+    let inner: Vec<(f64, usize)> = inner.copied().collect();
+    // A node nearer than that to the new end becomes the end.
+    if inner.first().is_none_or(|(arc, _)| arc - begin > near) {
+        kept.push(place(begin));
+    }
+    kept.extend(inner.iter().map(|(_, node)| CutAt { edge: *node, share: 0.0 }));
+    if inner.last().is_none_or(|(arc, _)| end - arc > near) {
+        kept.push(place(end));
+    }
+    if kept.len() < 3 {
+        return None;
+    }
+    let last = kept.len() - 1;
+    Some(rebuilt(state, kept, last))
+}
+
 /// The state with these nodes, and a dummy edge between node `end` and the next.
 fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, CutNumbering) {
     let mut to = ThreadState::default();
     let count = state.positions.len();
-    let mut parted = CutNumbering { nodes: vec![None; count], edges: vec![None; count - 1], at: Vec::new() };
+    let edges = state.rest_lengths.len();
+    let mut parted = CutNumbering { nodes: vec![None; count], edges: vec![None; edges], at: Vec::new() };
     let node_of = |at: &CutAt| match at.share {
         0.0 => Some(at.edge),
-        1.0 => Some(at.edge + 1),
+        1.0 => Some(state.after(at.edge)),
         _ => None,
     };
     for (index, place) in at.iter().enumerate() {
@@ -150,9 +200,9 @@ fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Cut
             parted.nodes[node] = Some(index as u32);
         }
         to.positions.push(between(&state.positions, place));
-        let [from, next] = [0, 1].map(|k| state.velocities[place.edge + k]);
+        let [from, next] = [place.edge, state.after(place.edge)].map(|node| state.velocities[node]);
         to.velocities.push(if place.share == 1.0 { next } else { from.lerp(&next, place.share) });
-        let is_end = index == end || index == end + 1;
+        let is_end = index == end || index == end + 1 || (state.is_closed() && index == 0);
         to.twists.push(node.filter(|_| !is_end).map_or(0.0, |node| state.twists[node]));
         let Some(following) = at.get(index + 1) else { break };
         if index == end {
@@ -163,7 +213,7 @@ fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Cut
             continue;
         }
         // A node at the end of an edge begins the next edge.
-        let edge = if place.share == 1.0 { place.edge + 1 } else { place.edge };
+        let edge = if place.share == 1.0 { state.after(place.edge) } else { place.edge };
         let from = if place.share == 1.0 { 0.0 } else { place.share };
         let until = if following.edge == edge { following.share } else { 1.0 };
         if (from, until) == (0.0, 1.0) {
@@ -185,6 +235,11 @@ fn renumbered(contact: &ContactMemory, edges: &[Option<u32>]) -> Option<ContactM
     let now = |edge: u32| edges.get(edge as usize).copied().flatten();
     let edge = now(contact.key.edge)?;
     let feature = if contact.key.with == 0 { now(contact.key.feature)? } else { contact.key.feature };
+    if contact.key.with == 0 && edge > feature {
+        // The first of two edges is the one with the lower number; its force is that of the other one, reversed.
+        let key = ContactKey { edge: feature, feature: edge, ..contact.key };
+        return Some(ContactMemory { key, force: -contact.force, drawn: -contact.drawn });
+    }
     Some(ContactMemory { key: ContactKey { edge, feature, ..contact.key }, ..*contact })
 }
 

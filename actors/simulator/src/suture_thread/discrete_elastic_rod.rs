@@ -49,12 +49,12 @@ impl RodIterate {
     }
 
     fn measure(&mut self, state: &ThreadState) {
-        for (edge, pair) in self.positions.windows(2).enumerate() {
+        for edge in 0..state.rest_lengths.len() {
             if !state.joins(edge) {
                 (self.lengths[edge], self.tangents[edge]) = (1.0, Vector3::z());
                 continue;
             }
-            let along = pair[1] - pair[0];
+            let along = self.positions[state.after(edge)] - self.positions[edge];
             let length = along.norm();
             self.lengths[edge] = length;
             self.tangents[edge] = along / length;
@@ -69,17 +69,14 @@ impl RodIterate {
             if !start.joins(edge) {
                 continue;
             }
-            let before = (start.positions[edge + 1] - start.positions[edge]).normalize();
+            let before = (start.positions[start.after(edge)] - start.positions[edge]).normalize();
             let tangent = self.tangents[edge];
             let carried = transport(&before, &tangent, &start.directors[edge]);
             self.directors[edge] = perpendicular(&turn(&carried, &tangent, self.turns[edge]), &tangent);
         }
-        for node in 1..self.tangents.len() {
-            if !start.joins(node - 1) || !start.joins(node) {
-                continue;
-            }
-            let carried =
-                transport(&self.tangents[node - 1], &self.tangents[node], &self.directors[node - 1]);
+        for node in 0..self.tangents.len() {
+            let Some(before) = start.bends(node) else { continue };
+            let carried = transport(&self.tangents[before], &self.tangents[node], &self.directors[before]);
             let angle = angle_about(&carried, &self.directors[node], &self.tangents[node]);
             self.twists[node] = unwrapped(angle, self.twists[node]);
         }
@@ -87,9 +84,9 @@ impl RodIterate {
 }
 
 /// Lumped mass of a node: half of each adjacent edge \[kg\].
-pub(crate) fn node_mass(material: &ThreadMaterial, rest_lengths: &[f64], node: usize) -> f64 {
-    let before = if node > 0 { rest_lengths[node - 1] } else { 0.0 };
-    let after = rest_lengths.get(node).copied().unwrap_or(0.0);
+pub(crate) fn node_mass(material: &ThreadMaterial, state: &ThreadState, node: usize) -> f64 {
+    let before = state.before(node).map_or(0.0, |edge| state.rest_lengths[edge]);
+    let after = state.rest_lengths.get(node).copied().unwrap_or(0.0);
     0.5 * material.mass_per_length * (before + after)
 }
 
@@ -133,8 +130,9 @@ pub(crate) fn assemble(
     for edge in (0..at.tangents.len()).filter(|edge| start.joins(*edge)) {
         stretch(material, start, at, edge, matrix, right);
     }
-    for node in (1..at.tangents.len()).filter(|node| start.joins(node - 1) && start.joins(*node)) {
-        bend(material, start, at, dt, node, matrix, right);
+    for node in 0..at.tangents.len() {
+        let Some(before) = start.bends(node) else { continue };
+        bend(material, start, at, dt, [before, node], matrix, right);
     }
 }
 
@@ -149,7 +147,7 @@ fn inertia(
 ) {
     let rate = 1.0 / (dt * dt);
     for node in 0..at.positions.len() {
-        let mass = node_mass(material, &start.rest_lengths, node);
+        let mass = node_mass(material, start, node);
         let moved = at.positions[node] - start.positions[node];
         let drag = material.drag / dt;
         let force =
@@ -183,16 +181,17 @@ fn stretch(
     let force = t * (along * (length - rest));
     let across = at.tensions[edge].max(0.0) / length;
     let block = t * t.transpose() * (along - across) + Matrix3::identity() * across;
+    let end = start.after(edge);
     for k in 0..3 {
         right[edge][k] += force[k];
-        right[edge + 1][k] -= force[k];
+        right[end][k] -= force[k];
     }
     for column in 0..3 {
         for row in 0..3 {
             let value = block[(row, column)];
             matrix.diagonal[edge][(row, column)] += value;
-            matrix.diagonal[edge + 1][(row, column)] += value;
-            matrix.first[edge + 1][(row, column)] -= value;
+            matrix.diagonal[end][(row, column)] += value;
+            matrix.first[end][(row, column)] -= value;
         }
     }
 }
@@ -202,18 +201,19 @@ fn bend(
     start: &ThreadState,
     at: &RodIterate,
     dt: f64,
-    node: usize,
+    // The edges before and after a node, which begin at the node before it and at itself.
+    [before, after]: [usize; 2],
     matrix: &mut BlockBand,
     right: &mut [Cell],
 ) {
-    let (before, after) = (node - 1, node);
+    let (first, node, last) = (before, after, start.after(after));
     let (le, lf) = (at.lengths[before], at.lengths[after]);
     let found = curvature(&at.tangents[before], &at.tangents[after], le, lf);
     let span = 0.5 * (start.rest_lengths[before] + start.rest_lengths[after]);
     let (bending, twisting) = (material.bending_stiffness / span, material.twisting_stiffness / span);
     let viscous = material.damping / dt;
     let moved = |i: usize| at.positions[i] - start.positions[i];
-    let (e_moved, f_moved) = (moved(node) - moved(node - 1), moved(node + 1) - moved(node));
+    let (e_moved, f_moved) = (moved(node) - moved(first), moved(last) - moved(node));
     let bent = found.by_before * e_moved + found.by_after * f_moved;
     let moment = (found.binormal + bent * viscous) * bending;
     let (twist_e, twist_f) = (found.binormal / (2.0 * le), found.binormal / (2.0 * lf));
@@ -222,9 +222,9 @@ fn bend(
     let force_e = found.by_before.tr_mul(&moment) + twist_e * torque;
     let force_f = found.by_after.tr_mul(&moment) + twist_f * torque;
     for k in 0..3 {
-        right[node - 1][k] += force_e[k];
+        right[first][k] += force_e[k];
         right[node][k] += force_f[k] - force_e[k];
-        right[node + 1][k] -= force_f[k];
+        right[last][k] -= force_f[k];
     }
     right[before][3] += torque;
     right[after][3] -= torque;
@@ -249,12 +249,12 @@ fn bend(
             }
         }
     };
-    put(&mut matrix.diagonal[node - 1], ee, 0, 0);
+    put(&mut matrix.diagonal[first], ee, 0, 0);
     put(&mut matrix.diagonal[node], ee - ef - fe + ff, 1, 1);
-    put(&mut matrix.diagonal[node + 1], ff, 2, 2);
+    put(&mut matrix.diagonal[last], ff, 2, 2);
     put(&mut matrix.first[node], fe - ee, 1, 0);
-    put(&mut matrix.first[node + 1], fe - ff, 2, 1);
-    put(&mut matrix.second[node + 1], -fe, 2, 0);
+    put(&mut matrix.first[last], fe - ff, 2, 1);
+    put(&mut matrix.second[last], -fe, 2, 0);
 }
 
 #[cfg(test)]

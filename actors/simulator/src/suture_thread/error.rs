@@ -19,6 +19,9 @@ pub enum ThreadError {
     /// Too few or too many nodes.
     #[error("a thread of {0} nodes; valid: 3 to {max}", max = super::NODES_MAX)]
     Nodes(usize),
+    /// Too few or too many nodes of a closed thread.
+    #[error("a closed thread of {0} nodes; valid: {least} to {max}", least = super::CLOSED_NODES_MIN, max = super::NODES_MAX)]
+    ClosedNodes(usize),
     /// Nodes with non-finite values.
     #[error("nodes with numbers that are not finite: {0:?}")]
     NotFinite(Vec<usize>),

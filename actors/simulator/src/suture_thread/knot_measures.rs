@@ -67,7 +67,7 @@ impl ThreadState {
         let mut places: Vec<(f64, f64)> = Vec::with_capacity(2 * state.contacts.len());
         for contact in state.contacts.iter().filter(|contact| contact.key.with == 0) {
             let edges = [contact.key.edge, contact.key.feature].map(|edge| edge as usize);
-            let segment = |edge: usize| [state.positions[edge], state.positions[edge + 1]];
+            let segment = |edge: usize| [edge, state.after(edge)].map(|node| state.positions[node]);
             let along = nearest_segments(&segment(edges[0]), &segment(edges[1]));
             let weight = contact.force.norm();
             for (edge, along) in edges.into_iter().zip(along) {
@@ -101,7 +101,14 @@ pub fn nearest_edges(thread: &Thread) -> f64 {
             if is_beside || apart < std::f64::consts::PI * thread.material().radius {
                 continue;
             }
-            let edge = |k: usize| [points[k], points[k + 1]];
+            let edge = |k: usize| [points[k], points[state.after(k)]];
+            if state.is_closed()
+                && (edges + first < second + 3
+                    || arcs[edges] - arcs[second + 1] + arcs[first]
+                        < std::f64::consts::PI * thread.material().radius)
+            {
+                continue;
+            }
             least = least.min(closest_segments(&edge(first), &edge(second)).distance_squared);
         }
     }

@@ -54,7 +54,7 @@ pub use error::{FailureCause, ThreadError, ThreadStepError};
 pub use knot_measures::{Strands, nearest_edges};
 pub use material::ThreadMaterial;
 pub(crate) use state::PARTED;
-pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
+pub use state::{CLOSED_NODES_MIN, ContactKey, ContactMemory, NODES_MAX, ThreadState};
 
 use elastic::{ElasticBody, SurfaceForce};
 use nalgebra::{Point3, Vector3};
@@ -151,6 +151,15 @@ impl Thread {
         Self::restore(material, ThreadState::of_several(threads))
     }
 
+    /// A closed thread at rest through `positions` \[m\]: its last edge leads back to the first node. It is unstrained, and
+    /// twisted only by what closing it asks for ([`ThreadState::closed_at_rest`]).
+    ///
+    /// # Errors
+    /// As [`Thread::new`]; fewer than five nodes.
+    pub fn closed(material: ThreadMaterial, positions: &[Point3<f64>]) -> Result<Self, ThreadError> {
+        Self::restore(material, ThreadState::closed_at_rest(positions))
+    }
+
     /// Restores a thread from `state`, bit for bit.
     ///
     /// # Errors
@@ -228,6 +237,9 @@ impl Thread {
         let given = |why: &str| {
             Err(ThreadStepError::Given { what: "soft surface", index: obstacle, why: why.to_owned() })
         };
+        if self.state.is_closed() {
+            return given("a closed thread lies on no soft body");
+        }
         if surroundings.elastic.is_some() {
             return given("an elastic body gives way already");
         }
@@ -241,7 +253,11 @@ impl Thread {
     }
 
     fn check_around(&self, surroundings: &Surroundings) -> Result<(), ThreadStepError> {
-        surroundings.check(self.state.positions.len())?;
+        surroundings.check(self.state.positions.len(), self.state.rest_lengths.len())?;
+        if self.state.is_closed() && surroundings.elastic.is_some() {
+            let why = "a closed thread is tied around no elastic body".to_owned();
+            return Err(ThreadStepError::Given { what: "elastic body", index: 0, why });
+        }
         let nothing = |hold: &TwistHold| !self.state.joins(hold.edge);
         if let Some(index) = surroundings.twist_holds.iter().position(nothing) {
             let why = "its edge is between two threads".to_owned();
@@ -302,7 +318,7 @@ impl Surroundings<'_> {
     }
 
     /// Rejects surroundings that are invalid for a thread of this many nodes.
-    pub(crate) fn check(&self, nodes: usize) -> Result<(), ThreadStepError> {
+    pub(crate) fn check(&self, nodes: usize, edges: usize) -> Result<(), ThreadStepError> {
         let surroundings = self;
         let given = |what, index, why: &str| Err(ThreadStepError::Given { what, index, why: why.to_owned() });
         if !surroundings.gravity.iter().all(|x| x.is_finite()) {
@@ -331,7 +347,7 @@ impl Surroundings<'_> {
             }
         }
         for (index, hold) in surroundings.twist_holds.iter().enumerate() {
-            if hold.edge + 1 >= nodes {
+            if hold.edge >= edges {
                 return given("twist hold", index, &format!("there is no edge {}", hold.edge));
             }
             if !hold.director.iter().all(|x| x.is_finite()) || hold.director.norm() < 1e-9 {

@@ -4,16 +4,27 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::ThreadError;
-use super::bishop_frame::{perpendicular, transport};
+use super::bishop_frame::{angle_about, perpendicular, transport, turn};
 use crate::clone_in_place::clones_in_place;
 
 /// Maximum number of nodes.
 pub const NODES_MAX: usize = 4096;
 
+/// Least number of nodes of a closed thread: with fewer, a node would be coupled with another one from both sides.
+pub const CLOSED_NODES_MIN: usize = 5;
+
+/// The node at the end of an edge, of a thread of so many nodes.
+#[inline]
+#[must_use]
+pub(crate) fn end_of(edge: usize, nodes: usize) -> usize {
+    if edge + 1 < nodes { edge + 1 } else { 0 }
+}
+
 /// Arc length that separates two threads of one state \[m\]: longer than any thread.
 pub(crate) const PARTED: f64 = 1e3;
 
-/// State of a thread of `n` nodes and `n − 1` edges, or of several threads whose nodes are numbered consecutively. The
+/// State of a thread of `n` nodes and `n − 1` edges, or of several threads whose nodes are numbered consecutively, or of one
+/// closed thread of as many edges as nodes, whose last edge leads back to the first node. The
 /// edge from the last node of one thread to the first node of the next is a dummy: it has no length, mass or stiffness.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ThreadState {
@@ -26,7 +37,7 @@ pub struct ThreadState {
     /// Material director of each edge: a unit vector perpendicular to it.
     pub directors: Vec<Vector3<f64>>,
     /// Twist angle of each edge's director against that of the previous edge \[rad\], whole turns included; one per
-    /// node, 0 at the end nodes.
+    /// node, 0 at the end nodes. Of a closed thread the first one is that of the seam, against the last edge.
     pub twists: Vec<f64>,
     /// Spin of each edge about its own axis \[rad/s\].
     pub spins: Vec<f64>,
@@ -99,6 +110,67 @@ impl ThreadState {
         state
     }
 
+    /// A closed thread at rest through `positions` \[m\], whose last edge leads back to the first node: unstrained, and
+    /// glued end to end without a turn. A director that is carried once around a loop comes back turned by the loop's
+    /// holonomy (Bishop 1975; Fuller 1971); the material closes on itself, so that it is twisted by that angle, by at most
+    /// half a turn, in equal parts all around.
+    #[must_use]
+    pub fn closed_at_rest(positions: &[Point3<f64>]) -> Self {
+        let mut state = Self::at_rest(positions);
+        let ([.., last], [first, ..]) = (positions, positions) else { return state };
+        let n = positions.len();
+        let along = first - last;
+        state.rest_lengths.push(along.norm());
+        state.spins.push(0.0);
+        state.tensions.push(0.0);
+        let tangent = |edge: usize| {
+            let way = positions[(edge + 1) % n] - positions[edge];
+            way.try_normalize(0.0).unwrap_or_else(Vector3::x)
+        };
+        let carried = |from: usize, to: usize, director: &Vector3<f64>| {
+            perpendicular(&transport(&tangent(from), &tangent(to), director), &tangent(to))
+        };
+        let Some(before) = state.directors.last().copied().filter(|_| n >= 3) else { return state };
+        state.directors.push(carried(n - 2, n - 1, &before));
+        let back = carried(n - 1, 0, &state.directors[n - 1]);
+        let holonomy = angle_about(&back, &state.directors[0], &tangent(0));
+        let span = |node: usize| 0.5 * (state.rest_lengths[(node + n - 1) % n] + state.rest_lengths[node]);
+        let length: f64 = state.rest_lengths.iter().sum();
+        let twists: Vec<f64> = (0..n).map(|node| holonomy * span(node) / length).collect();
+        let mut turned = 0.0;
+        for edge in 1..n {
+            turned += twists[edge];
+            state.directors[edge] = turn(&state.directors[edge], &tangent(edge), turned);
+        }
+        state.twists = twists;
+        state
+    }
+
+    /// The same, turned about its own axis by whole turns before it is glued end to end.
+    #[must_use]
+    pub fn closed_with_turns(positions: &[Point3<f64>], turns: i32) -> Self {
+        let mut state = Self::closed_at_rest(positions);
+        let n = positions.len();
+        if state.twists.len() != state.rest_lengths.len() {
+            return state;
+        }
+        let length: f64 = state.rest_lengths.iter().sum();
+        let all = std::f64::consts::TAU * f64::from(turns);
+        let mut turned = 0.0;
+        for edge in 0..n {
+            let span = 0.5 * (state.rest_lengths[(edge + n - 1) % n] + state.rest_lengths[edge]);
+            let more = all * span / length;
+            state.twists[edge] += more;
+            if edge > 0 {
+                turned += more;
+                let way = positions[(edge + 1) % n] - positions[edge];
+                let tangent = way.try_normalize(0.0).unwrap_or_else(Vector3::x);
+                state.directors[edge] = turn(&state.directors[edge], &tangent, turned);
+            }
+        }
+        state
+    }
+
     /// Several threads at rest, each through its own positions \[m\], one after the other.
     #[must_use]
     pub fn of_several(threads: &[&[Point3<f64>]]) -> Self {
@@ -126,6 +198,30 @@ impl ThreadState {
     #[must_use]
     pub fn joins(&self, edge: usize) -> bool {
         self.rest_lengths.get(edge).is_some_and(|rest| *rest > 0.0)
+    }
+
+    /// Whether it is one closed thread.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        !self.positions.is_empty() && self.rest_lengths.len() == self.positions.len()
+    }
+
+    /// The node at the end of an edge.
+    #[must_use]
+    pub fn after(&self, edge: usize) -> usize {
+        end_of(edge, self.positions.len())
+    }
+
+    /// The edge that ends at a node, if there is one, or the dummy edge between two threads.
+    #[must_use]
+    pub fn before(&self, node: usize) -> Option<usize> {
+        if node == 0 && self.is_closed() { Some(self.positions.len() - 1) } else { node.checked_sub(1) }
+    }
+
+    /// The edge before a node at which the thread bends: one with an edge on either side.
+    #[must_use]
+    pub fn bends(&self, node: usize) -> Option<usize> {
+        self.before(node).filter(|before| self.joins(*before) && self.joins(node))
     }
 
     /// First and last node of each thread.
@@ -181,16 +277,18 @@ impl ThreadState {
     /// Rejects a state that is impossible for a thread of this radius; lists every invalid element.
     pub(crate) fn check(&self, radius: f64) -> Result<(), ThreadError> {
         let n = self.positions.len();
-        if !(3..=NODES_MAX).contains(&n) {
-            return Err(ThreadError::Nodes(n));
+        let (is_closed, least) = if self.is_closed() { (true, CLOSED_NODES_MIN) } else { (false, 3) };
+        if !(least..=NODES_MAX).contains(&n) {
+            return Err(if is_closed { ThreadError::ClosedNodes(n) } else { ThreadError::Nodes(n) });
         }
+        let edges = if is_closed { n } else { n - 1 };
         for (list, found, expected) in [
             ("velocities", self.velocities.len(), n),
-            ("rest_lengths", self.rest_lengths.len(), n - 1),
-            ("directors", self.directors.len(), n - 1),
+            ("rest_lengths", self.rest_lengths.len(), edges),
+            ("directors", self.directors.len(), edges),
             ("twists", self.twists.len(), n),
-            ("spins", self.spins.len(), n - 1),
-            ("tensions", self.tensions.len(), n - 1),
+            ("spins", self.spins.len(), edges),
+            ("tensions", self.tensions.len(), edges),
         ] {
             if found != expected {
                 return Err(ThreadError::Length { list, found, expected });
@@ -201,7 +299,7 @@ impl ThreadState {
                 && self.twists[*i].is_finite()
         };
         let edge = |i: &usize| {
-            *i + 1 == n
+            *i == edges
                 || (self.directors[*i].iter().all(|x| x.is_finite())
                     && self.spins[*i].is_finite()
                     && self.tensions[*i].is_finite())
@@ -215,12 +313,13 @@ impl ThreadState {
             return Err(ThreadError::NotFinite(bad));
         }
         let short = |i: &usize| {
-            let length = (self.positions[i + 1] - self.positions[*i]).norm();
+            let length = (self.positions[self.after(*i)] - self.positions[*i]).norm();
             let rest = self.rest_lengths[*i];
-            let is_none = rest.is_nan() || rest.is_infinite() || (rest < 0.01 * radius && rest != 0.0);
+            let is_dummy = rest == 0.0 && !is_closed;
+            let is_none = rest.is_nan() || rest.is_infinite() || (rest < 0.01 * radius && !is_dummy);
             length < 0.01 * radius || is_none
         };
-        let bad: Vec<_> = (0..n - 1).filter(short).collect();
+        let bad: Vec<_> = (0..edges).filter(short).collect();
         if !bad.is_empty() {
             return Err(ThreadError::NoLength(bad));
         }
@@ -228,14 +327,12 @@ impl ThreadState {
             return Err(ThreadError::Nodes(last + 1 - first));
         }
         let folded = |i: &usize| {
-            if !self.joins(i - 1) || !self.joins(*i) {
-                return false;
-            }
-            let (e, f) =
-                (self.positions[*i] - self.positions[i - 1], self.positions[i + 1] - self.positions[*i]);
+            let Some(before) = self.bends(*i) else { return false };
+            let e = self.positions[*i] - self.positions[before];
+            let f = self.positions[self.after(*i)] - self.positions[*i];
             e.dot(&f) < -0.99 * e.norm() * f.norm()
         };
-        let bad: Vec<_> = (1..n - 1).filter(folded).collect();
+        let bad: Vec<_> = (0..n).filter(folded).collect();
         if !bad.is_empty() {
             return Err(ThreadError::Folded(bad));
         }

@@ -2,6 +2,7 @@
 
 mod adaptive_segments;
 mod budget;
+mod closed;
 mod contact;
 mod controller;
 mod cut;

@@ -8,7 +8,7 @@ use trocar_scene::{Component, ComponentError, SoftAbilities};
 
 use super::suture::{InDocument, Suture};
 use crate::suture_thread::initial_shape::{Throws, resampled, throws};
-use crate::suture_thread::{NODES_MAX, ThreadMaterial};
+use crate::suture_thread::{CLOSED_NODES_MIN, NODES_MAX, ThreadMaterial};
 
 /// Maximum number of throws of a thread laid with knots, and of points that it goes through.
 const THROWS_MAX: usize = 8;
@@ -88,6 +88,9 @@ pub struct ThreadBody {
     /// Whether edges are refined where strands are close to each other or the thread bends sharply, and coarsened
     /// elsewhere.
     pub adaptive: bool,
+    /// Whether it is closed: its last edge leads back to its first node, so that it is a loop without ends. Neither `adaptive`,
+    /// laid in throws, tied around or lying on another body, nor stepped together with other threads.
+    pub closed: bool,
     /// Its initial shape.
     pub laid: Option<Laid>,
     /// Names of other threads that it can touch and be tied to, each with a `thread` component, the same material and
@@ -112,6 +115,7 @@ impl Default for ThreadBody {
             step: 5e-4,
             edges: [1.5, 2e-3],
             adaptive: false,
+            closed: false,
             laid: None,
             together_with: Vec::new(),
             lies_on: None,
@@ -151,6 +155,7 @@ impl ThreadBody {
             let around = f64::from(u8::from(self.tied_around.is_some()));
             ComponentError::range("lies_on", around, 0.0..=0.0, "not beside 'tied_around'")?;
         }
+        self.check_closed()?;
         let others = self.together_with.len() as f64;
         ComponentError::range("together_with", others, 0.0..=THREADS_MAX as f64, "at most 8 threads")?;
         match &self.laid {
@@ -179,6 +184,27 @@ impl ThreadBody {
 }
 
 impl ThreadBody {
+    /// Refuses what no closed thread can be.
+    fn check_closed(&self) -> Result<(), ComponentError> {
+        let beside = [
+            ("adaptive", self.adaptive, "its edges keep their number"),
+            ("together_with", !self.together_with.is_empty(), "it is stepped by itself"),
+            ("lies_on", self.lies_on.is_some(), "it lies on no soft body"),
+            ("tied_around", self.tied_around.is_some(), "it is tied around no elastic body"),
+            (
+                "laid",
+                matches!(self.laid, Some(Laid::Throws { .. })),
+                "throws are tied with ends: 'through' is valid",
+            ),
+        ];
+        match beside.into_iter().find(|(_, is_given, _)| self.closed && *is_given) {
+            Some((field, _, why)) => {
+                Err(ComponentError::Malformed(format!("'closed': not beside '{field}', since {why}")))
+            }
+            None => Ok(()),
+        }
+    }
+
     /// Its material.
     #[must_use]
     pub fn material(&self) -> ThreadMaterial {
@@ -205,6 +231,14 @@ impl ThreadBody {
             |places: &[[f64; 3]]| -> Vec<Point3<f64>> { places.iter().map(|at| Point3::from(*at)).collect() };
         let nodes = match &self.laid {
             None => return Ok(None),
+            Some(Laid::Through { places }) if self.closed => {
+                let mut around = points(places);
+                around.extend(around.first().copied());
+                let mut nodes = resampled(&around, edges[0]);
+                // The first one again.
+                nodes.pop();
+                nodes
+            }
             Some(Laid::Through { places }) => resampled(&points(places), edges[0]),
             Some(Laid::Throws { half_turns, around, apart, arm, ear }) => throws(&Throws {
                 half_turns,
@@ -216,9 +250,10 @@ impl ThreadBody {
                 edges,
             }),
         };
-        if !(3..=NODES_MAX).contains(&nodes.len()) {
+        let least = if self.closed { CLOSED_NODES_MIN } else { 3 };
+        if !(least..=NODES_MAX).contains(&nodes.len()) {
             return Err(format!(
-                "laid with edges of {edges:?} m it has {} nodes; valid: 3 to {NODES_MAX}",
+                "laid with edges of {edges:?} m it has {} nodes; valid: {least} to {NODES_MAX}",
                 nodes.len()
             ));
         }

@@ -44,7 +44,12 @@ pub fn parted_at(
     if !sweeps.is_empty() {
         let spans: Vec<(usize, [f64; 2])> = state.spans().collect();
         let mut last = f64::INFINITY;
-        for (edge, share) in crossed(&state.positions, &sweeps).into_iter().rev() {
+        let mut points = std::borrow::Cow::from(&state.positions);
+        if state.is_closed() {
+            // The edge that leads back to the first node.
+            points.to_mut().extend(state.positions.first());
+        }
+        for (edge, share) in crossed(&points, &sweeps).into_iter().rev() {
             let Ok(at) = spans.binary_search_by_key(&edge, |(edge, _)| *edge) else { continue };
             let [begin, end] = spans[at].1;
             let arc = begin + share * (end - begin);
@@ -81,6 +86,9 @@ pub fn follow(grips: &mut Vec<Grip>, parted: &CutNumbering) {
             held.edge = edge.unwrap_or(held.edge);
             edge.is_some()
         });
+        // A closed thread that was cut is numbered from the cut.
+        grip.nodes.sort_unstable_by_key(|held| held.node);
+        grip.edges.sort_unstable_by_key(|held| held.edge);
         was_shut || !grip.is_shut()
     });
 }

@@ -113,12 +113,12 @@ fn taken(
     way: f64,
 ) -> Option<Grip> {
     let ([_, pose], [Some(a), Some(b)]) = parts.instrument(entity)? else { return None };
-    let edges = state.positions.len() - 1;
+    let edges = state.rest_lengths.len();
     let joined = |edge: &usize| state.joins(*edge);
     let touched = [(a, -1.0), (b, 1.0)].map(|(jaw, inwards)| {
         let Some(rod) = parts.list[jaw].rod else { return Vec::new() };
         let touches = |edge: &usize| {
-            let segment = [state.positions[*edge], state.positions[edge + 1]];
+            let segment = [*edge, state.after(*edge)].map(|node| state.positions[node]);
             let nearest = closest_segments(&segment, &rod.ends);
             let distance = nearest.distance_squared.sqrt();
             let [on_thread, on_jaw] = nearest.along;
@@ -130,14 +130,18 @@ fn taken(
         (0..edges).filter(joined).filter(touches).collect::<Vec<usize>>()
     });
     let [first, second] = touched;
-    let beside = |edge: &usize, others: &[usize]| others.iter().any(|other| other.abs_diff(*edge) <= BESIDE);
+    let apart = |a: usize, b: usize| {
+        let along = a.abs_diff(b);
+        if state.is_closed() { along.min(edges - along) } else { along }
+    };
+    let beside = |edge: &usize, others: &[usize]| others.iter().any(|other| apart(*other, *edge) <= BESIDE);
     let mut nodes: Vec<usize> = Vec::new();
     for edge in first
         .iter()
         .filter(|edge| beside(edge, &second))
         .chain(second.iter().filter(|edge| beside(edge, &first)))
     {
-        nodes.extend([*edge, edge + 1]);
+        nodes.extend([*edge, state.after(*edge)]);
     }
     nodes.sort_unstable();
     nodes.dedup();
@@ -145,8 +149,9 @@ fn taken(
     if nodes.is_empty() {
         return None;
     }
-    let edge = |pair: &[usize]| {
-        let edge = (pair[1] == pair[0] + 1 && state.joins(pair[0])).then_some(pair[0])?;
+    let edge = |edge: usize| {
+        let end = state.after(edge);
+        (state.joins(edge) && nodes.binary_search(&end).is_ok()).then_some(())?;
         let in_instrument = pose.rotation.inverse_transform_vector(&state.directors[edge]);
         Some(HeldEdge { edge: edge as u32, in_instrument })
     };
@@ -154,7 +159,7 @@ fn taken(
         node: *node as u32,
         in_instrument: pose.inverse_transform_point(&state.positions[*node]),
     };
-    let edges = nodes.windows(2).filter_map(edge).collect();
+    let edges = nodes.iter().copied().filter_map(edge).collect();
     Some(Grip { instrument: entity, angle, nodes: nodes.iter().map(held).collect(), edges })
 }
 
@@ -226,6 +231,14 @@ impl GraspConstraints {
             else {
                 continue;
             };
+            if state.is_closed() {
+                for edges in runs(&spared_around(grip, state)) {
+                    for obstacle in jaws.into_iter().flatten() {
+                        self.spared.push(IgnoredObstacle { obstacle, edges });
+                    }
+                }
+                continue;
+            }
             let reach = |edges: &mut dyn Iterator<Item = usize>| {
                 let mut arc = 0.0;
                 edges
@@ -247,6 +260,43 @@ impl GraspConstraints {
             }
         }
     }
+}
+
+/// The edges of a closed thread that are held, or near to a held node.
+fn spared_around(grip: &Grip, state: &ThreadState) -> Vec<bool> {
+    let edges = state.rest_lengths.len();
+    let mut spared = vec![false; edges];
+    let has = |node: usize| grip.nodes.binary_search_by_key(&node, |held| held.node as usize).is_ok();
+    for node in grip.nodes.iter().map(|held| held.node as usize).filter(|node| *node < edges) {
+        let back = (1..edges).map(|step| (node + edges - step) % edges);
+        let ahead = (0..edges).map(|step| (node + step) % edges);
+        let mut mark = |way: &mut dyn Iterator<Item = usize>| {
+            let mut arc = 0.0;
+            for edge in way {
+                arc += state.rest_lengths[edge];
+                if arc >= SPARED {
+                    break;
+                }
+                spared[edge] = true;
+            }
+        };
+        mark(&mut { back });
+        mark(&mut { ahead });
+        spared[node] |= has(state.after(node));
+    }
+    spared
+}
+
+/// First and last of each run of marked edges.
+fn runs(marked: &[bool]) -> Vec<[usize; 2]> {
+    let mut runs: Vec<[usize; 2]> = Vec::new();
+    for edge in (0..marked.len()).filter(|edge| marked[*edge]) {
+        match runs.last_mut() {
+            Some([_, last]) if *last + 1 == edge => *last = edge,
+            _ => runs.push([edge, edge]),
+        }
+    }
+    runs
 }
 
 /// Force of a grasp on the thread.
@@ -298,7 +348,7 @@ pub fn pulls(
         grip.nodes.retain(|held| is_within(instrument, &held.in_instrument));
         let nodes = &grip.nodes;
         let has = |node: u32| nodes.binary_search_by_key(&node, |held| held.node).is_ok();
-        grip.edges.retain(|held| has(held.edge) && has(held.edge + 1));
+        grip.edges.retain(|held| has(held.edge) && has(state.after(held.edge as usize) as u32));
         // Thread beyond the part that slipped out can be taken again.
         !grip.nodes.is_empty()
     });

@@ -42,7 +42,7 @@ impl ThreadGroup {
     pub fn read(kind: &ThreadBody, first: Deformable, scene: &Snapshot) -> Result<Self, String> {
         let (radius, entity) = (kind.material().radius, first.entity);
         let has_lines = scene.get::<ThreadMemory>(entity).is_some();
-        let mut list = vec![one(first, radius, has_lines)?];
+        let mut list = vec![one(first, radius, has_lines, kind.closed)?];
         let carriers = Deformable::carriers::<ThreadBody>(scene);
         for name in &kind.together_with {
             let wrong = |why: &str| format!("together_with: '{name}' {why}");
@@ -56,6 +56,9 @@ impl ThreadGroup {
             if list.iter().any(|line| line.entity == other) {
                 return Err(wrong("is named twice"));
             }
+            if of.closed {
+                return Err(wrong("is closed, and such a thread is stepped by itself"));
+            }
             if of.material() != kind.material() {
                 return Err(wrong("is of another material: give both the same suture and parameters"));
             }
@@ -68,7 +71,7 @@ impl ThreadGroup {
                 return Err(wrong("is at another pose: give both the same, and lay it where it is"));
             }
             let line = Deformable::read(scene, other).map_err(|error| error.to_string())?;
-            let mut line = one(line, radius, has_lines)?;
+            let mut line = one(line, radius, has_lines, false)?;
             if !has_lines && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))? {
                 line.replace_line(nodes);
             }
@@ -77,6 +80,9 @@ impl ThreadGroup {
         let mut lines = Self { list, anchored: Vec::new(), has_lines };
         if !has_lines && let Some(nodes) = kind.nodes()? {
             lines.list[0].replace_line(nodes);
+        }
+        if !has_lines && kind.closed {
+            close(&mut lines.list[0]);
         }
         lines.anchor();
         if let Some(memory) = scene.get::<ThreadMemory>(entity) {
@@ -108,7 +114,7 @@ impl ThreadGroup {
         for anchored in &mut self.anchored {
             constraints.holds.push(Hold::fixed(anchored.node, anchored.place));
             let Some(edge) = edge_at(anchored.node, state) else { continue };
-            let tangent = state.positions[edge + 1] - state.positions[edge];
+            let tangent = state.positions[state.after(edge)] - state.positions[edge];
             let Some(tangent) = tangent.try_normalize(0.0) else { continue };
             let [from, director] = *anchored.reference.get_or_insert([tangent, state.directors[edge]]);
             constraints.twist_holds.push(TwistHold { edge, director: transport(&from, &tangent, &director) });
@@ -127,6 +133,9 @@ impl ThreadGroup {
     /// What is wrong with it.
     pub fn thread(&self, kind: &ThreadBody, known: Option<&ThreadMemory>) -> Result<Thread, ThreadError> {
         let Some(memory) = known else {
+            if kind.closed {
+                return Thread::closed(kind.material(), &self.list[0].positions);
+            }
             let nodes: Vec<&[Point3<f64>]> = self.list.iter().map(|line| &line.positions[..]).collect();
             return Thread::several(kind.material(), &nodes);
         };
@@ -144,12 +153,15 @@ impl ThreadGroup {
     }
 
     /// Replaces their nodes: new rest positions \[m\], and the new number of each former node, unless it was removed;
-    /// the last node of each line is never removed.
+    /// the last node of each line is never removed, unless it is the only one.
     pub fn replace_line(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
         let (mut begin, mut from) = (0, 0);
+        // The nodes of a closed thread that was cut are numbered from the cut.
+        let is_alone = self.list.len() == 1;
         for line in &mut self.list {
             begin += line.rest.len();
-            let end = now.get(begin - 1).copied().flatten().map_or(from, |node| node as usize + 1);
+            let last = now.get(begin - 1).copied().flatten();
+            let end = if is_alone { rest.len() } else { last.map_or(from, |node| node as usize + 1) };
             line.replace_line(rest[from..end].to_vec());
             let joins = |[node, _]: &[u32; 2]| state.joins(from + *node as usize);
             Arc::make_mut(&mut line.segments).retain(joins);
@@ -217,7 +229,8 @@ impl ThreadGroup {
     /// Maximum tension of each thread, with its name \[N\].
     pub fn tensions<'a>(&'a self, state: &'a ThreadState) -> impl Iterator<Item = (&'a str, f64)> {
         self.spans().map(|(line, [first, last])| {
-            let most = state.tensions[first..last].iter().copied().fold(0.0, f64::max);
+            let edges = if state.is_closed() { first..last + 1 } else { first..last };
+            let most = state.tensions[edges].iter().copied().fold(0.0, f64::max);
             (line.name.as_str(), most)
         })
     }
@@ -225,16 +238,29 @@ impl ThreadGroup {
 
 /// The edge whose rotation an anchor of this node holds: the one after it, or the last one before it.
 fn edge_at(node: usize, state: &ThreadState) -> Option<usize> {
-    [Some(node), node.checked_sub(1)].into_iter().flatten().find(|edge| state.joins(*edge))
+    [Some(node), state.before(node)].into_iter().flatten().find(|edge| state.joins(*edge))
 }
 
-/// A line from its first vertex to its last; with `goes_on` it may have been cut.
-fn one(mut line: Deformable, radius: f64, goes_on: bool) -> Result<Deformable, String> {
+/// Adds the edge from the last vertex to the first.
+fn close(line: &mut Deformable) {
+    let last = line.rest.len().saturating_sub(1) as u32;
+    let segments = Arc::make_mut(&mut line.segments);
+    if segments.last() != Some(&[last, 0]) {
+        segments.push([last, 0]);
+    }
+}
+
+/// A line from its first vertex to its last; with `goes_on` it may have been cut. Of a closed thread the edge from the last
+/// vertex to the first may be among its edges.
+fn one(mut line: Deformable, radius: f64, goes_on: bool, is_closed: bool) -> Result<Deformable, String> {
+    let last = line.rest.len().saturating_sub(1) as u32;
+    let seam = is_closed && line.segments.last() == Some(&[last, 0]);
+    let open = &line.segments[..line.segments.len() - usize::from(seam)];
     let is_edge = |ends: &[u32; 2]| ends[1] == ends[0] + 1;
     let follows = |pair: &[[u32; 2]]| pair[1][0] == pair[0][1] || (goes_on && pair[1][0] == pair[0][1] + 1);
-    let is_thread = line.segments.first().is_some_and(|ends| ends[0] == 0)
-        && line.segments.iter().all(is_edge)
-        && line.segments.windows(2).all(follows);
+    let is_thread = open.first().is_some_and(|ends| ends[0] == 0)
+        && open.iter().all(is_edge)
+        && open.windows(2).all(follows);
     if !is_thread {
         return Err(
             "its line is not one thread from its first vertex to its last: give it a mesh of a line".into()

@@ -10,7 +10,9 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError};
 
-use crate::suture_thread::knot::{KnotKind, Throw, ThrowReader, identify_joined, notation};
+use crate::suture_thread::knot::{
+    Knot, KnotKind, Throw, ThrowReader, identify_closed, identify_joined, notation,
+};
 
 /// Maximum number of throws of a knot.
 const THROWS_MAX: usize = 8;
@@ -76,9 +78,22 @@ impl KnotState {
     /// Classifies threads through these nodes, joined end to end \[m\]; the order of throws is read for a single thread
     /// only.
     pub(crate) fn of(threads: &[&[Point3<f64>]]) -> Self {
-        let Ok(knot) = identify_joined(threads) else {
-            return Self { code: knot_code(None), ..Self::default() };
-        };
+        match identify_joined(threads) {
+            Ok(knot) => Self::named(&knot, threads.len() == 1),
+            Err(_) => Self { code: knot_code(None), ..Self::default() },
+        }
+    }
+
+    /// Classifies a closed thread through these nodes: it is closed already. The order of throws is not told: they are not
+    /// tied with ends.
+    pub(crate) fn of_closed(points: &[Point3<f64>]) -> Self {
+        match identify_closed(points) {
+            Ok(knot) => Self::named(&knot, false),
+            Err(_) => Self { code: knot_code(None), ..Self::default() },
+        }
+    }
+
+    fn named(knot: &Knot, has_ends: bool) -> Self {
         let reading = ThrowReader::new(&knot.kind);
         let throws = reading.throws();
         let mut state = Self {
@@ -92,7 +107,7 @@ impl KnotState {
         };
         if reading.is_done() {
             state.order(&throws);
-        } else if threads.len() == 1 {
+        } else if has_ends {
             state.reading = Some(reading);
         }
         state

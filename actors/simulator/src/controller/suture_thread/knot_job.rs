@@ -92,8 +92,11 @@ impl KnotWatch {
             self.seen.clear();
             self.seen.extend_from_slice(points);
             self.is_unreadable = false;
-            let (points, ends) = (points.clone(), thread.tangled());
+            let (points, ends, is_closed) = (points.clone(), thread.tangled(), thread.is_closed());
             self.is_looking = tick.jobs.submit(self.begin(move || {
+                if is_closed {
+                    return KnotJobResult::Knot(KnotState::of_closed(&points));
+                }
                 let threads: Vec<&[Point3<f64>]> =
                     ends.iter().map(|[first, last]| &points[*first..=*last]).collect();
                 KnotJobResult::Knot(KnotState::of(&threads))

@@ -406,10 +406,22 @@ impl Body {
         let state = (self.thread.state(), self.thread.material().radius);
         let found = parted_at(&mut self.memory.blades, scene, world_from_thread, state, breaks_at);
         let name = found.event();
-        for at in found.cuts {
+        let mut cuts = found.cuts;
+        while !cuts.is_empty() {
+            let at = cuts.remove(0);
+            let was_closed = self.thread.state().is_closed();
             let Some(parted) = self.thread.cut(at).map_err(|error| error.to_string())? else { continue };
             follow(&mut self.memory.grips, &parted);
             self.lines.part(&parted, self.thread.state());
+            if was_closed {
+                // It is numbered from the cut now.
+                cuts.retain_mut(|cut| {
+                    let now = parted.edges[cut.edge].map(|edge| edge as usize);
+                    cut.edge = now.unwrap_or(cut.edge);
+                    now.is_some()
+                });
+                cuts.sort_by_key(|cut| std::cmp::Reverse(cut.edge));
+            }
             self.memory.loop_min = -1.0;
             out.event(name, self.lines.first().entity, None, tick.time.as_secs_f64());
         }

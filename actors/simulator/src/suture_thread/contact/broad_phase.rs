@@ -5,7 +5,7 @@ use trocar_collision::continuous::{Sweep, edge_edge, segment_face};
 use trocar_collision::primitive::{Segment, closest_segments};
 
 use super::{Motion, Obstacle, Shape};
-use crate::suture_thread::state::{ContactKey, PARTED};
+use crate::suture_thread::state::{ContactKey, PARTED, end_of};
 
 /// Number of neighbouring edges in one box.
 const RUN: usize = 8;
@@ -63,7 +63,7 @@ impl Candidates {
         motions: &[Motion],
     ) {
         self.found.clear();
-        let edges = positions.len() - 1;
+        let edges = rest_lengths.len();
         self.boxes.clear();
         self.arcs.clear();
         self.arcs.push(0.0);
@@ -75,6 +75,7 @@ impl Candidates {
         for first in (0..edges).step_by(RUN) {
             let mut bounds = Bounds::empty();
             for node in first..=(first + RUN).min(edges) {
+                let node = node % positions.len();
                 bounds.add(&positions[node], room + reach[node]);
             }
             self.boxes.push(bounds);
@@ -101,25 +102,32 @@ impl Candidates {
         room: f64,
         radius: f64,
     ) {
-        let edges = positions.len() - 1;
         let arcs = &self.arcs;
+        let edges = arcs.len() - 1;
+        // Of a closed thread the way along it may lead over the seam.
+        let is_closed = edges == positions.len();
+        let end = |edge: usize| end_of(edge, positions.len());
         let joins = |edge: &usize| joins(arcs, *edge);
         let run = |of: usize| (RUN * of..(RUN * (of + 1)).min(edges)).filter(joins);
         for first in run(a) {
-            let middle = Point3::from((positions[first].coords + positions[first + 1].coords) * 0.5);
-            let half = 0.5 * (positions[first + 1] - positions[first]).norm();
-            let moved = reach[first].max(reach[first + 1]);
+            let middle = Point3::from((positions[first].coords + positions[end(first)].coords) * 0.5);
+            let half = 0.5 * (positions[end(first)] - positions[first]).norm();
+            let moved = reach[first].max(reach[end(first)]);
             for second in run(b) {
                 // Half a turn of the tightest bend, in which opposite sides touch, is π/2 diameters along the strand.
                 let along = if second > first { arcs[second] - arcs[first + 1] } else { 0.0 };
                 if along < 2.5 * radius || (second < first + 3 && along < 0.5 * PARTED) {
                     continue;
                 }
-                let other = (positions[second].coords + positions[second + 1].coords) * 0.5;
+                let across = arcs[edges] - arcs[second + 1] + arcs[first];
+                if is_closed && (across < 2.5 * radius || edges + first < second + 3) {
+                    continue;
+                }
+                let other = (positions[second].coords + positions[end(second)].coords) * 0.5;
                 let reached = half
-                    + 0.5 * (positions[second + 1] - positions[second]).norm()
+                    + 0.5 * (positions[end(second)] - positions[second]).norm()
                     + moved
-                    + reach[second].max(reach[second + 1])
+                    + reach[second].max(reach[end(second)])
                     + 2.0 * room;
                 if (middle.coords - other).norm_squared() <= reached * reached {
                     let key = ContactKey { with: 0, edge: first as u32, feature: second as u32 };
@@ -138,15 +146,17 @@ impl Candidates {
         motion: &Motion,
         room: f64,
     ) {
-        let edges = positions.len() - 1;
         let with = 1 + index as u32;
         let arcs = &self.arcs;
+        let edges = arcs.len() - 1;
+        let is_closed = edges == positions.len();
         if let Shape::HalfSpace { normal } = &obstacle.shape {
             for (pose, later) in [(&motion.from, false), (&motion.to, true)] {
                 let (normal, origin) = (pose.rotation * normal, pose.translation.vector);
                 for edge in (0..edges).filter(|edge| joins(arcs, *edge)) {
                     // The last edge of a thread covers both of its ends.
-                    for end in 0..=u32::from(edge + 1 == edges || !joins(arcs, edge + 1)) {
+                    let is_last = !is_closed && (edge + 1 == edges || !joins(arcs, edge + 1));
+                    for end in 0..=u32::from(is_last) {
                         let node = edge + end as usize;
                         let key = ContactKey { with, edge: edge as u32, feature: end };
                         if normal.dot(&(positions[node].coords - origin)) <= room + reach[node]
@@ -166,7 +176,7 @@ impl Candidates {
                 }
                 for edge in (RUN * run..(RUN * (run + 1)).min(edges)).filter(|edge| joins(arcs, *edge)) {
                     let mut own = Bounds::empty();
-                    for node in [edge, edge + 1] {
+                    for node in [edge, end_of(edge, positions.len())] {
                         own.add(&positions[node], room + reach[node]);
                     }
                     if own.overlaps(&bounds) {
@@ -245,7 +255,10 @@ pub(crate) fn passed_through(
     motions: &[Motion],
 ) -> bool {
     let edge = key.edge as usize;
-    let swept = |edge: usize| Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
+    let swept = |edge: usize| {
+        let end = end_of(edge, from.len());
+        Sweep { from: [from[edge], from[end]], to: [to[edge], to[end]] }
+    };
     // A pair that was already that near at the beginning is separating and not stopped.
     let hit = |found: Option<trocar_collision::continuous::Impact>| found.is_some_and(|at| at.time > 0.0);
     // Most pairs are decided by their initial distance.
@@ -293,7 +306,8 @@ pub(crate) fn passed_through_face(
     radius: f64,
     corners: [[Point3<f64>; 3]; 2],
 ) -> bool {
-    let own = Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
+    let end = end_of(edge, from.len());
+    let own = Sweep { from: [from[edge], from[end]], to: [to[edge], to[end]] };
     let other = Sweep { from: corners[0], to: corners[1] };
     segment_face(&own, &other, CORE * radius).is_some_and(|at| at.time > 0.0)
 }

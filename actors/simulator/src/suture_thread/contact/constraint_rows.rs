@@ -64,6 +64,17 @@ impl Rows {
         rows
     }
 
+    /// The same for a thread of so many nodes: the edge that begins at the last one leads back to the first.
+    #[must_use]
+    pub fn around(mut self, nodes: usize) -> Self {
+        for node in &mut self.nodes[..self.used] {
+            if *node as usize == nodes {
+                *node = 0;
+            }
+        }
+        self
+    }
+
     /// The first block row that it touches; past the end where there is none.
     pub fn first(&self) -> usize {
         self.nodes[..self.used].iter().copied().min().unwrap_or(u32::MAX) as usize

@@ -8,7 +8,7 @@ use crate::linear_algebra::block_banded::Cell;
 use crate::suture_thread::contact::{
     CoulombState, FrictionLimit, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
 };
-use crate::suture_thread::state::{ContactKey, ContactMemory};
+use crate::suture_thread::state::{ContactKey, ContactMemory, end_of};
 use crate::suture_thread::{Surroundings, ThreadMaterial};
 
 /// Penetration beyond this fraction of a diameter requires shorter steps.
@@ -84,8 +84,9 @@ impl Island {
         key: ContactKey,
     ) -> Option<Active> {
         let edge = key.edge as usize;
-        let of = |edge: usize| [self.at.positions[edge], self.at.positions[edge + 1]];
-        let room = |edge: usize| self.reach[edge].max(self.reach[edge + 1]);
+        let nodes = self.at.positions.len();
+        let of = |edge: usize| [self.at.positions[edge], self.at.positions[end_of(edge, nodes)]];
+        let room = |edge: usize| self.reach[edge].max(self.reach[end_of(edge, nodes)]);
         let radius = material.radius;
         let side = |edge: usize, along: f64, arm: Vector3<f64>| Side {
             edge,
@@ -110,7 +111,8 @@ impl Island {
                 &side(edge, s, normal * -radius),
                 Some(&side(other, t, normal * radius)),
                 [normal, t1, t2],
-            );
+            )
+            .around(nodes);
             return Some(self.remembered(
                 key,
                 rows,
@@ -129,7 +131,8 @@ impl Island {
             return None;
         }
         let [t1, t2] = tangents(&found.normal, &self.at.tangents[edge]);
-        let rows = Rows::new(&side(edge, found.along, found.normal * -radius), None, [found.normal, t1, t2]);
+        let rows = Rows::new(&side(edge, found.along, found.normal * -radius), None, [found.normal, t1, t2])
+            .around(nodes);
         let compliance = 0.5 * material.contact_compliance;
         Some(self.remembered(key, rows, obstacle.friction, gap, Some(found.surface), compliance))
     }
@@ -219,7 +222,8 @@ impl Island {
         key: &ContactKey,
         positions: &[Point3<f64>],
     ) -> f64 {
-        let of = |edge: u32| [positions[edge as usize], positions[edge as usize + 1]];
+        let of =
+            |edge: u32| [edge as usize, end_of(edge as usize, positions.len())].map(|node| positions[node]);
         if key.with == 0 {
             let (first, second) = (of(key.edge), of(key.feature));
             let [s, t] = nearest_segments(&first, &second);

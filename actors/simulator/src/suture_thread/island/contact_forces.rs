@@ -147,11 +147,11 @@ impl Island {
             contact.coulomb.add(&contact.rows, contact.limit, yields, &mut self.added);
         }
         let added = (!obstacles.is_empty()).then_some(&self.added);
-        let found = if strands.is_empty() {
+        let found = if strands.is_empty() && !self.trial.is_closed() {
             self.factors.find(&self.matrix, added)
         } else {
             let couples = strands.iter().map(|contact| [contact.key.edge, contact.key.feature]);
-            self.sparse.analyse(self.right.len(), couples);
+            self.sparse.analyse(self.right.len(), self.trial.is_closed(), couples);
             self.sparse.begin(&self.matrix, added);
             for (number, contact) in strands.iter().enumerate() {
                 if contact.coulomb != CoulombState::Open {

@@ -93,7 +93,7 @@ pub(crate) struct Island {
     matrix: BlockBand,
     added: Added,
     factors: Factors,
-    /// Factors of a rod with strand contacts.
+    /// Factors of a rod with strand contacts, and of a closed one.
     sparse: BlockSparse,
     /// Number of obstacle contacts in `sprung`; strand contacts follow them. Without strand contacts the banded factors
     /// are used.
@@ -457,7 +457,8 @@ impl Island {
             if !self.trial.joins(edge) {
                 continue;
             }
-            let by = at.tangents[edge].dot(&(change(&self.moved, edge + 1) - change(&self.moved, edge)));
+            let end = self.trial.after(edge);
+            let by = at.tangents[edge].dot(&(change(&self.moved, end) - change(&self.moved, edge)));
             at.tensions[edge] = material.axial_stiffness / rest * (at.lengths[edge] + by - rest);
         }
         let mut largest = 0.0_f64;
@@ -511,7 +512,8 @@ impl Island {
             surroundings.spared.iter().any(|spared| {
                 let edge = key.edge as usize;
                 key.with as usize == spared.obstacle + 1
-                    && (edge + 1 == spared.edges[0] || edge == spared.edges[1] + 1)
+                    && (self.trial.after(edge) == spared.edges[0]
+                        || edge == self.trial.after(spared.edges[1]))
             })
         };
         for candidate in self.candidates.found.iter().filter(|candidate| !beside_spared(&candidate.key)) {

@@ -278,7 +278,7 @@ impl Island {
 
     /// Solves along the rod with the current factors.
     pub(super) fn solve_rod(&mut self, moved: &mut [Cell]) {
-        if self.is_knotted() {
+        if self.is_knotted() || self.trial.is_closed() {
             self.sparse.solve(moved);
         } else {
             self.factors.solve(moved);
