@@ -1,4 +1,5 @@
 //! Rigid bodies by momenta and impulses.
 
 mod controller;
+mod joints;
 mod solver;

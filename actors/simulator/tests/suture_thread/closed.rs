@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{BuildContext, Component, ControllerError, LineMesh, SimTime, VertexPositions};
 use trocar_simulator::controller::{KnotState, Laid, LiesOn, ThreadBody, ThreadController};
 use trocar_simulator::suture_thread::{
-    CutAt, Load, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState,
+    CutAt, Hold, Load, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState,
 };
 
 const RADIUS: f64 = 0.02;
@@ -179,21 +179,23 @@ fn writhe(points: &[Point3<f64>]) -> f64 {
 #[test]
 fn a_loop_that_is_not_plane_is_twisted_by_its_holonomy() {
     let nodes = 200;
-    for rise in [0.1, 0.4, 0.8] {
-        let points: Vec<_> = circle(nodes)
-            .iter()
-            .enumerate()
-            .map(|(node, at)| {
+    // Coils about a ring, left-handed and right-handed.
+    for coil in [-0.2, 0.1, 0.3] {
+        let size: f64 = f64::abs(coil) * RADIUS;
+        let points: Vec<_> = (0..nodes)
+            .map(|node| {
                 let around = TAU * node as f64 / nodes as f64;
-                Point3::new(at.x, at.y, rise * RADIUS * ((2.0 * around).cos() + 0.7 * (3.0 * around).sin()))
+                let (out, up) =
+                    (size * (3.0 * around).cos(), size * (3.0 * around).sin() * f64::signum(coil));
+                Point3::new((RADIUS + out) * around.cos(), (RADIUS + out) * around.sin(), up)
             })
             .collect();
         let state = ThreadState::closed_at_rest(&points);
         let twist = state.twists.iter().sum::<f64>() / TAU;
         let whole = twist + writhe(&points);
-        println!("rise {rise}: twist {twist:.6}, with the writhe {whole:.9}");
-        assert!((whole - whole.round()).abs() < 1e-9, "{whole}");
-        assert!(twist.abs() <= 0.5 && twist.abs() > 1e-3);
+        println!("coil {coil}: twist {twist:.6}, with the writhe {whole:.9}");
+        assert!((whole - whole.round()).abs() < 1e-7, "{whole}");
+        assert!(twist.abs() <= 0.5 && twist.abs() > 0.01);
         // In equal parts of the length.
         let length = state.rest_length();
         for node in 0..nodes {
@@ -240,8 +242,9 @@ fn a_ring_that_flies_keeps_its_momentum_and_its_angular_momentum() {
     let [after, turned] = momenta(thread.state());
     let off = [(after - before).norm() / before.norm(), (turned - turning).norm() / turning.norm()];
     println!("off by {off:?}");
-    assert!(off[0] < 1e-12, "{off:?}");
-    assert!(off[1] < 0.05, "{off:?}");
+    // As an open thread; the second is of first order in the step.
+    assert!(off[0] < 1e-7, "{off:?}");
+    assert!(off[1] < 0.02, "{off:?}");
 }
 
 #[test]
@@ -250,9 +253,9 @@ fn a_loop_over_a_peg_carries_half_of_the_weight_in_each_strand() {
     let material = ThreadMaterial { drag: 100.0, ..ThreadMaterial::silk_2_0() };
     let points: Vec<_> = circle(nodes).iter().map(|at| Point3::new(at.y, 0.0, at.x)).collect();
     let mut thread = Thread::closed(material, &points).expect("a loop");
-    // A peg along y, inside the loop at its top, with friction: what matters is that both sides are the same.
+    // A smooth peg along y, inside the loop at its top.
     let peg = Shape::Capsule { ends: [-1.0, 1.0].map(|y| Point3::new(0.0, 0.05 * y, 0.0)), radius: 0.004 };
-    let peg = Obstacle::fixed(peg, Isometry3::translation(0.0, 0.0, RADIUS - 0.004 - 2e-4), 0.3);
+    let peg = Obstacle::fixed(peg, Isometry3::translation(0.0, 0.0, RADIUS - 0.004 - 2e-4), 0.0);
     let weight = 0.5;
     let loads = [Load { node: nodes / 2, force: Vector3::new(0.0, 0.0, -weight) }];
     let (obstacles, gravity) = ([peg], Vector3::new(0.0, 0.0, -9.81));
@@ -260,12 +263,16 @@ fn a_loop_over_a_peg_carries_half_of_the_weight_in_each_strand() {
     settle(&mut thread, 1500, &around);
     let state = thread.state();
     let own = material.mass_per_length * state.rest_length() * 9.81;
-    for edge in [nodes / 2 - 1, nodes / 2] {
-        let tension = state.tensions[edge];
-        assert!((tension / (0.5 * weight) - 1.0).abs() < 5e-3, "edge {edge}: {tension} N");
+    // Half-way down each strand; below it hangs a quarter of the thread.
+    let strands = [nodes / 4, 3 * nodes / 4].map(|edge| {
+        let along = (state.positions[(edge + 1) % nodes] - state.positions[edge]).normalize();
+        state.tensions[edge] * along.z.abs()
+    });
+    for strand in strands {
+        assert!((strand / (0.5 * (weight + 0.5 * own)) - 1.0).abs() < 2e-4, "{strand} N");
     }
     let borne = thread.reactions()[0].force;
-    println!("strands {:?}, peg {borne:?}", [state.tensions[nodes / 2 - 1], state.tensions[nodes / 2]]);
+    println!("strands {strands:?}, peg {borne:?}");
     assert!((borne + Vector3::new(0.0, 0.0, weight + own)).norm() < 1e-3 * weight, "{borne}");
     // The same wherever the seam is: over the peg, or at the weight.
     let mut turned = points.clone();
@@ -282,18 +289,19 @@ fn a_loop_over_a_peg_carries_half_of_the_weight_in_each_strand() {
 #[test]
 fn neighbours_over_the_seam_do_not_touch_and_strands_across_it_do() {
     let nodes = (TAU * RADIUS / 1e-3).round() as usize;
-    let mut thread = Thread::closed(wire(1.5), &circle(nodes)).expect("a ring");
+    let rough = ThreadMaterial { friction: 1.0, ..wire(1.5) };
+    let mut thread = Thread::closed(rough, &circle(nodes)).expect("a ring");
     let report = thread.step(1e-3, &Surroundings::default()).expect("a step");
     assert_eq!((report.contacts, report.penetration_max), (0, 0.0));
-    // A ring that is pressed flat touches itself at the seam, and does not pass through.
-    let press = 2e-2;
-    let loads =
-        [(0, -1.0), (nodes / 2, 1.0)].map(|(node, sign)| Load { node, force: Vector3::x() * (sign * press) });
-    let around = Surroundings { loads: &loads, ..Surroundings::default() };
+    // A ring that is drawn flat touches itself at the seam, and does not pass through.
+    let drawn = |node: usize| Hold { node, to: Point3::origin(), stiffness: 1e3, force_max: 5e-3 };
+    let holds = [drawn(0), drawn(nodes / 2)];
+    let around = Surroundings { holds: &holds, ..Surroundings::default() };
     settle(&mut thread, 1000, &around);
     let at = thread.positions();
     let gap = at[0].x - at[nodes / 2].x;
-    println!("pressed to {:.3e} m", gap);
+    let aside = (at[0] - at[nodes / 2]).yz().norm();
+    println!("drawn to {gap:.3e} m, {aside:.1e} m aside");
     assert!((gap - 2e-3).abs() < 1e-4, "{gap} m, of two threads of 2 mm");
     assert!(thread.state().contacts.iter().any(|contact| contact.force.norm() > 0.0));
 }
@@ -403,11 +411,13 @@ fn the_knot_of_a_closed_thread_is_that_of_the_curve() {
     assert_eq!(found[0].signature, -found[1].signature);
 }
 
-/// Its own weight is more than it bears.
+/// Its own weight, made heavy, is more than it bears.
 #[test]
 fn a_closed_thread_that_breaks_goes_on_as_one_open_thread() {
     let breaks = ", breaks_at = { value = 1e-3, source = \"for this test\" }";
-    let mut stage = Stage::new(scene(&hanging(breaks)), 500.0, build);
+    let heavy =
+        |context: &BuildContext<'_>| ThreadController::new(Vector3::new(0.0, 0.0, -500.0), None, context);
+    let mut stage = Stage::new(scene(&hanging(breaks)), 500.0, heavy);
     let is_open = |stage: &Stage<ThreadController>| {
         let line = stage.get::<LineMesh>("ring");
         line.segments.len() < stage.get::<VertexPositions>("ring").positions.len()
@@ -421,7 +431,7 @@ fn a_closed_thread_that_breaks_goes_on_as_one_open_thread() {
         let line = stage.get::<LineMesh>("ring");
         assert!(line.segments.iter().all(|ends| ends[1] == ends[0] + 1), "{:?}", line.segments);
         assert!(stage.measured("ring.pieces") >= 1.0 && stage.measured("ring.frozen") == 0.0);
-        stage.rebuild(build);
+        stage.rebuild(heavy);
         (0..5).for_each(|_| stage.tick());
     }
 }
