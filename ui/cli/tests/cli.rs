@@ -433,7 +433,7 @@ fn wrong_files_are_refused_with_their_place() {
                  [[controller]]\nname = \"springs\"\nkind = \"mass-spring\"\nrate_hz = 50\n";
     write("gauze.toml", gauze);
     let too_fine: &[&str] =
-        &["gauze.toml:3:1", "'strip': a step of 20 ms", "at most 200", "method = \"implicit\"", "lag"];
+        &["gauze.toml:4:8", "'strip': a step of 20 ms", "at most 200", "method = \"implicit\"", "lag"];
     let cases: [(&[&str], &[&str]); 11] = [
         // What only a controller finds when it starts.
         (

@@ -35,6 +35,14 @@ pub(super) struct WorldJoints {
     joined: BTreeSet<(Entity, Entity)>,
 }
 
+/// A row of a joint in Rapier: its impulse, its direction, and its levers on both bodies.
+#[derive(Clone, Copy)]
+struct Row {
+    impulse: f64,
+    along: Vector3<f64>,
+    levers: [Vector3<f64>; 2],
+}
+
 impl WorldJoints {
     /// Whether a joint joins these.
     pub(super) fn joins(&self, a: Entity, b: Entity) -> bool {
@@ -190,35 +198,34 @@ impl RigidWorld {
             JointKind::Hinge => 2,
             JointKind::Fixed => 3,
         };
-        // Of each row its impulse, direction, and levers on both bodies.
-        let mut rows: Vec<(f64, Vector3<f64>, [Vector3<f64>; 2])> = Vec::with_capacity(6);
+        let mut rows: Vec<Row> = Vec::with_capacity(6);
         for k in 0..angular {
             // The derivative of a quaternion is half of the rotation.
             let axis = other.rotation * Vector3::ith(k, 0.5);
-            rows.push((impulses[3 + k], Vector3::zeros(), [axis; 2]));
+            rows.push(Row { impulse: impulses[3 + k], along: Vector3::zeros(), levers: [axis; 2] });
         }
-        for k in 0..3 {
+        for (k, impulse) in impulses.iter().enumerate().take(3) {
             let along = other.rotation * Vector3::ith(k, 1.0);
-            rows.push((impulses[k], along, arms.map(|arm| arm.cross(&along))));
+            rows.push(Row { impulse: *impulse, along, levers: arms.map(|arm| arm.cross(&along)) });
         }
-        let dot = |a: &(f64, Vector3<f64>, [Vector3<f64>; 2]), b: &(f64, Vector3<f64>, [Vector3<f64>; 2])| {
-            a.1.dot(&b.1) * (first.0 + second.0)
-                + a.2[0].dot(&(first.1 * b.2[0]))
-                + a.2[1].dot(&(second.1 * b.2[1]))
+        let dot = |a: &Row, b: &Row| {
+            a.along.dot(&b.along) * (first.0 + second.0)
+                + a.levers[0].dot(&(first.1 * b.levers[0]))
+                + a.levers[1].dot(&(second.1 * b.levers[1]))
         };
         for done in 0..rows.len() {
             let row = rows[done];
             let own = dot(&row, &row);
-            for later in done + 1..rows.len() {
-                let share = if own > 0.0 { dot(&rows[later], &row) / own } else { 0.0 };
-                let to = &mut rows[later];
-                to.1 -= row.1 * share;
-                to.2[0] -= row.2[0] * share;
-                to.2[1] -= row.2[1] * share;
+            for later in &mut rows[done + 1..] {
+                let share = if own > 0.0 { dot(later, &row) / own } else { 0.0 };
+                later.along -= row.along * share;
+                for (lever, of) in later.levers.iter_mut().zip(row.levers) {
+                    *lever -= of * share;
+                }
             }
         }
         let (mut force, mut about_centre) = (Vector3::zeros(), Vector3::zeros());
-        for (impulse, along, levers) in &rows {
+        for Row { impulse, along, levers } in &rows {
             force -= along * *impulse;
             about_centre -= levers[1] * *impulse;
         }

@@ -138,8 +138,8 @@ impl ThreadState {
         let length: f64 = state.rest_lengths.iter().sum();
         let twists: Vec<f64> = (0..n).map(|node| holonomy * span(node) / length).collect();
         let mut turned = 0.0;
-        for edge in 1..n {
-            turned += twists[edge];
+        for (edge, twist) in twists.iter().enumerate().skip(1) {
+            turned += twist;
             state.directors[edge] = turn(&state.directors[edge], &tangent(edge), turned);
         }
         state.twists = twists;

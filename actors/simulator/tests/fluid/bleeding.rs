@@ -260,7 +260,7 @@ impl Play {
         let registry = self.store.view().registry().clone();
         for (number, (build, every)) in (20..).zip(cast) {
             let me = Entity::of_writer(0, number);
-            let (time, period) = (SimTime(self.ticks * 5_000_000), SimTime(5_000_000 * u64::from(*every)));
+            let (time, period) = (SimTime(self.ticks * 5_000_000), SimTime(5_000_000 * *every));
             let context =
                 BuildContext { scene: self.store.view(), time, period, name: "actor", me, epoch: 1, seed: 1 };
             let controller = build(&context).unwrap_or_else(|error| panic!("{error}"));

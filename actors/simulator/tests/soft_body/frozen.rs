@@ -152,7 +152,7 @@ fn explicit_springs_that_no_step_can_take_are_refused_at_the_start_by_name() {
         let period = SimTime::from_secs_f64(period);
         mass_spring(&BuildContext { period, ..context(store, SimTime::ZERO, epoch) })
     };
-    let mut stage = Stage::new(scene(&gauze("lag = 1e-5")), 1000.0, mass_spring as Build<_>);
+    let mut stage = Stage::new(scene(&gauze("lag = 1e-5")), 10_000.0, mass_spring as Build<_>);
     stage.tick();
     let safe = stage.measured("gauze.safe_step_s");
     let store = scene(&gauze("lag = 1e-5"));

@@ -454,11 +454,11 @@ fn what_no_closed_thread_can_be_is_refused_by_name() {
         (ThreadBody { tied_around: Some("pad".into()), ..closed() }, "'tied_around'"),
         (ThreadBody { laid: Some(throws), ..closed() }, "'laid'"),
     ] {
-        let told = thread.check().err().expect("refused").to_string();
+        let told = thread.check().expect_err("refused").to_string();
         assert!(told.contains("'closed'") && told.contains(says), "{told}");
     }
     assert_eq!(closed().check(), Ok(()));
-    let few = Thread::closed(wire(1.0), &circle(4)).err().expect("too few").to_string();
+    let few = Thread::closed(wire(1.0), &circle(4)).expect_err("too few").to_string();
     assert!(few.contains("closed thread of 4 nodes") && few.contains("5 to"), "{few}");
     let text = hanging("").replace("name = \"ring\"", "name = \"other\"")
         + "[[entity]]\nname = \"first\"\nmesh = { line = { length = 0.1, segments = 10, radius = 1.5e-4 } }\n\
