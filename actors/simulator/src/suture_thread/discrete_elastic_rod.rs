@@ -267,18 +267,19 @@ mod tests {
             let rest = start.rest_lengths[edge];
             sum += 0.5 * material.axial_stiffness / rest * (at.lengths[edge] - rest).powi(2);
         }
-        for node in 1..at.tangents.len() {
-            let span = 0.5 * (start.rest_lengths[node - 1] + start.rest_lengths[node]);
+        for node in 0..at.tangents.len() {
+            let Some(before) = start.bends(node) else { continue };
+            let span = 0.5 * (start.rest_lengths[before] + start.rest_lengths[node]);
             let found =
-                curvature(&at.tangents[node - 1], &at.tangents[node], at.lengths[node - 1], at.lengths[node]);
+                curvature(&at.tangents[before], &at.tangents[node], at.lengths[before], at.lengths[node]);
             sum += 0.5 * material.bending_stiffness / span * found.binormal.norm_squared();
             sum += 0.5 * material.twisting_stiffness / span * at.twists[node].powi(2);
         }
         sum
     }
 
-    /// A bent and twisted rod.
-    fn shape() -> (ThreadMaterial, ThreadState) {
+    /// A bent and twisted rod, open or closed.
+    fn shape(is_closed: bool) -> (ThreadMaterial, ThreadState) {
         let points: Vec<_> = (0..7)
             .map(|i| {
                 let s = i as f64 * 0.45;
@@ -288,13 +289,14 @@ mod tests {
         let mut material = ThreadMaterial::silk_2_0();
         (material.axial_stiffness, material.bending_stiffness, material.twisting_stiffness) = (3.0, 0.7, 0.4);
         (material.drag, material.mass_per_length) = (0.0, 1e-12);
-        let mut state = ThreadState::at_rest(&points);
+        let mut state =
+            if is_closed { ThreadState::closed_at_rest(&points) } else { ThreadState::at_rest(&points) };
         for (i, rest) in state.rest_lengths.iter_mut().enumerate() {
             *rest *= 0.9 + 0.05 * i as f64;
         }
         let mut at = RodIterate::default();
         at.begin(&state);
-        for edge in 0..6 {
+        for edge in 0..at.turns.len() {
             at.turns[edge] = 0.3 * (edge * edge) as f64 * 0.2;
         }
         at.follow(&state);
@@ -304,7 +306,11 @@ mod tests {
 
     #[test]
     fn forces_are_the_slope_of_the_energy() {
-        let (material, state) = shape();
+        [false, true].into_iter().for_each(check_slope);
+    }
+
+    fn check_slope(is_closed: bool) {
+        let (material, state) = shape(is_closed);
         let n = state.positions.len();
         let mut at = RodIterate::default();
         at.begin(&state);
@@ -315,7 +321,7 @@ mod tests {
         let step = 1e-6;
         for node in 0..n {
             for k in 0..4 {
-                if (node, k) == (n - 1, 3) {
+                if !is_closed && (node, k) == (n - 1, 3) {
                     continue;
                 }
                 let moved = |by: f64| {
@@ -338,7 +344,11 @@ mod tests {
 
     #[test]
     fn inner_forces_have_neither_sum_nor_moment() {
-        let (material, state) = shape();
+        [false, true].into_iter().for_each(check_sums);
+    }
+
+    fn check_sums(is_closed: bool) {
+        let (material, state) = shape(is_closed);
         let n = state.positions.len();
         let mut at = RodIterate::default();
         at.begin(&state);
@@ -351,7 +361,7 @@ mod tests {
             let of = right[node].fixed_rows::<3>(0).into_owned();
             force += of;
             moment += state.positions[node].coords.cross(&of);
-            if node + 1 < n {
+            if node + 1 < n || is_closed {
                 moment += at.tangents[node] * right[node][3];
             }
         }
