@@ -120,6 +120,47 @@ fn scissors_that_close_on_a_thread_cut_it_and_nothing_pulls_any_longer() {
     assert!((lengths[0] + lengths[1] - 0.0397).abs() < 1e-4, "{lengths:?}");
 }
 
+/// A long loop whose near side is anchored on both sides of the blades; its seam is in the middle of that side.
+#[test]
+fn scissors_open_a_closed_thread_at_its_seam_and_then_cut_it_in_two() {
+    let text = format!(
+        "{TOOLS}[[entity]]\nname = \"thread\"\nmesh = {{ line = {{ length = 0.1, segments = 10, radius = 0.00015 }} }}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-0.0201, -0.001, -1.0], max = [-0.004, 0.001, 1.0] }} }}, \
+         {{ box = {{ min = [0.004, -0.001, -1.0], max = [0.0201, 0.001, 1.0] }} }}] }}\n\
+         thread = {{ closed = true, edges = [3.0, 0.002], laid = {{ through = {{ places = [[0.0, 0.0, 0.0], \
+         [0.02, 0.0, 0.0], [0.02, 0.05, 0.0], [-0.02, 0.05, 0.0], [-0.02, 0.0, 0.0]] }} }} }}\n"
+    );
+    let mut stage = Stage::new(scene(&text), HZ, build);
+    stage.tick();
+    let (line, nodes) =
+        (stage.get::<LineMesh>("thread"), stage.get::<VertexPositions>("thread").positions.len());
+    assert_eq!(line.segments.len(), nodes);
+    // The last edge, that leads back to the first node, lies from -0.9 mm to 0.
+    let at = [-4e-4, 0.008, 0.0];
+    approach(&mut stage, at);
+    assert_eq!(stage.get::<LineMesh>("thread").segments.len(), nodes, "open blades do nothing");
+    turn(&mut stage, at, OPEN, 0.0);
+    let is_open = |stage: &Stage<ThreadController>, pieces: usize| {
+        let line = stage.get::<LineMesh>("thread");
+        let nodes = stage.get::<VertexPositions>("thread").positions.len();
+        assert_eq!(line.segments.len() + pieces, nodes, "open lines");
+        assert!(line.segments.iter().all(|ends| ends[1] == ends[0] + 1));
+        assert_eq!(stage.measured("thread.pieces"), pieces as f64);
+    };
+    is_open(&stage, 1);
+    stage.rebuild(build);
+    turn(&mut stage, at, 0.0, OPEN);
+    // What is cut again falls apart.
+    let beside = [2e-3, 0.008, 0.0];
+    approach(&mut stage, beside);
+    turn(&mut stage, beside, OPEN, 0.0);
+    is_open(&stage, 2);
+    // The anchored parts have not moved.
+    let points = stage.get::<VertexPositions>("thread").positions;
+    let held = points.iter().filter(|at| at.x.abs() > 5e-3 && at.y.abs() < 1e-6 && at.z.abs() < 1e-6);
+    assert!(held.count() > 20);
+}
+
 #[test]
 fn it_is_cut_piece_by_piece_and_another_life_goes_on_to_the_bit() {
     let run = |kill: bool| {
