@@ -99,7 +99,7 @@ impl Joints {
     }
 }
 
-/// As a document holds it.
+/// The joints of a rigid body: one table, or an array of several.
 #[derive(JsonSchema)]
 #[serde(untagged)]
 #[allow(dead_code)] // its schema is what counts
