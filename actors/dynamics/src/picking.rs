@@ -11,6 +11,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use trocar_collision::primitive::{closest_segment_triangle, closest_segments};
 
 /// A held vertex, and its position in the frame of the instrument that holds it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,6 +65,8 @@ pub struct DrivenVertex {
     pub vertex: u32,
     /// The prescribed position, in the frame of the surface's vertices \[m\].
     pub position_in_body: Point3<f64>,
+    /// The pick that holds it, by its place among them.
+    pub grip: u32,
 }
 
 /// Why an instrument was rejected.
@@ -176,15 +179,43 @@ impl Picks {
     #[must_use]
     pub fn driven(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
         let mut driven = Vec::new();
-        for pick in &self.picks {
+        for (grip, pick) in (0..).zip(&self.picks) {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
             driven.extend(pick.vertices.iter().map(|held| DrivenVertex {
                 vertex: held.vertex,
                 position_in_body: jaw.body_from_instrument * held.in_instrument,
+                grip,
             }));
         }
         driven.sort_by_key(|driven| driven.vertex);
         driven
+    }
+
+    /// Jaws in which something slips hold what comes between them as well: the triangles that both touch.
+    pub fn take_more(&mut self, triangles: &[[u32; 3]], positions: &[Point3<f64>], jaw: &Jaws<'_>) {
+        let [first, second] = jaw.touched;
+        let new = first.iter().filter(|part| second.contains(part) && self.holder(**part).is_none());
+        let mut new: Vec<u32> = new.copied().collect();
+        new.sort_unstable();
+        new.dedup();
+        if new.is_empty() {
+            return;
+        }
+        let mut vertices: Vec<u32> =
+            new.iter().filter_map(|&part| triangles.get(part as usize)).flatten().copied().collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        vertices.retain(|vertex| !self.picks.iter().any(|pick| pick.held(*vertex).is_some()));
+        let held = vertices.into_iter().filter_map(|vertex| {
+            let position = positions.get(vertex as usize)?;
+            let in_instrument = jaw.body_from_instrument.inverse_transform_point(position);
+            Some(HeldVertex { vertex, in_instrument })
+        });
+        let Some(pick) = self.picks.iter_mut().find(|pick| pick.instrument == jaw.instrument) else { return };
+        pick.vertices.extend(held);
+        pick.vertices.sort_by_key(|held| held.vertex);
+        pick.triangles.extend(new);
+        pick.triangles.sort_unstable();
     }
 
     /// Renumbers or removes triangles; a pick without triangles is dropped.
@@ -241,6 +272,50 @@ impl Picks {
 }
 
 impl Pick {
+    /// Its vertices have slipped in the jaws: their present places there are the held ones. Returns by how much, in the
+    /// mean \[m\].
+    pub fn slip(&mut self, body_from_instrument: &Isometry3<f64>, positions: &[Point3<f64>]) -> f64 {
+        let mut way = 0.0;
+        for held in &mut self.vertices {
+            let Some(position) = positions.get(held.vertex as usize) else { continue };
+            let now = body_from_instrument.inverse_transform_point(position);
+            way += (now - held.in_instrument).norm();
+            held.in_instrument = now;
+        }
+        way / self.vertices.len().max(1) as f64
+    }
+
+    /// Lets go of triangles that are farther from the middle between the pads, a segment in the instrument's frame,
+    /// than this reach \[m\], and of vertices that no held triangle uses any longer.
+    pub fn let_go(
+        &mut self,
+        (body_from_instrument, midline, reach): (&Isometry3<f64>, &[Point3<f64>; 2], f64),
+        triangles: &[[u32; 3]],
+        positions: &[Point3<f64>],
+    ) {
+        let midline = midline.map(|end| body_from_instrument * end);
+        let before = self.triangles.len();
+        self.triangles.retain(|&part| {
+            let Some(corners) = triangles.get(part as usize) else { return false };
+            let [Some(a), Some(b), Some(c)] = corners.map(|corner| positions.get(corner as usize)) else {
+                return false;
+            };
+            let distance_squared = if b == c {
+                closest_segments(&midline, &[*a, *b]).distance_squared
+            } else {
+                closest_segment_triangle(&midline, &[*a, *b, *c]).distance_squared
+            };
+            distance_squared <= reach * reach
+        });
+        if self.triangles.len() == before {
+            return;
+        }
+        let corners = self.triangles.iter().filter_map(|&part| triangles.get(part as usize));
+        let mut used: Vec<u32> = corners.flatten().copied().collect();
+        used.sort_unstable();
+        self.vertices.retain(|held| used.binary_search(&held.vertex).is_ok());
+    }
+
     /// The held vertex of that number, if it is held.
     fn held(&self, vertex: u32) -> Option<&HeldVertex> {
         self.vertices.binary_search_by_key(&vertex, |held| held.vertex).ok().map(|at| &self.vertices[at])

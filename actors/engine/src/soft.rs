@@ -18,6 +18,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
 use trocar_dynamics::soft_body::bearing::rigid_motion::{PressedNodes, RigidMotion, press, press_as_before};
+use trocar_dynamics::soft_body::jaw_friction::GripForce;
 use trocar_dynamics::soft_body::method::{
     ContactParams, Measures, StepContext, bearing_stiffness, bearing_substep, pressure_wave_squared,
 };
@@ -122,6 +123,8 @@ pub struct EngineSoftMethod {
     velocities: Vec<Vector3<f64>>,
     /// What the elements bore in the last substep of the push of rigid bodies on a vertex \[N\].
     borne: BTreeMap<u32, Vector3<f64>>,
+    /// What the jaws of each watched grip did.
+    grips: Vec<GripForce>,
 }
 
 /// A contact with a rod during a step.
@@ -195,6 +198,85 @@ impl EngineSoftMethod {
         touch.normal * push + if size > most { across * (most / size) } else { across }
     }
 
+    /// A substep under these forces \[N\], with held vertices led to these places \[m\].
+    fn part_under(
+        &mut self,
+        loads: &[(u32, Vector3<f64>)],
+        held: &[(u32, Point3<f64>)],
+    ) -> Result<(), String> {
+        let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+        body.reset_forces(false);
+        for &(node, force) in loads {
+            body.add_particle_force(node as usize, vector_to_rapier(&force), false);
+        }
+        for (vertex, target) in held {
+            body.set_particle_kinematic_target(*vertex as usize, vector_to_rapier(&target.coords));
+        }
+        self.part()
+    }
+
+    /// After a tried substep: what needs more force than its jaws bear is stepped again, free and under as much of that
+    /// force as there is.
+    fn slip(
+        &mut self,
+        jaws: &mut SlippingJaws,
+        site: &StepContext<'_>,
+        (h, loads): (f64, &mut Vec<(u32, Vector3<f64>)>),
+    ) -> Result<(), String> {
+        let reactions: Vec<(u32, usize, Vector3<f64>)> = site
+            .driven
+            .iter()
+            .filter(|driven| site.grip_limits[driven.grip as usize].is_finite())
+            .map(|driven| {
+                let node = driven.vertex as usize;
+                let change = (self.velocities[node] - jaws.before.1[node]) / h;
+                let pull = self.pull_by(&[driven.vertex]);
+                (driven.vertex, driven.grip as usize, change * self.masses[node] - pull)
+            })
+            .collect();
+        let mut sums = vec![Vector3::zeros(); site.grip_limits.len()];
+        reactions.iter().for_each(|(_, grip, force)| sums[*grip] += force);
+        let share = |grip: usize| GripForce::share(&sums[grip], site.grip_limits[grip]);
+        for (grip, (by, sum)) in self.grips.iter_mut().zip(&sums).enumerate() {
+            by.force += sum * (share(grip) * h);
+            by.slipped |= share(grip) < 1.0;
+        }
+        let slips: Vec<bool> = (0..sums.len()).map(|grip| share(grip) < 1.0).collect();
+        if slips.contains(&true) {
+            let free = |vertex: u32| {
+                let place = site.driven.binary_search_by_key(&vertex, |driven| driven.vertex);
+                place.is_ok_and(|place| slips[site.driven[place].grip as usize])
+            };
+            let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+            let (positions, velocities) = &jaws.before;
+            for (index, (position, velocity)) in positions.iter().zip(velocities).enumerate() {
+                let vertex = index as u32;
+                if free(vertex) {
+                    body.set_particle_pinned(index, false);
+                }
+                body.set_particle_position(index, vector_to_rapier(&position.coords));
+                if self.pinned.binary_search(&vertex).is_ok() {
+                    body.set_particle_kinematic_target(index, vector_to_rapier(&position.coords));
+                } else {
+                    body.set_particle_velocity(index, vector_to_rapier(velocity));
+                }
+            }
+            let slipping = reactions.iter().filter(|(_, grip, _)| slips[*grip]);
+            loads.extend(slipping.map(|&(vertex, grip, force)| (vertex, force * share(grip))));
+            let held: Vec<(u32, Point3<f64>)> =
+                jaws.held.iter().filter(|(vertex, _)| !free(*vertex)).copied().collect();
+            self.part_under(loads, &held)?;
+            let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+            let all = jaws.held.iter().zip(&mut jaws.from);
+            for ((vertex, place), (_, slipped)) in all.filter(|((vertex, _), _)| free(*vertex)) {
+                body.set_particle_pinned(*vertex as usize, true);
+                *slipped += self.positions[*vertex as usize] - place;
+            }
+        }
+        jaws.before = (self.positions.clone(), self.velocities.clone());
+        Ok(())
+    }
+
     /// One substep. A non-finite result is discarded.
     fn part(&mut self) -> Result<(), String> {
         self.world.step();
@@ -212,6 +294,38 @@ impl EngineSoftMethod {
         }
         (self.positions, self.velocities) = (positions, velocities);
         Ok(())
+    }
+}
+
+/// Vertices that jaws hold during a step.
+struct SlippingJaws {
+    /// Where each is led in the substep \[m\].
+    held: Vec<(u32, Point3<f64>)>,
+    /// Where each was at the beginning of the step, and by how much it has slipped since \[m\].
+    from: Vec<(Point3<f64>, Vector3<f64>)>,
+    /// Whether the force of any of them is watched; then all places and velocities before the substep.
+    watches: bool,
+    before: (Vec<Point3<f64>>, Vec<Vector3<f64>>),
+}
+
+impl SlippingJaws {
+    fn begin(of: &EngineSoftMethod, site: &StepContext<'_>) -> Self {
+        let place = |vertex: u32| of.positions[vertex as usize];
+        let watches = site.driven.iter().any(|driven| site.grip_limits[driven.grip as usize].is_finite());
+        Self {
+            held: site.driven.iter().map(|driven| (driven.vertex, place(driven.vertex))).collect(),
+            from: site.driven.iter().map(|driven| (place(driven.vertex), Vector3::zeros())).collect(),
+            watches,
+            before: if watches { (of.positions.clone(), of.velocities.clone()) } else { Default::default() },
+        }
+    }
+
+    /// Leads them on to a share of the step.
+    fn lead(&mut self, share: f64, site: &StepContext<'_>) {
+        let led = self.held.iter_mut().zip(&self.from).zip(site.driven);
+        for (((_, place), (from, slipped)), driven) in led {
+            *place = from + (driven.position_in_body - from) * share + slipped;
+        }
     }
 }
 
@@ -332,6 +446,7 @@ impl SoftMethod for EngineSoftMethod {
             positions,
             velocities,
             borne: BTreeMap::new(),
+            grips: Vec::new(),
         })
     }
 
@@ -382,8 +497,9 @@ impl SoftMethod for EngineSoftMethod {
         self.world.integration_parameters.dt = h;
         self.world.gravity = vector_to_rapier(&site.gravity);
         let mut pressed = self.pressed(site.touches);
-        let from: Vec<Point3<f64>> =
-            self.driven.iter().map(|&vertex| self.positions[vertex as usize]).collect();
+        let mut jaws = SlippingJaws::begin(self, site);
+        self.grips.clear();
+        self.grips.resize(site.grip_limits.len(), GripForce::default());
         for part in 0..parts {
             let since = f64::from(part) * h;
             let pushes: Vec<Vector3<f64>> = site
@@ -392,35 +508,25 @@ impl SoftMethod for EngineSoftMethod {
                 .zip(&pressed)
                 .map(|(touch, of)| self.force(touch, of, since, h))
                 .collect();
-            let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
-            body.reset_forces(false);
-            for &(node, force) in site.forces {
-                body.add_particle_force(node as usize, vector_to_rapier(&force), false);
-            }
-            for ((touch, of), push) in site.touches.iter().zip(&mut pressed).zip(&pushes) {
-                of.impulse += push * h;
-                for (node, share) in joint(touch) {
-                    body.add_particle_force(node as usize, vector_to_rapier(&(push * share)), false);
-                }
-            }
             let mut nodes = PushedNodes { of: self, h, pushes: BTreeMap::new() };
             press_as_before(site.rigid.contacts, &now, &mut moving, &mut nodes);
             press(site.rigid.contacts, &began, &mut now, &mut moving, h, &mut nodes);
-            let pushes = nodes.pushes;
-            let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
-            for (&node, push) in &pushes {
-                body.add_particle_force(node as usize, vector_to_rapier(push), false);
+            let mut loads: Vec<(u32, Vector3<f64>)> = site.forces.to_vec();
+            for ((touch, of), push) in site.touches.iter().zip(&mut pressed).zip(&pushes) {
+                of.impulse += push * h;
+                loads.extend(joint(touch).map(|(node, share)| (node, push * share)));
             }
+            let pushes = nodes.pushes;
+            loads.extend(pushes.iter().map(|(&node, &push)| (node, push)));
             let before: Vec<Vector3<f64>> =
                 pushes.keys().map(|&node| self.velocities[node as usize]).collect();
             borne.iter_mut().zip(&now).for_each(|(total, force)| *total += force * h);
             moving.iter_mut().for_each(|motion| motion.end(h));
-            let share = f64::from(part + 1) / f64::from(parts);
-            for (driven, from) in site.driven.iter().zip(&from) {
-                let target = from + (driven.position_in_body - from) * share;
-                body.set_particle_kinematic_target(driven.vertex as usize, vector_to_rapier(&target.coords));
+            jaws.lead(f64::from(part + 1) / f64::from(parts), site);
+            self.part_under(&loads, &jaws.held)?;
+            if jaws.watches {
+                self.slip(&mut jaws, site, (h, &mut loads))?;
             }
-            self.part()?;
             self.borne.clear();
             for ((node, push), before) in pushes.iter().zip(before) {
                 let (now, mass) = (self.velocities[*node as usize], self.masses[*node as usize]);
@@ -428,10 +534,16 @@ impl SoftMethod for EngineSoftMethod {
                 self.borne.insert(*node, borne_of(push, &accelerating));
             }
         }
+        let period = site.period_secs();
+        self.grips.iter_mut().for_each(|grip| grip.force /= period);
         forces.extend(pressed.iter().map(|of| of.impulse / site.period_secs()));
         let of_rigid = site.rigid.contacts.iter().zip(&borne);
         forces.extend(of_rigid.map(|(contact, impulse)| contact.normal * (impulse / site.period_secs())));
         Ok(())
+    }
+
+    fn grip_forces(&self) -> &[GripForce] {
+        &self.grips
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {

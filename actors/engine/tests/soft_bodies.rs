@@ -153,6 +153,92 @@ anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -
     }
 }
 
+/// A fold of 12.7 mN in jaws of this force, closed from the first tick on.
+fn fold(kind: &str, force: f64, anchors: &str) -> Stage<EngineSoftController> {
+    let text = format!(
+        r#"
+[[entity]]
+name = "grasper"
+pose = {{ translation = [0.0, 0.0, 0.009], rotation = [1.0, 0.0, 0.0, 0.0] }}
+instrument = {{ kind = "grasper", shaft_length = 0.1, shaft_radius = 0.0025, jaw_length = 0.012, jaws = 2, jaw_thickness = 0.002, jaw_force_max = {force}, jaw_friction = 0.5 }}
+[[entity]]
+name = "fold"
+mesh = {{ block = {{ size = [0.002, 0.02, 0.03], cells = [1, 6, 8] }} }}
+{kind}
+{anchors}
+"#
+    );
+    Stage::new(scene(&text), 500.0, build)
+}
+
+/// Its force on the jaws, and how far it has slipped in them.
+fn held(stage: &Stage<EngineSoftController>) -> (f64, f64) {
+    let me = trocar_scene::Entity::of_writer(0, 7);
+    let all = stage.store.view().get::<trocar_scene::Measured>(me).expect("it measures");
+    let of = |what: &str| all.values.get(what).copied().unwrap_or(0.0);
+    (of("fold.held_force_n"), of("fold.jaw_slip_m"))
+}
+
+fn lead(stage: &mut Stage<EngineSoftController>, z: f64) {
+    stage.put("grasper", down(z));
+    stage.put("grasper", JawState { angle: 0.05, rate: 0.0, pad_force: [0.0; 2] });
+    stage.tick();
+    assert!(!stage.has::<Frozen>("fold"), "{}", stage.get::<Frozen>("fold").reason);
+}
+
+/// Drawn up by 8 mm at 20 mm/s, from 2 μ N on it slips; strong jaws hold it.
+#[test]
+fn a_fold_slips_in_jaws_beyond_their_friction() {
+    let anchors =
+        "anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0149] } }] }";
+    for solver in SOLVERS {
+        let draw = |force: f64| {
+            let mut stage = fold(&soft(solver, 0.3), force, anchors);
+            (0..50).for_each(|_| lead(&mut stage, 0.009));
+            let mut seen = Vec::new();
+            for tick in 0..200 {
+                lead(&mut stage, 0.009 + 4e-5 * f64::from(tick));
+                seen.push(held(&stage));
+            }
+            seen
+        };
+        let strong = draw(50.0);
+        let (most, slipped) = strong[strong.len() - 1];
+        assert_eq!(slipped, 0.0, "{solver}");
+        // By jaws that hold a third of that.
+        let limit = most / 3.0;
+        let weak = draw(limit);
+        let began = weak.iter().position(|(_, slip)| *slip > 0.0).expect("it slips");
+        let forces = weak[began + 5..].iter().map(|(force, _)| *force);
+        let (least, most) =
+            forces.fold((f64::INFINITY, 0.0_f64), |(a, b), force| (a.min(force), b.max(force)));
+        eprintln!("{solver}: {least} to {most} N of {limit} N, from {began} on; {:?}", weak[weak.len() - 1]);
+        assert!(least > 0.9 * limit && most < 1.1 * limit, "{solver}: {least} to {most} N of {limit} N");
+        assert!(weak[began].0 > 0.8 * limit, "{solver}: it slips at {} N", weak[began].0);
+        assert!(weak[weak.len() - 1].1 > 2e-3, "{solver}: {:?}", weak[weak.len() - 1]);
+    }
+}
+
+#[test]
+fn jaws_lift_a_free_fold_by_friction_or_lose_it() {
+    let needed = 1060.0 * 0.002 * 0.02 * 0.03 * 9.81;
+    for solver in SOLVERS {
+        let mut lifted =
+            fold(&soft(solver, 0.3).replace("damping = 20.0", "damping = 200.0"), 1.5 * needed, "");
+        (0..250).for_each(|_| lead(&mut lifted, 0.009));
+        let settled = held(&lifted);
+        (0..500).for_each(|_| lead(&mut lifted, 0.009));
+        let (force, slip) = held(&lifted);
+        eprintln!("{solver}: {settled:?}, then {force} N of {needed} N, slipped by {slip} m");
+        assert!((force / needed - 1.0).abs() < 0.1, "{solver}: {force} N of {needed} N");
+        assert!(slip - settled.1 < 1e-5, "{solver}: it creeps from {} to {slip} m", settled.1);
+        let mut dropped = fold(&soft(solver, 0.3), 0.5 * needed, "");
+        (0..250).for_each(|_| lead(&mut dropped, 0.009));
+        assert_eq!(dropped.measured("fold.held_vertices"), 0.0, "{solver}: it is held");
+        assert!(lowest(&dropped, "fold") < -0.2, "{solver}: {} m", lowest(&dropped, "fold"));
+    }
+}
+
 #[test]
 fn another_life_goes_on_where_the_last_one_stood() {
     for solver in SOLVERS {

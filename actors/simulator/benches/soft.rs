@@ -3,6 +3,7 @@
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
+use trocar_dynamics::soft_body::jaw_friction::JawFriction;
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
@@ -32,6 +33,7 @@ const INPUT: Input<'static> = Input {
     prescribed: &[],
     contacts: &[],
     rigid: RigidPresses { bodies: &[], contacts: &[] },
+    jaws: JawFriction { grips: &[], limits: &[] },
 };
 
 fn mass_spring(criterion: &mut Criterion) {

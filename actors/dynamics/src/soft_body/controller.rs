@@ -24,6 +24,7 @@ use super::coupling::slow_side::SlowSide;
 use super::frozen::{FrozenPart, RejectedBody};
 use super::grasp::{Grips, Holder};
 use super::instrument_rods::{Rod, rods_of_all};
+use super::jaw_friction::{Crushable, StrainedGrips, TickGrips, crush};
 use super::jaws::is_blade;
 use super::method::{Measures, Step, StepContext, finite_vertices};
 use super::rod_contact::{COLLISIONS_MAX, RodContact, collision, touches};
@@ -35,6 +36,7 @@ struct Body<M> {
     method: M,
     is_pinned: Vec<bool>,
     grips: Grips,
+    strained: StrainedGrips,
     /// State of the slower side of a coupling, if others are coupled with it.
     slow_side: Option<SlowSide>,
     frozen: bool,
@@ -55,6 +57,7 @@ struct StepInputs {
     presses: Vec<PlaneContact>,
     rigid: Vec<RigidInStep>,
     driven: Vec<DrivenVertex>,
+    jaws: TickGrips,
     given: Vec<(u32, Vector3<f64>)>,
     /// Length of that list without the friction of rigid bodies, which changes from part to part of a tick.
     given_before: usize,
@@ -75,6 +78,7 @@ impl StepInputs {
             rigid: RigidPresses { bodies: &self.rigid, contacts: &self.presses },
             forces: &self.given,
             driven: &self.driven,
+            grip_limits: &self.jaws.limits,
         }
     }
 }
@@ -246,6 +250,8 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .reads::<Velocity>()
             .reads::<Instrument>()
             .reads::<JawState>()
+            .reads::<Crushable>()
+            .writes::<StrainedGrips>(EntitySet::Of(bodies.clone()))
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
@@ -286,6 +292,8 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                 body.inputs.forces = forces;
                 if let Err(reason) = done.and_then(|()| body.is_finite()) {
                     body.freeze(&reason, tick, out);
+                } else {
+                    body.slip();
                 }
             }
             self.bear(pressed, &mut borne, tick, part + 1 == parts);
@@ -311,6 +319,9 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             }
             measures.put("held_force_n", found.pulled);
             measures.put("held_vertices", body.grips.vertices() as f64);
+            if let Some(slip) = body.strained.slip_max() {
+                measures.put("jaw_slip_m", slip);
+            }
             measures.put("frozen", f64::from(u8::from(body.frozen)));
             body.method.measure(&body.body, &mut measures);
         }
@@ -370,6 +381,7 @@ impl<M: SoftMethod> Body<M> {
         grips
             .fit(body.rest.len(), body.holdable().len())
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
+        let strained = scene.get::<StrainedGrips>(entity).cloned().unwrap_or_default();
         let frozen = scene.get::<Frozen>(entity).is_some();
         if !frozen {
             // A frozen body is not stepped.
@@ -393,6 +405,7 @@ impl<M: SoftMethod> Body<M> {
             method,
             is_pinned,
             grips,
+            strained,
             slow_side,
             frozen,
             inputs,
@@ -438,16 +451,24 @@ impl<M: SoftMethod> Body<M> {
         }
         let period = tick.period.as_secs_f64();
         touches(&inputs.rods, &self.method.contact_surface(&self.body), period, &mut inputs.touches);
-        let driven = self.hold(&inputs.site(scene, tick), &inputs.touches, out)?;
-        inputs.driven = driven;
+        let mut jaws = std::mem::take(&mut inputs.jaws);
+        let driven = self.hold(&inputs.site(scene, tick), &inputs.touches, &mut jaws, out)?;
+        (inputs.driven, inputs.jaws) = (driven, jaws);
         // Held and anchored vertices have prescribed positions, whatever touches them.
         let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
+        let Self { grips, strained, .. } = self;
         let StepInputs { rods, touches, driven, .. } = &mut inputs;
         touches.retain(|touch| {
             let is_led = |node: &u32| driven.binary_search_by_key(node, |driven| driven.vertex).is_ok();
             let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
             let is_cut = cut && is_blade(scene, rods[touch.rod].instrument);
-            !(stays || is_cut || touch.nodes.iter().any(is_led))
+            // Jaws in which it slips would squeeze it out.
+            let by = rods[touch.rod].instrument;
+            let slips = strained.has_slipped(by.to_bits())
+                && grips.picks.of(by.to_bits()).is_some()
+                // The first rod of an instrument is its shaft.
+                && rods.iter().position(|rod| rod.instrument == by) != Some(touch.rod);
+            !(stays || is_cut || slips || touch.nodes.iter().any(is_led))
         });
         if let Some(slow_side) = &mut self.slow_side {
             let mut given = std::mem::take(&mut inputs.given);
@@ -487,11 +508,17 @@ impl<M: SoftMethod> Body<M> {
             let told = collision(touch, rod, entity, force, site.world_from_body, tick.time);
             found.collisions.push(told);
         }
-        for pick in &self.grips.picks.picks {
+        let mut pulls = Vec::with_capacity(self.grips.picks.picks.len());
+        for (index, pick) in self.grips.picks.picks.iter().enumerate() {
             let held: Vec<u32> = pick.vertices.iter().map(|held| held.vertex).collect();
-            let pull = self.method.pull_by(&held);
+            let pull = self.inputs.jaws.pull(index, || self.method.pull_by(&held));
             found.pulled += pull.norm();
             found.collisions.extend(grip(&self.body, self.method.positions(), pick, &pull, &site));
+            pulls.push((pull, self.weight(pick)));
+        }
+        let picks = (&mut self.grips.picks, &self.inputs.jaws, &pulls[..]);
+        if self.strained.take(picks, &self.body, self.method.positions(), (scene, tick), out) {
+            out.put(entity, self.grips.clone());
         }
         if let Some(slow_side) = &mut self.slow_side {
             let (body, method) = (&self.body, &mut self.method);
@@ -500,11 +527,34 @@ impl<M: SoftMethod> Body<M> {
         }
     }
 
+    /// After a part of a tick: what has slipped in its jaws stays where it is now, relative to them.
+    fn slip(&mut self) {
+        let StepInputs { driven, jaws, .. } = &mut self.inputs;
+        let (forces, positions) = (self.method.grip_forces(), self.method.positions());
+        jaws.take(forces);
+        for driven in driven.iter_mut() {
+            if forces.get(driven.grip as usize).is_some_and(|by| by.slipped)
+                && let Some(position) = positions.get(driven.vertex as usize)
+            {
+                driven.position_in_body = *position;
+            }
+        }
+    }
+
+    /// Weight of what a grip holds \[N\]; without that of fixed vertices.
+    fn weight(&self, pick: &Pick) -> f64 {
+        let inverse = self.method.terms().map_or(&[][..], |terms| terms.masses_inverse);
+        let all = pick.vertices.iter().filter_map(|held| inverse.get(held.vertex as usize));
+        let mass: f64 = all.filter(|inverse| **inverse > 0.0).map(|inverse| inverse.recip()).sum();
+        mass * self.inputs.gravity.norm()
+    }
+
     /// Takes and releases vertices, and returns the prescribed positions of the held ones.
     fn hold(
         &mut self,
         site: &StepContext<'_>,
         touched: &[RodContact],
+        grips: &mut TickGrips,
         out: &mut Commands,
     ) -> Result<Vec<DrivenVertex>, String> {
         let parts = self.body.holdable();
@@ -518,9 +568,16 @@ impl<M: SoftMethod> Body<M> {
             |grips: &Grips| -> Vec<u64> { grips.picks.picks.iter().map(|p| p.instrument).collect() };
         let before_by = held_by(&self.grips);
         self.grips.picks.update(&parts, self.method.positions(), &jaws).map_err(|error| error.to_string())?;
+        for jaw in jaws.iter().filter(|jaw| self.strained.has_slipped(jaw.instrument)) {
+            self.grips.picks.take_more(&parts, self.method.positions(), jaw);
+        }
+        let new = self.grips.picks.picks.iter().filter(|pick| !before_by.contains(&pick.instrument));
+        new.for_each(|pick| crush(pick, &self.body, site.scene, out));
         if before != self.grips.picks.picks.len() || before_by != held_by(&self.grips) {
             out.put(self.body.entity, self.grips.clone());
         }
+        let pose = |of: u64| jaws.iter().find(|jaw| jaw.instrument == of).map(|jaw| jaw.body_from_instrument);
+        grips.begin(&self.grips.picks, &self.strained, site.scene, pose);
         let mut driven = self.grips.picks.driven(&jaws);
         driven.retain(|driven| !self.is_pinned[driven.vertex as usize]);
         Ok(driven)

@@ -8,6 +8,7 @@ use trocar_scene::{Access, Commands, Component, Entity, Snapshot, Tick};
 use super::Deformable;
 use super::bearing::rigid_response::RigidPresses;
 use super::instrument_rods::Rod;
+use super::jaw_friction::{GripForce, JawFriction};
 use super::rod_contact::{ContactSurface, RodContact};
 use crate::picking::DrivenVertex;
 
@@ -34,6 +35,8 @@ pub struct StepContext<'a> {
     pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices held by jaws, with their prescribed positions at the end of the tick; ascending, without anchored ones.
     pub driven: &'a [DrivenVertex],
+    /// The largest force of each grip on the body \[N\], by the number of its pick; infinite for one that is not watched.
+    pub grip_limits: &'a [f64],
 }
 
 impl StepContext<'_> {
@@ -41,6 +44,13 @@ impl StepContext<'_> {
     #[must_use]
     pub fn period_secs(&self) -> f64 {
         self.step_secs
+    }
+
+    /// The friction of the jaws; fills `grips` with the grip of each driven vertex.
+    pub fn jaw_friction<'b>(&'b self, grips: &'b mut Vec<u32>) -> JawFriction<'b> {
+        grips.clear();
+        grips.extend(self.driven.iter().map(|driven| driven.grip));
+        JawFriction { grips, limits: self.grip_limits }
     }
 }
 
@@ -137,6 +147,12 @@ pub trait SoftMethod: Send + Sized + 'static {
         _active: &[u32],
         _outlook: &mut StepPrediction,
     ) {
+    }
+
+    /// What the jaws of each watched grip did in the last step, by the number of its pick; those that are not watched
+    /// may be missing or zero. A method without it holds whatever the force.
+    fn grip_forces(&self) -> &[GripForce] {
+        &[]
     }
 
     /// The force of the body on the jaws that hold these vertices \[N\]; ascending.

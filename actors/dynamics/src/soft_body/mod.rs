@@ -6,6 +6,7 @@
 //! | interface of a method: input and results of a step | `method.rs` |
 //! | a body's state in the scene | `deformable.rs`, `pinned.rs`, `frozen.rs` |
 //! | instruments as rods, their contacts, grasps | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
+//! | what jaws hold by friction, and crush | `jaw_friction.rs` |
 //! | contacts that detectors find | `contact/` |
 //! | contact with the rigid bodies that move | `bearing/` |
 //! | the slower side of a coupling | `coupling/` |
@@ -18,6 +19,7 @@ pub mod deformable;
 pub mod frozen;
 pub mod grasp;
 pub mod instrument_rods;
+pub mod jaw_friction;
 pub mod jaws;
 pub mod method;
 pub mod pinned;
@@ -38,6 +40,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     trocar_scene::register_all!(builder;
         grasp::Grips, PinnedBody, contact::SoftContacts, contact::RigidContacts,
         coupling::CoupledBody, coupling::CouplingGiven, coupling::CouplingTaken,
+        jaw_friction::StrainedGrips, jaw_friction::Crushable,
     )?;
     Ok(())
 }

@@ -29,4 +29,4 @@ pub use constitutive::{Constitution, JACOBIAN_MIN};
 pub use incremental_potential::{Contact, Coupling, Inputs, Spring};
 pub use solver::DynamicFem;
 pub use stale_factor::Analysis;
-pub use state::DynamicFemState;
+pub use state::{DynamicFemState, Motion};

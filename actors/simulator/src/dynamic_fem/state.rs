@@ -27,7 +27,29 @@ pub struct DynamicFemState {
     pub factor_couplings: Vec<Coupling>,
 }
 
+/// Motion of the nodes between two steps, to take back a step that was only tried.
+#[derive(Clone, Debug, Default)]
+pub struct Motion {
+    positions: Vec<Point3<f64>>,
+    velocities: Vec<Vector3<f64>>,
+    accelerations: Vec<Vector3<f64>>,
+}
+
 impl DynamicFem {
+    /// Stores the motion of the nodes.
+    pub fn store(&self, motion: &mut Motion) {
+        motion.positions.clone_from(&self.positions);
+        motion.velocities.clone_from(&self.velocities);
+        motion.accelerations.clone_from(&self.accelerations);
+    }
+
+    /// Takes back the steps since a stored motion of the same nodes; the factor stays as it is.
+    pub fn take_back(&mut self, motion: &Motion) {
+        self.positions.clone_from(&motion.positions);
+        self.velocities.clone_from(&motion.velocities);
+        self.accelerations.clone_from(&motion.accelerations);
+    }
+
     /// The state.
     #[must_use]
     pub fn state(&self) -> DynamicFemState {

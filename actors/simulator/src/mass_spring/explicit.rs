@@ -26,9 +26,13 @@ impl MassSpring {
             self.explicit_part(part, f64::from(index) * part, input, &mut moving);
         }
         // Prescribed nodes end exactly at their target, without the rounding of the substeps.
-        for driven in input.prescribed {
-            self.scratch.next.positions[driven.node as usize] = driven.position;
+        for (place, driven) in input.prescribed.iter().enumerate() {
+            let watched = input.jaws.watched(place);
+            if !watched.is_some_and(|(grip, _)| self.scratch.grips[grip].slipped) {
+                self.scratch.next.positions[driven.node as usize] = driven.position;
+            }
         }
+        self.scratch.grips.iter_mut().for_each(|grip| grip.force /= dt);
         for force in &mut self.scratch.contact_forces {
             *force /= dt;
         }
@@ -63,6 +67,12 @@ impl MassSpring {
                 *velocity += (force * *mobility + input.gravity - *velocity * damping) * part;
             }
         }
+        if input.jaws.is_watching() {
+            self.hold(part, input);
+        }
+        let scratch = &mut self.scratch;
+        let velocities = &mut scratch.next.velocities;
+        let positions = &mut scratch.next.positions;
         // Friction stops or slows a slip and never reverses it: at rest it holds against any smaller pull.
         for ((contact, began), total) in
             input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)

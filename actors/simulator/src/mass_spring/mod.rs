@@ -11,6 +11,7 @@ mod error;
 mod explicit;
 mod forces;
 mod implicit;
+mod jaws;
 mod matrix;
 mod network;
 pub(crate) mod remesh;
@@ -32,6 +33,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::faulty::Faulty;
 use trocar_dynamics::particles::{State, StepError};
 use trocar_dynamics::soft_body::bearing::rigid_response::{RigidPresses, RigidResponse};
+use trocar_dynamics::soft_body::jaw_friction::{GripForce, JawFriction};
 
 use implicit::Implicit;
 pub use implicit::SheetFactor;
@@ -147,6 +149,8 @@ pub struct Input<'a> {
     pub contacts: &'a [Contact],
     /// Contacts with rigid bodies that move.
     pub rigid: RigidPresses<'a>,
+    /// How much the jaws hold that prescribe these positions.
+    pub jaws: JawFriction<'a>,
 }
 
 /// Statistics of a step.
@@ -193,6 +197,13 @@ struct Scratch {
     rigid: RigidResponse,
     rigid_touched: Vec<Vector3<f64>>,
     rigid_pressed: Vec<f64>,
+    /// What the jaws of each grip did.
+    grips: Vec<GripForce>,
+    /// Impulse that stops what they hold within a substep \[N·s\].
+    stopping: Vec<Vector3<f64>>,
+    /// Of implicit steps in which something slips: what does not, and all forces.
+    kept: Vec<Prescribed>,
+    given: Vec<NodeForce>,
 }
 
 impl MassSpring {
@@ -340,7 +351,7 @@ impl MassSpring {
         self.prepare(dt, input);
         let report = match self.config.integrator {
             Integrator::Explicit { too_large } => self.step_explicit(dt, input, too_large)?,
-            Integrator::Implicit { newton, .. } => self.step_implicit(dt, input, newton)?,
+            Integrator::Implicit { newton, .. } => self.step_held(dt, input, newton)?,
         };
         self.check_result()?;
         std::mem::swap(&mut self.state, &mut self.scratch.next);
@@ -378,12 +389,17 @@ impl MassSpring {
         scratch.next.velocities.clone_from(&self.state.velocities);
         scratch.mobility.clone_from(&self.mobility);
         scratch.driven.clear();
-        for driven in input.prescribed {
+        for (place, driven) in input.prescribed.iter().enumerate() {
             scratch.mobility[driven.node as usize] = 0.0;
             let velocity = (driven.position - self.state.positions[driven.node as usize]) / dt;
-            scratch.next.velocities[driven.node as usize] = velocity;
+            // Watched jaws have to stop what slips in them.
+            if input.jaws.watched(place).is_none() {
+                scratch.next.velocities[driven.node as usize] = velocity;
+            }
             scratch.driven.push(velocity);
         }
+        scratch.grips.clear();
+        scratch.grips.resize(input.jaws.limits.len(), GripForce::default());
         scratch.touched.clear();
         scratch.touched.extend(input.contacts.iter().map(|contact| contact.point(&self.state.positions)));
         scratch.contact_forces.clear();
@@ -460,6 +476,12 @@ impl MassSpring {
     #[must_use]
     pub fn rigid_forces(&self) -> &[f64] {
         &self.scratch.rigid.forces
+    }
+
+    /// What the jaws of each watched grip did in the last step.
+    #[must_use]
+    pub fn grip_forces(&self) -> &[GripForce] {
+        &self.scratch.grips
     }
 
     /// Force of each contact of the last step on the network, averaged over it, in the order of the input \[N\]: the

@@ -15,6 +15,7 @@ mod colouring;
 mod constraint;
 mod contact;
 pub(crate) mod island;
+mod jaws;
 pub(crate) mod remesh;
 mod rigid_contact;
 pub(crate) mod tetrahedra;
@@ -30,11 +31,13 @@ use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesStat
 use trocar_dynamics::faulty::Faulty;
 use trocar_dynamics::particles::{State, StepError};
 use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
+use trocar_dynamics::soft_body::jaw_friction::{GripForce, JawFriction};
 
 use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
 use colouring::Coloured;
 use constraint::{Constraint, Nodes};
 use contact::ContactState;
+use jaws::JawStates;
 use rigid_contact::RigidContactStates;
 use tetrahedra::{TetPack, Tets};
 
@@ -111,6 +114,8 @@ pub struct XpbdInput<'a> {
     pub parts_min: u32,
     /// External nodes of other bodies, and the ties to them.
     pub external_nodes: ExternalNodes<'a>,
+    /// How much the jaws hold that prescribe positions.
+    pub jaws: JawFriction<'a>,
 }
 
 /// The solver.
@@ -141,6 +146,7 @@ struct Scratch {
     contact_forces: Vec<Vector3<f64>>,
     external_nodes: ExternalNodesState,
     rigid: RigidContactStates,
+    jaws: JawStates,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<TetPack>,
@@ -330,6 +336,11 @@ impl Xpbd {
     pub fn rigid_forces(&self, dt: f64) -> impl Iterator<Item = f64> + '_ {
         self.scratch.rigid.impulses().iter().map(move |impulse| impulse / dt)
     }
+    /// What the jaws of each watched grip did in the last step.
+    #[must_use]
+    pub fn grip_forces(&self) -> &[GripForce] {
+        &self.scratch.jaws.forces
+    }
     /// Impulses on external nodes in the last step.
     #[must_use]
     pub fn external_nodes(&self) -> &GhostImpulses {
@@ -432,10 +443,16 @@ impl Xpbd {
         scratch.forces.clear();
         scratch.forces.resize(nodes, Vector3::zeros());
         input.forces.iter().for_each(|force| scratch.forces[force.node as usize] += force.force);
-        for driven in input.prescribed {
+        scratch.jaws.begin_step(input.jaws.limits);
+        for (place, driven) in input.prescribed.iter().enumerate() {
             let node = driven.node as usize;
+            let velocity = (driven.position - self.state.positions[node]) / dt;
+            if let Some((grip, _)) = input.jaws.watched(place).filter(|_| self.mobility[node] > 0.0) {
+                scratch.jaws.hold(driven.node, grip, &self.state.positions[node], velocity);
+                continue;
+            }
             scratch.places[node][3] = 0.0;
-            scratch.next.velocities[node] = (driven.position - self.state.positions[node]) / dt;
+            scratch.next.velocities[node] = velocity;
         }
         scratch.contacts.clear();
         let positions = &self.state.positions;
@@ -465,6 +482,7 @@ impl Xpbd {
         scratch.rate = nodes.rate;
         let mut nodes = nodes;
         scratch.rigid.begin(input.rigid.contacts, &mut nodes, &scratch.before, h);
+        scratch.jaws.begin(h);
         scratch.distances.reset(&self.distances.groups);
         scratch.bends.reset(&self.bends.groups);
         scratch.tets.reset(&self.tets.packs);
@@ -481,6 +499,7 @@ impl Xpbd {
             pressed.project(contact, &mut nodes, since, h);
         }
         scratch.rigid.project(input.rigid.contacts, &mut nodes, &scratch.before, h);
+        scratch.jaws.project(&mut nodes, input.jaws.limits, h);
     }
 
     /// End of a substep: velocities from displacements.
@@ -490,6 +509,7 @@ impl Xpbd {
             pressed.end(contact, h);
         }
         scratch.rigid.end(h);
+        scratch.jaws.end(&scratch.places, h);
         let velocities = &mut scratch.next.velocities;
         for ((velocity, place), before) in velocities.iter_mut().zip(&scratch.places).zip(&scratch.before) {
             if place[3] > 0.0 {
@@ -499,12 +519,15 @@ impl Xpbd {
     }
 
     fn finish(&mut self, dt: f64, input: &XpbdInput<'_>) -> Result<(), StepError> {
-        let Scratch { next, places, contacts, contact_forces, .. } = &mut self.scratch;
+        let Scratch { next, places, contacts, contact_forces, jaws, .. } = &mut self.scratch;
+        jaws.end_step(dt);
         for (position, place) in next.positions.iter_mut().zip(places.iter()) {
             *position = Point3::new(place[0], place[1], place[2]);
         }
-        for driven in input.prescribed {
-            next.positions[driven.node as usize] = driven.position;
+        for (place, driven) in input.prescribed.iter().enumerate() {
+            if !input.jaws.watched(place).is_some_and(|(grip, _)| jaws.forces[grip].slipped) {
+                next.positions[driven.node as usize] = driven.position;
+            }
         }
         let limit = self.config.speed_max;
         for (node, (position, velocity)) in next.positions.iter().zip(&next.velocities).enumerate() {

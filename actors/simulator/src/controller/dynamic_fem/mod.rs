@@ -1,6 +1,7 @@
 //! The controller of dynamic finite elements: soft volumes with inertia.
 
 pub(crate) mod factor_job;
+mod jaws;
 pub mod saved_state;
 
 use nalgebra::{Point3, Vector3};
@@ -8,6 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::instrument_rods::Rod;
+use trocar_dynamics::soft_body::jaw_friction::GripForce;
 use trocar_dynamics::soft_body::method::{
     ContactParams, Measures, StepContext, StepPrediction, SurfaceChange, bearing_stiffness,
 };
@@ -23,6 +25,7 @@ use super::cutting::volume::{Elements, FailureCriteria, Split};
 use super::thermal_damage::{CoagulatedElement, ThermalDamage};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use factor_job::{Built, Former};
+use jaws::JawStep;
 use saved_state::DynamicFemMemory;
 
 /// Consecutive unconverged steps after which a body counts as doubtful: an impact takes a few.
@@ -219,6 +222,8 @@ pub struct DynamicFemMethod {
     bearing_stiffness: f64,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
+    forces: Vec<(u32, Vector3<f64>)>,
+    jaws: JawStep,
     /// Report of the last step.
     report: Option<Report>,
     /// Unconverged steps: consecutive ones up to the last step, and all since the start.
@@ -237,7 +242,7 @@ impl SoftMethod for DynamicFemMethod {
         let mobility = mobility(&solver, body);
         let mut of = Solver { kind: *kind, solver, memory, ready: None };
         of.resume(body, &heated);
-        let (contacts, prescribed) = (Vec::new(), Vec::new());
+        let (contacts, prescribed, forces, jaws) = Default::default();
         let bearing_stiffness = bearing_stiffness(kind.contact_stiffness, kind.young_modulus, body);
         Ok(Self {
             of,
@@ -246,6 +251,8 @@ impl SoftMethod for DynamicFemMethod {
             bearing_stiffness,
             contacts,
             prescribed,
+            forces,
+            jaws,
             report: None,
             unsolved: [0; 2],
         })
@@ -322,8 +329,14 @@ impl SoftMethod for DynamicFemMethod {
         self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.of.kind)));
         self.prescribed.clear();
         self.prescribed.extend(site.driven.iter().map(|driven| (driven.vertex, driven.position_in_body)));
-        let inputs = inputs(&self.contacts, &self.prescribed, site);
-        let report = self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
+        self.forces.clear();
+        self.forces.extend_from_slice(site.forces);
+        let watches = self.jaws.begin(&self.of.solver, site);
+        let mut report = self.solve(site)?;
+        if watches && self.jaws.slips(&self.of.solver, site, &mut self.prescribed, &mut self.forces) {
+            self.of.solver.take_back(&self.jaws.before);
+            report = self.solve(site)?;
+        }
         self.report = Some(report);
         let [row, all] = self.unsolved;
         self.unsolved = if report.solved { [0, all] } else { [row.saturating_add(1), all.saturating_add(1)] };
@@ -342,10 +355,15 @@ impl SoftMethod for DynamicFemMethod {
         outlook: &mut StepPrediction,
     ) {
         let (solver, dt) = (&mut self.of.solver, site.period_secs());
-        solver.expected(dt, &inputs(&self.contacts, &self.prescribed, site), &mut outlook.expected);
+        let inputs = inputs((&self.contacts, &self.prescribed, &self.forces), site);
+        solver.expected(dt, &inputs, &mut outlook.expected);
         outlook.yielding = solver.yielding(dt, active);
         outlook.masses.clear();
         outlook.masses.extend_from_slice(solver.masses());
+    }
+
+    fn grip_forces(&self) -> &[GripForce] {
+        &self.jaws.grips
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
@@ -374,6 +392,12 @@ impl SoftMethod for DynamicFemMethod {
 }
 
 impl DynamicFemMethod {
+    /// Steps the solver.
+    fn solve(&mut self, site: &StepContext<'_>) -> Result<Report, String> {
+        let inputs = inputs((&self.contacts, &self.prescribed, &self.forces), site);
+        self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())
+    }
+
     fn validity_warning(&self) -> String {
         let residual = self.report.map_or(0.0, |report| report.residual);
         let inverted = self.report.and_then(|report| Some((report.inverted, report.first_inverted?)));
@@ -403,16 +427,15 @@ fn mobility(solver: &DynamicFem, body: &Deformable) -> Vec<f64> {
 /// Steps every body that carries [`DynamicFemBody`].
 pub type DynamicFemController = SoftController<DynamicFemMethod>;
 
-fn inputs<'a>(
-    contacts: &'a [Contact],
-    prescribed: &'a [(u32, Point3<f64>)],
-    site: &StepContext<'a>,
-) -> Inputs<'a> {
+/// What acts on a body: contacts, prescribed positions \[m\] and forces \[N\] of nodes.
+type Acting<'a> = (&'a [Contact], &'a [(u32, Point3<f64>)], &'a [(u32, Vector3<f64>)]);
+
+fn inputs<'a>((contacts, prescribed, forces): Acting<'a>, site: &StepContext<'a>) -> Inputs<'a> {
     Inputs {
         acceleration: site.gravity,
         contacts,
         prescribed,
-        forces: site.forces,
+        forces,
         rigid: site.rigid,
         ..Inputs::default()
     }

@@ -42,7 +42,7 @@ impl LinearFemController {
                 }
                 let OnOrgan { mut bearings, presses, rigid } = found.next().unwrap_or_default();
                 let rigid = RigidPresses { bodies: &rigid, contacts: &presses };
-                match of.step(step, rigid, scene, tick) {
+                match of.step(step, rigid, scene, tick, out) {
                     Ok(()) => of.bear(&mut bearings, &borne, step, &mut moved),
                     Err(why) => of.freeze(&why, tick, out),
                 }

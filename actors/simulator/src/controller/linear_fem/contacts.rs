@@ -14,7 +14,7 @@ use trocar_dynamics::soft_body::grasp::Holder;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
 use trocar_dynamics::soft_body::method::StepContext;
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact, touches};
-use trocar_scene::{Component, Entity};
+use trocar_scene::{Commands, Component, Entity};
 
 use super::Body;
 use crate::linear_fem::{Attachment, Hold, LinearFemError, patch};
@@ -89,6 +89,7 @@ impl Body {
     pub(crate) fn collect_constraints(
         &mut self,
         site: &StepContext<'_>,
+        out: &mut Commands,
     ) -> Result<Vec<ConstraintReaction>, String> {
         let rods = site.rods;
         let triangles = self.body.triangles.clone();
@@ -103,7 +104,7 @@ impl Body {
         touches(rods, &skin, 0.0, &mut touched);
         let holders = Holder::all(site, &touched, &triangles);
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
-        self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
+        self.hold(&jaws, site, out)?;
         let mut answers = Vec::new();
         self.pins.record_points(site.scene, site.world_from_body);
         let altered = self.divisible.as_ref().map(|(_, altered)| altered);

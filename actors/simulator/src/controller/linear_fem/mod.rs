@@ -11,6 +11,7 @@ pub(crate) mod blend;
 pub(crate) mod contacts;
 pub(crate) mod embedded_points;
 pub(crate) mod inverse_job;
+mod jaws;
 pub(crate) mod topology_change;
 pub(crate) mod warm_start;
 
@@ -29,6 +30,7 @@ use trocar_dynamics::soft_body::contact::SoftContacts;
 use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
+use trocar_dynamics::soft_body::jaw_friction::{Crushable, StrainedGrips, TickGrips};
 use trocar_dynamics::soft_body::jaws::is_blade;
 use trocar_dynamics::soft_body::method::{Measures, StepContext, bearing_stiffness, finite_vertices};
 use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, RodContact, collision};
@@ -126,6 +128,8 @@ pub(super) struct Body {
     progress: Arc<AtomicU64>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) grips: Grips,
+    strained: StrainedGrips,
+    pub(super) jaws: TickGrips,
     pub(super) pins: Pins,
     /// Points that rods pressed on in the last tick.
     pub(super) contacts: Contacts,
@@ -193,6 +197,8 @@ impl Controller for LinearFemController {
             .reads::<Velocity>()
             .reads::<Instrument>()
             .reads::<JawState>()
+            .reads::<Crushable>()
+            .writes::<StrainedGrips>(EntitySet::Of(bodies.clone()))
             .writes::<OutOfValidity>(EntitySet::Of(bodies.clone()))
             .reads::<PinnedBody>()
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
@@ -248,6 +254,7 @@ fn site<'a>(
         rigid,
         forces: &[],
         driven: &[],
+        grip_limits: &[],
     }
 }
 
@@ -283,6 +290,8 @@ impl Body {
             progress: Arc::default(),
             positions: body.positions.to_vec(),
             grips: scene.get::<Grips>(entity).cloned().unwrap_or_default(),
+            strained: scene.get::<StrainedGrips>(entity).cloned().unwrap_or_default(),
+            jaws: TickGrips::default(),
             contacts: scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
             borne: scene.get::<SoftContacts>(entity).cloned().unwrap_or_default(),
             mobility: is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }).collect(),
@@ -326,10 +335,11 @@ impl Body {
         rigid: RigidPresses<'_>,
         scene: &Snapshot,
         tick: &Tick<'_>,
+        out: &mut Commands,
     ) -> Result<(), String> {
         let (rods, world_from_body) = (std::mem::take(&mut self.rods), self.world_from_body);
         let site = StepContext { step_secs, ..site(scene, tick, &world_from_body, &rods, rigid) };
-        let done = self.react(&site);
+        let done = self.react(&site, out);
         self.rods = rods;
         self.answers = done?;
         let bad = self.answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
@@ -337,11 +347,15 @@ impl Body {
     }
 
     /// The reactions of a step.
-    fn react(&mut self, site: &StepContext<'_>) -> Result<Vec<ConstraintReaction>, String> {
+    fn react(
+        &mut self,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<Vec<ConstraintReaction>, String> {
         if self.solver.is_none() {
             return Ok(self.bear_undeformed(site));
         }
-        let mut answers = self.collect_constraints(site)?;
+        let mut answers = self.collect_constraints(site, out)?;
         self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
         let mut asked = 0;
         for _ in 0..ROUNDS_MAX {
@@ -353,6 +367,8 @@ impl Body {
                 break;
             }
         }
+        self.slip(&mut answers).map_err(|error| error.to_string())?;
+        self.keep_slipped(&answers, site, out);
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
         finite_vertices(&self.positions, &[])?;
         Ok(answers)
@@ -614,6 +630,9 @@ impl Body {
         values.insert(format!("{name}.beyond_linear"), flag(self.beyond));
         let held: usize = self.grips.picks.picks.iter().map(|pick| pick.vertices.len()).sum();
         values.insert(format!("{name}.held_vertices"), held as f64);
+        if let Some(slip) = self.strained.slip_max() {
+            values.insert(format!("{name}.jaw_slip_m"), slip);
+        }
         values.insert(format!("{name}.kept_constraints"), self.holding.kept() as f64);
         if !self.pins.pins.is_empty() {
             values.insert(format!("{name}.pinned_force_n"), driven_in);

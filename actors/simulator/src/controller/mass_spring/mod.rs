@@ -6,6 +6,7 @@ pub mod factor_job;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::jaw_friction::GripForce;
 use trocar_dynamics::soft_body::method::{
     ContactParams, Measures, StepContext, SurfaceChange, bearing_stiffness,
 };
@@ -166,6 +167,7 @@ pub struct MassSpringMethod {
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
     forces: Vec<NodeForce>,
+    grips: Vec<u32>,
     /// Stiffness of each contact with a rigid body that moves \[N/m\].
     bearing_stiffness: f64,
     /// Largest safe step of the last tick, contacts included \[s\]: longer steps are divided.
@@ -297,7 +299,7 @@ impl SoftMethod for MassSpringMethod {
             }
             _ => kind.contact_stiffness,
         };
-        let (contacts, prescribed, forces) = Default::default();
+        let (contacts, prescribed, forces, grips) = Default::default();
         let factor = FactorKeeper::new(scene.get::<SpringFactor>(body.entity));
         let (is_warped, solved) = (None, (0, 0.0));
         Ok(Self {
@@ -305,6 +307,7 @@ impl SoftMethod for MassSpringMethod {
             contacts,
             prescribed,
             forces,
+            grips,
             bearing_stiffness,
             safe_step,
             solved,
@@ -391,6 +394,7 @@ impl SoftMethod for MassSpringMethod {
             contacts: &self.contacts,
             prescribed: &self.prescribed,
             rigid: site.rigid,
+            jaws: site.jaw_friction(&mut self.grips),
         };
         let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         self.safe_step = report.safe_step;
@@ -400,6 +404,10 @@ impl SoftMethod for MassSpringMethod {
         let rigid = site.rigid.contacts.iter().zip(self.of.solver.rigid_forces());
         forces.extend(rigid.map(|(contact, force)| contact.normal * *force));
         Ok(())
+    }
+
+    fn grip_forces(&self) -> &[GripForce] {
+        self.of.solver.grip_forces()
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {

@@ -92,6 +92,7 @@ impl LyingOn {
             rigid: RigidPresses::default(),
             forces: &[],
             driven: &[],
+            grip_limits: &[],
         };
         self.partner.follow(&site)?;
         self.partner.receive(thread, &site)?;

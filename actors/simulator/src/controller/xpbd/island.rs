@@ -5,6 +5,7 @@ use trocar_dynamics::coupling::external_nodes::{
     ExternalNodes, ExternalNodesState, GhostImpulses, GhostNode, NodeContact, Tie,
 };
 use trocar_dynamics::particles::StepError;
+use trocar_dynamics::soft_body::jaw_friction::JawFriction;
 use trocar_dynamics::soft_body::method::Step;
 
 use super::XpbdMethod;
@@ -149,11 +150,14 @@ fn step_all(
     let mut members: Vec<Member<'_>> = steps
         .iter_mut()
         .map(|step| {
-            let XpbdMethod { of, contacts, prescribed, forces, bearing_substep, .. } = &mut *step.method;
+            let XpbdMethod { of, contacts, prescribed, forces, grips, bearing_substep, .. } =
+                &mut *step.method;
+            let jaws = JawFriction { grips, limits: step.site.grip_limits };
             let gravity: Vector3<f64> = step.site.gravity;
             let (rigid, external_nodes) = (step.site.rigid, ExternalNodes::default());
             let parts_min = if rigid.contacts.is_empty() { 0 } else { (dt / *bearing_substep).ceil() as u32 };
-            let input = XpbdInput { gravity, forces, contacts, prescribed, rigid, parts_min, external_nodes };
+            let input =
+                XpbdInput { gravity, forces, contacts, prescribed, rigid, parts_min, external_nodes, jaws };
             Member { body: &mut of.solver, input }
         })
         .collect();

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::jaw_friction::GripForce;
 use trocar_dynamics::soft_body::method::{
     ContactParams, Measures, Step, StepContext, SurfaceChange, bearing_stiffness, bearing_substep,
     pressure_wave_squared,
@@ -368,6 +369,7 @@ pub struct XpbdMethod {
     pub(super) contacts: Vec<Contact>,
     pub(super) prescribed: Vec<Prescribed>,
     pub(super) forces: Vec<NodeForce>,
+    pub(super) grips: Vec<u32>,
     /// Forces of ties to bodies in the same island, on its vertices in the last step \[N\].
     pub(super) tied: Vec<(u32, Vector3<f64>)>,
     pub(super) island: ExternalNodesState,
@@ -385,6 +387,7 @@ impl XpbdMethod {
             .iter()
             .map(|driven| Prescribed { node: driven.vertex, position: driven.position_in_body });
         self.prescribed.extend(driven);
+        site.jaw_friction(&mut self.grips);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         match &mut self.coupled {
@@ -443,7 +446,7 @@ impl SoftMethod for XpbdMethod {
         of.alter(&heated.coagulated)?;
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = FastSide::new(body, thickness, scene)?;
-        let (contacts, prescribed, forces, tied, island) = Default::default();
+        let (contacts, prescribed, forces, grips, tied, island) = Default::default();
         let bearing_stiffness = match kind.matter {
             Matter::Volume { young_modulus, .. } => {
                 bearing_stiffness(kind.contact_stiffness, young_modulus, body)
@@ -461,6 +464,7 @@ impl SoftMethod for XpbdMethod {
             contacts,
             prescribed,
             forces,
+            grips,
             tied,
             island,
         })
@@ -574,6 +578,10 @@ impl SoftMethod for XpbdMethod {
         if let Some(coupled) = &self.coupled {
             coupled.publish(body.entity, out);
         }
+    }
+
+    fn grip_forces(&self) -> &[GripForce] {
+        self.of.solver.grip_forces()
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
