@@ -23,6 +23,7 @@ use super::contact::{BorneContact, SoftContacts};
 use super::coupling::slow_side::SlowSide;
 use super::frozen::{FrozenPart, RejectedBody};
 use super::grasp::{Grips, Holder};
+use super::held_back::HeldBack;
 use super::instrument_rods::{Rod, rods_of_all};
 use super::jaw_friction::{Crushable, StrainedGrips, TickGrips, crush};
 use super::jaws::is_blade;
@@ -37,6 +38,7 @@ struct Body<M> {
     is_pinned: Vec<bool>,
     grips: Grips,
     strained: StrainedGrips,
+    held_back: HeldBack,
     /// State of the slower side of a coupling, if others are coupled with it.
     slow_side: Option<SlowSide>,
     frozen: bool,
@@ -154,7 +156,8 @@ impl<M: SoftMethod> SoftController<M> {
     }
 
     /// Finds the contacts of its bodies with rigid ones that move, and makes them part of the bodies' next step.
-    fn press(&mut self, borne: &[BorneBody]) -> Vec<Bearing> {
+    /// In a tick that is divided for them, instruments are not held back.
+    fn press(&mut self, borne: &[BorneBody], is_divided: bool) -> Vec<Bearing> {
         let Self { bodies, bearings, .. } = self;
         let answering: Vec<usize> = (0..bodies.len())
             .filter(|&at| !bodies[at].frozen && bodies[at].method.terms().is_some())
@@ -167,6 +170,9 @@ impl<M: SoftMethod> SoftController<M> {
             inputs.given.truncate(inputs.given_before);
         }
         if borne.is_empty() {
+            if !is_divided {
+                answering.iter().for_each(|&at| bodies[at].press_instruments());
+            }
             return Vec::new();
         }
         let bearers: Vec<Bearer<'_>> = answering.iter().filter_map(|&at| bodies[at].bearer()).collect();
@@ -190,6 +196,9 @@ impl<M: SoftMethod> SoftController<M> {
             let inputs = &mut bodies[at].inputs;
             (inputs.presses, inputs.rigid) = (presses, rigid);
             inputs.given.extend(rubbed);
+            if !is_divided {
+                bodies[at].press_instruments();
+            }
         }
         found
     }
@@ -221,7 +230,15 @@ impl<M: SoftMethod> SoftController<M> {
                 }
             }
         }
-        for (of, kept) in bodies.iter_mut().zip(kept) {
+        for ((of, kept), from) in bodies.iter_mut().zip(kept).zip(next) {
+            if !of.frozen {
+                let step = of.inputs.step_secs;
+                let stopping = of.inputs.forces.get(from..).unwrap_or_default();
+                of.held_back.end_step(stopping, step);
+                let added: Vec<(usize, Vector3<f64>)> =
+                    of.held_back.stopping(stopping).map(|(touch, force)| (touch, *force)).collect();
+                added.into_iter().for_each(|(touch, force)| of.inputs.forces[touch] += force);
+            }
             of.inputs.forces.truncate(of.inputs.touches.len());
             if !(kept.is_empty() && of.contacts.borne.is_empty()) {
                 if let Some(terms) = of.method.terms()
@@ -255,6 +272,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
+        let access = HeldBack::access(access, &bodies);
         let access = SlowSide::access(access, &self.registry, &bodies);
         let access = tracking::access(access, &self.registry);
         M::access(bearing::access(access, &bodies), &bodies)
@@ -283,7 +301,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                 let all = self.bodies.iter_mut().map(|of| &mut of.contacts);
                 all.for_each(|contacts| contacts.course.push(contacts.given_whole.clone()));
             }
-            let pressed = self.press(&borne);
+            let pressed = self.press(&borne, parts > 1);
             let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
             let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
             M::step_all(&mut steps);
@@ -406,6 +424,7 @@ impl<M: SoftMethod> Body<M> {
             is_pinned,
             grips,
             strained,
+            held_back: HeldBack::resume(scene, entity),
             slow_side,
             frozen,
             inputs,
@@ -442,6 +461,7 @@ impl<M: SoftMethod> Body<M> {
         inputs.driven.clear();
         inputs.given.clear();
         rods_of_all(scene, &inputs.world_from_body, &mut inputs.rods);
+        self.held_back.begin(scene, entity, &inputs.world_from_body, &mut inputs.rods);
         let reshaped = self.method.reshape(&mut self.body, &inputs.site(scene, tick), out)?;
         if let Some(reshaped) = reshaped {
             self.is_pinned = self.body.stays();
@@ -470,6 +490,10 @@ impl<M: SoftMethod> Body<M> {
                 && rods.iter().position(|rod| rod.instrument == by) != Some(touch.rod);
             !(stays || is_cut || slips || touch.nodes.iter().any(is_led))
         });
+        let holds = |instrument: Entity| self.grips.picks.of(instrument.to_bits()).is_some();
+        let skin = self.method.contact_surface(&self.body);
+        let found = (&inputs.touches[..], &inputs.rods[..]);
+        self.held_back.find(found, &skin, self.method.velocities(), period, holds);
         if let Some(slow_side) = &mut self.slow_side {
             let mut given = std::mem::take(&mut inputs.given);
             slow_side.take(&inputs.site(scene, tick), self.method.velocities(), &mut given);
@@ -477,6 +501,12 @@ impl<M: SoftMethod> Body<M> {
         }
         self.inputs = inputs;
         Ok(())
+    }
+
+    /// Makes the contacts that stop instruments part of the next step.
+    fn press_instruments(&mut self) {
+        let StepInputs { presses, rigid, step_secs, .. } = &mut self.inputs;
+        self.held_back.press(*step_secs, presses, rigid);
     }
 
     fn ready<'a>(&'a mut self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> Step<'a, M> {
@@ -495,6 +525,7 @@ impl<M: SoftMethod> Body<M> {
     fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut TickContacts, out: &mut Commands) {
         let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
+        self.held_back.end(entity, &self.inputs.world_from_body, tick.time, out);
         let site = self.inputs.site(scene, tick);
         self.method.publish(&self.body, &site, out);
         for (touch, force) in site.touches.iter().zip(&self.inputs.forces) {

@@ -7,6 +7,7 @@
 //! | a body's state in the scene | `deformable.rs`, `pinned.rs`, `frozen.rs` |
 //! | instruments as rods, their contacts, grasps | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
 //! | what jaws hold by friction, and crush | `jaw_friction.rs` |
+//! | instruments that hands lead, held back | `held_back.rs` |
 //! | contacts that detectors find | `contact/` |
 //! | contact with the rigid bodies that move | `bearing/` |
 //! | the slower side of a coupling | `coupling/` |
@@ -18,6 +19,7 @@ pub mod coupling;
 pub mod deformable;
 pub mod frozen;
 pub mod grasp;
+pub mod held_back;
 pub mod instrument_rods;
 pub mod jaw_friction;
 pub mod jaws;

@@ -5,6 +5,7 @@ mod contact;
 mod frozen;
 mod frozen_fluids;
 mod grasp;
+mod held_back;
 mod jaw_friction;
 mod mesh_fit;
 mod picking;

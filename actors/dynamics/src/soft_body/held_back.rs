@@ -1,0 +1,271 @@
+//! Instruments that hands lead, as a soft body holds them back: none passes through it.
+//!
+//! Up to a share of the distance between a rod's axis and the surface it touches, a contact is the spring of the body's
+//! `contact_stiffness`, and the instrument stands where its hand leads it. Deeper, a much harder one stops the instrument:
+//! a mass that its hand draws on by a coupling of bounded force (virtual coupling: Colgate, Stanley, Brown 1995), and whose
+//! motion is solved together with the body's, as that of a rigid body which the soft one bears. It moves without turning:
+//! the hand holds its direction.
+//!
+//! Only instruments with an [`InstrumentDeflection`] give way here: others are moved by a world of rigid bodies.
+
+use nalgebra::{Isometry3, Matrix3, Vector3};
+use trocar_scene::{Access, Commands, Entity, EntitySet, Instrument, SimTime, Snapshot, Velocity};
+
+use super::bearing::rigid_response::{PlaneContact, RigidInStep};
+use super::instrument_rods::Rod;
+use super::rod_contact::{ContactSurface, RodContact};
+use crate::instrument::deflection::{InstrumentDeflection, InstrumentYield, InstrumentYields};
+use crate::instrument::hand_coupling::HandCoupling;
+
+/// Depth from which on a contact stops an instrument, as a share of the distance from the rod's axis to the surface. The
+/// rest of it is the radius around which a sheet or a line bends: around a smaller one it slides off. Volumes do neither.
+const SOFT: f64 = 0.3;
+const SOFT_IN_VOLUME: f64 = 0.6;
+/// Further depth, as such a share, at which one contact alone bears all that a hand can draw with. Of several on a sheet or
+/// a line each is softer by the root of their number: some bear more than others.
+const HARD: f64 = 0.1;
+/// A displacement below this is over \[m\].
+const OVER: f64 = 1e-7;
+
+/// An instrument in the current tick, in the body's frame.
+#[derive(Clone, Copy, Debug)]
+struct Led {
+    instrument: Entity,
+    coupling: HandCoupling,
+    /// Its displacement from where its hand leads it \[m\], and the velocity of that \[m/s\].
+    offset: Vector3<f64>,
+    velocity: Vector3<f64>,
+    /// Its velocity in the scene, without that of this body's displacement \[m/s\].
+    speed: Vector3<f64>,
+    /// Force on it by the contacts that stop it, and of its coupling on the hand \[N\].
+    pushed: Vector3<f64>,
+    pulled: Vector3<f64>,
+    is_stopped: bool,
+}
+
+/// A contact that stops an instrument.
+#[derive(Clone, Copy, Debug)]
+struct Stop {
+    touch: usize,
+    led: usize,
+    plane: PlaneContact,
+}
+
+/// All of them, for one body.
+#[derive(Clone, Debug, Default)]
+pub struct HeldBack {
+    list: Vec<Led>,
+    stops: Vec<Stop>,
+    yields: InstrumentYields,
+    is_told: bool,
+}
+
+impl HeldBack {
+    /// Resumes from the scene.
+    #[must_use]
+    pub fn resume(scene: &Snapshot, body: Entity) -> Self {
+        let known = scene.get::<InstrumentYields>(body);
+        let is_told = known.is_some() || scene.iter::<Instrument>().next().is_none();
+        Self { yields: known.cloned().unwrap_or_default(), is_told, ..Self::default() }
+    }
+
+    /// What a controller with these bodies reads and writes for them.
+    #[must_use]
+    pub fn access(access: Access, bodies: &[Entity]) -> Access {
+        access.reads::<InstrumentDeflection>().writes::<InstrumentYields>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    /// Begins a tick: rods stand where this body has displaced their instruments to.
+    pub fn begin(
+        &mut self,
+        scene: &Snapshot,
+        body: Entity,
+        world_from_body: &Isometry3<f64>,
+        rods: &mut [Rod],
+    ) {
+        self.list.clear();
+        self.stops.clear();
+        let own = |of: &Vector3<f64>| world_from_body.rotation.inverse_transform_vector(of);
+        let mut entities: Vec<Entity> =
+            scene.iter::<InstrumentDeflection>().map(|(entity, _)| entity).collect();
+        entities.sort_unstable();
+        for entity in entities {
+            let (Some(told), Some(instrument)) =
+                (scene.get::<InstrumentDeflection>(entity), scene.get::<Instrument>(entity))
+            else {
+                continue;
+            };
+            let known = self.yields.of(entity);
+            let told_by = told.of(body);
+            // By this body, as its pose in the scene contains them.
+            let drawn = [own(&told_by.offset), own(&told_by.velocity)];
+            let offset = known.map_or_else(Vector3::zeros, |known| own(&known.offset));
+            let velocity = known.map_or_else(Vector3::zeros, |known| own(&known.velocity));
+            let moving = scene.get::<Velocity>(entity).copied().unwrap_or_default();
+            self.list.push(Led {
+                instrument: entity,
+                coupling: HandCoupling::of(instrument, told.force_max),
+                offset,
+                velocity,
+                speed: own(&moving.linear) - drawn[1],
+                pushed: Vector3::zeros(),
+                pulled: Vector3::zeros(),
+                is_stopped: false,
+            });
+            if drawn == [offset, velocity] {
+                continue;
+            }
+            for rod in rods.iter_mut().filter(|rod| rod.instrument == entity) {
+                rod.ends.iter_mut().for_each(|end| *end += offset - drawn[0]);
+                rod.velocities.iter_mut().for_each(|speed| *speed += velocity - drawn[1]);
+            }
+        }
+    }
+
+    /// Finds the contacts that stop instruments in a step of `step` \[s\]; `passes` are those that do not: jaws that hold
+    /// the body.
+    pub fn find(
+        &mut self,
+        (touches, rods): (&[RodContact], &[Rod]),
+        skin: &ContactSurface<'_>,
+        velocities: &[Vector3<f64>],
+        step: f64,
+        passes: impl Fn(Entity) -> bool,
+    ) {
+        self.stops.clear();
+        let soft = if skin.closed { SOFT_IN_VOLUME } else { SOFT };
+        for (index, led) in self.list.iter_mut().enumerate() {
+            led.is_stopped = led.offset != Vector3::zeros() || led.velocity != Vector3::zeros();
+            if passes(led.instrument) {
+                continue;
+            }
+            let (first, was_stopped) = (self.stops.len(), led.is_stopped);
+            for (number, touch) in touches.iter().enumerate() {
+                let rod = &rods[touch.rod];
+                let reach = rod.radius + skin.thickness;
+                // A rod whose axis has crossed a sheet is in its hole, or carries it on its tip.
+                let is_through = !skin.closed && touch.depth > reach;
+                if rod.instrument != led.instrument || rod.is_open_jaw || is_through {
+                    continue;
+                }
+                let own = touch.nodes.iter().zip(touch.weights);
+                let body: Vector3<f64> =
+                    own.filter_map(|(&node, weight)| Some(velocities.get(node as usize)? * weight)).sum();
+                let depth = touch.depth.min(reach);
+                let nears = touch.normal.dot(&(touch.velocity - body)).max(0.0);
+                led.is_stopped |= depth + nears * step > soft * reach;
+                // Turning brings some parts of it nearer than others.
+                let turns = touch.normal.dot(&(touch.velocity - led.speed - led.velocity));
+                let (stiffness, beyond) = (led.coupling.force_max / (HARD * reach), depth - soft * reach);
+                let plane = PlaneContact {
+                    nodes: touch.nodes,
+                    weights: touch.weights,
+                    normal: touch.normal,
+                    depth: beyond + turns * step,
+                    stiffness,
+                    body: 0,
+                    arm: Vector3::zeros(),
+                    force: if was_stopped { stiffness * beyond.max(0.0) } else { 0.0 },
+                };
+                self.stops.push(Stop { touch: number, led: index, plane });
+            }
+            if !led.is_stopped {
+                self.stops.truncate(first);
+            }
+            let own = &mut self.stops[first..];
+            let presses = |stop: &&Stop| touches[stop.touch].depth > 0.0;
+            let softer = (own.iter().filter(presses).count().max(1) as f64).sqrt();
+            for stop in own.iter_mut().filter(|_| !skin.closed) {
+                stop.plane.stiffness /= softer;
+                stop.plane.force /= softer;
+            }
+        }
+    }
+
+    /// Adds them to a step of `step` \[s\].
+    pub fn press(&self, step: f64, presses: &mut Vec<PlaneContact>, bodies: &mut Vec<RigidInStep>) {
+        let mut last = None;
+        for stop in &self.stops {
+            if last != Some(stop.led) {
+                last = Some(stop.led);
+                bodies.push(self.list[stop.led].in_step(step));
+            }
+            presses.push(PlaneContact { body: bodies.len() as u32 - 1, ..stop.plane });
+        }
+    }
+
+    /// After a step, with the forces of its contacts on the body \[N\].
+    pub fn end_step(&mut self, forces: &[Vector3<f64>], step: f64) {
+        for (stop, force) in self.stops.iter().zip(forces) {
+            self.list[stop.led].pushed -= force;
+        }
+        self.list.iter_mut().filter(|led| led.is_stopped).for_each(|led| led.end_step(step));
+    }
+
+    /// The contacts that stop instruments, by the numbers of their touches, with these forces on the body \[N\].
+    pub fn stopping<'a>(
+        &'a self,
+        forces: &'a [Vector3<f64>],
+    ) -> impl Iterator<Item = (usize, &'a Vector3<f64>)> + 'a {
+        self.stops.iter().map(|stop| stop.touch).zip(forces)
+    }
+
+    /// Ends a tick: writes what has changed.
+    pub fn end(&mut self, body: Entity, world_from_body: &Isometry3<f64>, now: SimTime, out: &mut Commands) {
+        let world = |of: Vector3<f64>| world_from_body.rotation * of;
+        let told = |led: &Led| InstrumentYield {
+            instrument: led.instrument,
+            offset: world(led.offset),
+            velocity: world(led.velocity),
+            coupling_force: world(led.pulled),
+            contact_force: world(led.pushed),
+        };
+        let list: Vec<InstrumentYield> = self.list.iter().filter(|led| led.is_stopped).map(told).collect();
+        // One more when nothing is held back any longer; then nothing until something is.
+        self.is_told &= list.is_empty() && self.yields.list.is_empty();
+        if !self.is_told {
+            self.is_told = true;
+            self.yields = InstrumentYields { list, at: now };
+            out.put(body, self.yields.clone());
+            self.is_told = self.yields.list.is_empty();
+        }
+    }
+}
+
+impl Led {
+    /// The instrument in a step of `step` \[s\]: what its coupling adds to its inertia, and where it is drawn.
+    fn in_step(&self, step: f64) -> RigidInStep {
+        let free = self.free(step);
+        let (_, tangent) = self.coupling.needed([&self.offset, &self.velocity], &free, step);
+        let along = (self.offset + free).try_normalize(0.0).unwrap_or_else(Vector3::x);
+        RigidInStep {
+            mass: along.dot(&(tangent * along)) * step * step,
+            // It does not turn, and no contact has a lever.
+            inertia: Matrix3::identity(),
+            velocity: [self.speed + self.velocity, Vector3::zeros()],
+            pull: [(free / step - self.velocity) / step, Vector3::zeros()],
+            own_step: 0.0,
+        }
+    }
+
+    /// Change of its displacement without contacts \[m\].
+    fn free(&self, step: f64) -> Vector3<f64> {
+        let none = (&Vector3::zeros(), &Matrix3::zeros());
+        self.coupling.change([&self.offset, &self.velocity], none, &Vector3::zeros(), step)
+    }
+
+    fn end_step(&mut self, step: f64) {
+        let by = self.coupling.change(
+            [&self.offset, &self.velocity],
+            (&self.pushed, &Matrix3::zeros()),
+            &Vector3::zeros(),
+            step,
+        );
+        self.pulled = self.coupling.force(&self.offset, &by, step).0;
+        self.offset += by;
+        self.velocity = by / step;
+        if self.pushed == Vector3::zeros() && self.offset.norm() < OVER {
+            (self.offset, self.velocity) = (Vector3::zeros(), Vector3::zeros());
+        }
+    }
+}
