@@ -16,6 +16,7 @@ const JOINT_BOUNDS: cases::joints::JointBounds = cases::joints::JointBounds {
     energy: 1e-6,
     gap: 1e-12,
     gap_uneven: 1e-10,
+    whip: 0.005,
     angle: 1e-12,
     force: 1e-12,
     chain: 1e-10,

@@ -17,6 +17,7 @@ const JOINT_BOUNDS: cases::joints::JointBounds = cases::joints::JointBounds {
     energy: 0.07,
     gap: 1e-6,
     gap_uneven: 2e-4,
+    whip: 0.1,
     angle: 1e-5,
     force: 2e-5,
     chain: 1e-4,
