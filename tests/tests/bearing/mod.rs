@@ -2,6 +2,7 @@
 //! before the start.
 
 use trocar::app::SCENARIOS;
+use trocar::run::run;
 use trocar::session::forecast;
 use trocar_scene::scenario::Scenario;
 use trocar_test_support::thorough;
@@ -9,14 +10,14 @@ use trocar_tests::{app, finish, lockstep};
 
 /// The methods of soft volumes: controller and component, by Young's modulus \[Pa\] and density \[kg/m³\]; whether gravity
 /// acts on it, its Poisson's ratio, and the tolerated deviation from finite elements.
-const METHODS: [Method; 6] = [
+const METHODS: [Method; 5] = [
     Method {
         kind: "dynamic-fem",
         component: "dynamic_fem = { young_modulus = $E, poisson_ratio = $NU, density = $D }",
         weighs: true,
         nu: 0.4,
         within: 0.1,
-        rate_min: 0.0,
+        young_min: 0.0,
     },
     Method {
         kind: "linear-fem",
@@ -24,7 +25,7 @@ const METHODS: [Method; 6] = [
         weighs: false,
         nu: 0.4,
         within: 0.1,
-        rate_min: 0.0,
+        young_min: 0.0,
     },
     Method {
         kind: "xpbd",
@@ -32,7 +33,7 @@ const METHODS: [Method; 6] = [
         weighs: true,
         nu: 0.4,
         within: 0.25,
-        rate_min: 0.0,
+        young_min: 0.0,
     },
     Method {
         kind: "rapier-soft",
@@ -40,15 +41,7 @@ const METHODS: [Method; 6] = [
         weighs: true,
         nu: 0.4,
         within: 0.25,
-        rate_min: 0.0,
-    },
-    Method {
-        kind: "mass-spring",
-        component: "mass_spring = { method = \"implicit\", thickness = 0.0, springs = { volume = { young_modulus = $E, density = $D } } }",
-        weighs: true,
-        nu: 0.25,
-        within: 0.25,
-        rate_min: 150.0,
+        young_min: 0.0,
     },
     Method {
         kind: "mass-spring",
@@ -56,7 +49,7 @@ const METHODS: [Method; 6] = [
         weighs: true,
         nu: 0.25,
         within: 0.25,
-        rate_min: 0.0,
+        young_min: 1e5,
     },
 ];
 
@@ -67,8 +60,8 @@ struct Method {
     weighs: bool,
     nu: f64,
     within: f64,
-    /// Lowest rate at which it does so \[Hz\].
-    rate_min: f64,
+    /// Lowest Young's modulus at which it does so \[Pa\].
+    young_min: f64,
 }
 
 /// A block of 60 × 60 × 40 mm that is held below, and a brick of 24 × 24 × 20 mm 1 mm above it.
@@ -118,15 +111,22 @@ rate_hz = 100
     )
 }
 
-/// How deep the brick lies, and how far aside \[m\], with the number of warnings.
-fn rest(method: &Method, young: f64, mass: f64, rates: [f64; 2]) -> (f64, f64, usize) {
+/// How deep the brick lies, and how far aside \[m\], with the number of warnings; `None` where explicit springs refuse the
+/// step.
+fn rest(method: &Method, young: f64, mass: f64, rates: [f64; 2]) -> Option<(f64, f64, usize)> {
     let app = app();
     let text = brick_above_block(method, young, mass, rates);
     let scenario = Scenario::parse("brick.toml".as_ref(), &text, app.registry()).expect("valid");
-    let run = finish(&app, &scenario, &lockstep(1));
+    let run = match run(&app, &scenario, &lockstep(1), &mut |_| {}) {
+        Ok(run) => run,
+        Err(error) => {
+            assert!(method.component.contains("explicit"), "{error}");
+            return None;
+        }
+    };
     let values = &run.summary.task.metrics["outcome"];
     let aside = values["brick.x_m"].hypot(values["brick.y_m"]);
-    (0.05 - values["brick.z_m"], aside, run.summary.warnings.len())
+    Some((0.05 - values["brick.z_m"], aside, run.summary.warnings.len()))
 }
 
 /// How much a body may swing about its rest where the ticks of both controllers do not fit each other \[m\].
@@ -135,18 +135,18 @@ const SWING: f64 = 6e-5;
 #[test]
 fn a_brick_rests_as_deep_by_every_method_at_every_rate() {
     let cells: &[(f64, f64)] = if thorough() {
-        &[(8e3, 0.02), (3e4, 0.05), (3e4, 0.3), (1e5, 0.3), (1e6, 0.05), (1e6, 5.0)]
+        &[(8e3, 0.02), (3e4, 0.1), (1e5, 0.1), (1e5, 0.3), (1e6, 5.0)]
     } else {
-        &[(3e4, 0.1)]
+        &[(1e5, 0.1)]
     };
     let rates: &[f64] = if thorough() { &[10.0, 25.0, 60.0, 150.0, 300.0, 1000.0] } else { &[20.0, 150.0] };
     for &(young, mass) in cells {
-        for method in &METHODS {
+        for method in METHODS.iter().filter(|method| young >= method.young_min) {
             // The same mesh by finite elements, in short steps.
             let by = Method { component: METHODS[0].component, kind: METHODS[0].kind, ..*method };
-            let (known, ..) = rest(&by, young, mass, [1000.0, 1000.0]);
-            for &rate in rates.iter().filter(|rate| **rate >= method.rate_min) {
-                let (depth, aside, told) = rest(method, young, mass, [rate, 500.0]);
+            let (known, ..) = rest(&by, young, mass, [1000.0, 1000.0]).expect("finite elements");
+            for &rate in rates {
+                let Some((depth, aside, told)) = rest(method, young, mass, [rate, 500.0]) else { continue };
                 let case = format!("{}, {young} Pa, {mass} kg, {rate} Hz", method.component);
                 assert!(told <= 1, "{case}: {told} warnings");
                 if told == 0 {
