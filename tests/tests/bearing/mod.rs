@@ -132,6 +132,9 @@ fn rest(method: &Method, young: f64, mass: f64, rates: [f64; 2]) -> Option<(f64,
 /// How much a body may swing about its rest where the ticks of both controllers do not fit each other \[m\].
 const SWING: f64 = 6e-5;
 
+/// How far a brick may creep aside in two seconds \[m\].
+const ASIDE: f64 = 4e-3;
+
 #[test]
 fn a_brick_rests_as_deep_by_every_method_at_every_rate() {
     let cells: &[(f64, f64)] = if thorough() {
@@ -140,6 +143,7 @@ fn a_brick_rests_as_deep_by_every_method_at_every_rate() {
         &[(1e5, 0.1)]
     };
     let rates: &[f64] = if thorough() { &[10.0, 25.0, 60.0, 150.0, 300.0, 1000.0] } else { &[20.0, 150.0] };
+    let mut wrong = Vec::new();
     for &(young, mass) in cells {
         for method in METHODS.iter().filter(|method| young >= method.young_min) {
             // The same mesh by finite elements, in short steps.
@@ -148,15 +152,16 @@ fn a_brick_rests_as_deep_by_every_method_at_every_rate() {
             for &rate in rates {
                 let Some((depth, aside, told)) = rest(method, young, mass, [rate, 500.0]) else { continue };
                 let case = format!("{}, {young} Pa, {mass} kg, {rate} Hz", method.component);
-                assert!(told <= 1, "{case}: {told} warnings");
-                if told == 0 {
-                    let off = (depth - known).abs();
-                    assert!(off < method.within * known + SWING, "{case}: {depth} m, known {known} m");
-                    assert!(aside < 2e-3, "{case}: {aside} m aside");
+                let rests = (depth - known).abs() < method.within * known + SWING && aside < ASIDE;
+                if told > 1 || (told == 0 && !rests) {
+                    wrong.push(format!(
+                        "{case}: {depth} m, known {known} m, {aside} m aside, {told} warnings"
+                    ));
                 }
             }
         }
     }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
 /// A ball with a radius of 12 mm above a block that is 40 mm thick.
