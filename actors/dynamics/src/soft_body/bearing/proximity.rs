@@ -42,7 +42,7 @@ impl Approach<'_> {
     /// How near a point of the soft body is to be to be listed, by its velocity relative to the rigid body \[m\].
     fn reach(&self, at_in_body: &Point3<f64>, velocity: &Vector3<f64>) -> f64 {
         if self.seen.is_ahead {
-            // Seen without its fall, from which what it lies on may not bear it.
+            // The pose ahead of a body that was borne leaves out its weight. If nothing bears it now, it falls by so much.
             return FASTER * self.step * velocity.norm() + self.falls + MARGIN;
         }
         let world_from_body = &self.of.world_from_body;

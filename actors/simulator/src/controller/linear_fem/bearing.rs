@@ -22,8 +22,10 @@ impl LinearFemController {
         let period = tick.period.as_secs_f64();
         let given = bodies.iter().map(|of| (of.body.entity, &of.borne.given_whole[..]));
         let mut borne = bearings.borne_bodies(scene, (tick.time, period), gravity_in_world, given, false);
+        // An organ without mass has no velocities; nothing is made where no rigid body moves.
+        let still = |of: &Body| vec![Vector3::zeros(); of.positions.len()];
         let still: Vec<Vec<Vector3<f64>>> =
-            bodies.iter().map(|of| vec![Vector3::zeros(); of.positions.len()]).collect();
+            if borne.is_empty() { Vec::new() } else { bodies.iter().map(still).collect() };
         let parts =
             if borne.is_empty() { 1 } else { bearings.parts(&bearers(bodies, &still).1, &borne, period) };
         let step = period / f64::from(parts);
