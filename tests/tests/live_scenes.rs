@@ -31,10 +31,9 @@ fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
     let felt = |of: &trocar::run::RunOutcome, measure: &str| of.summary.task.metrics["outcome"][measure];
     for (measure, tolerance) in [
         ("hand.left.felt_stiffness_n_per_m.mean", 0.1),
-        // A hand stays on the membrane for few of its steps: which of them coincides with the turn of the stroke is
-        // chance as well, and changes the peak by a tenth.
         ("hand.right.felt_stiffness_n_per_m.mean", 0.15),
         ("organ.contact_force_n.largest", 0.1),
+        // Which of the membrane's steps coincides with the turn of the stroke is chance, and changes the peak by a tenth.
         ("membrane.contact_force_n.largest", 0.15),
     ] {
         let found = felt(&live, measure);

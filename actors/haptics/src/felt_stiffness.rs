@@ -12,6 +12,9 @@ const SPREAD_MIN: f64 = 2e-5;
 
 /// Speed above which damping dominates the force \[m/s\].
 const SPEED_MAX: f64 = 0.03;
+/// Speed below which the hand stands still \[m/s\]. What its force does then, as tissue that settles, says nothing of
+/// stiffness; and an estimator that forgot what the motion had told would soon be left with that alone.
+const SPEED_MIN: f64 = 5e-4;
 
 /// Estimates −dF/dx at the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +49,7 @@ impl FeltStiffness {
 
     /// Takes the handle's position \[m\], its velocity \[m/s\] and the force on the hand \[N\] of a tick of `dt` \[s\],
     /// all in the device's frame. Restarts when contact is made or the force rotates by more than about 25°; ignores
-    /// ticks while the hand is fast.
+    /// ticks while the hand is fast, and while it stands still.
     pub fn update(
         &mut self,
         position: &Vector3<f64>,
@@ -59,7 +62,7 @@ impl FeltStiffness {
             self.clear();
             return;
         }
-        if velocity.norm_squared() > SPEED_MAX * SPEED_MAX {
+        if !(SPEED_MIN..=SPEED_MAX).contains(&velocity.norm()) {
             return;
         }
         if self.weight == 0.0 || force.dot(&self.normal) < 0.9 * size {
@@ -86,13 +89,23 @@ impl FeltStiffness {
 mod tests {
     use super::*;
 
+    /// Length of a tick \[s\].
+    const DT: f64 = 1e-3;
+
+    /// Displacement \[m\] and speed \[m/s\] of a hand that swings by `amplitude` \[m\].
+    fn swing(tick: u32, amplitude: f64) -> (f64, f64) {
+        let phase = f64::from(tick) * 0.05;
+        (amplitude * phase.sin(), amplitude * phase.cos() * 0.05 / DT)
+    }
+
     #[test]
     fn a_spring_is_measured_and_forgotten_on_release() {
         let mut felt = FeltStiffness::new(0.2);
         let normal = Vector3::new(0.0, 0.6, 0.8);
         for tick in 0..500 {
-            let depth = 0.002 + 0.0005 * (f64::from(tick) * 0.05).sin();
-            felt.update(&(normal * -depth), &Vector3::zeros(), &(normal * depth * 800.0), 1e-3);
+            let (x, v) = swing(tick, 0.0005);
+            let depth = 0.002 + x;
+            felt.update(&(normal * -depth), &(normal * -v), &(normal * depth * 800.0), DT);
         }
         assert!((felt.value().unwrap() - 800.0).abs() < 1e-6);
         // A fast tick is ignored, whatever its force.
@@ -106,12 +119,31 @@ mod tests {
     fn a_constant_push_has_no_stiffness() {
         let mut felt = FeltStiffness::new(0.2);
         for tick in 0..500 {
-            let x = 0.001 * (f64::from(tick) * 0.05).sin();
-            felt.update(&Vector3::new(x, 0.0, 0.0), &Vector3::zeros(), &Vector3::new(1.0, 0.0, 0.0), 1e-3);
+            let (x, v) = swing(tick, 0.0005);
+            felt.update(&Vector3::new(x, 0.0, 0.0), &Vector3::new(v, 0.0, 0.0), &Vector3::x(), DT);
         }
         assert!(felt.value().unwrap().abs() < 1e-9);
         let mut still = FeltStiffness::new(0.2);
         still.update(&Vector3::zeros(), &Vector3::zeros(), &Vector3::x(), 1e-3);
         assert_eq!(still.value(), None);
+    }
+
+    /// A hand that has pressed and then stands for seconds, on tissue that relaxes and trembles.
+    #[test]
+    fn what_a_hand_that_stands_still_feels_is_no_stiffness() {
+        let mut felt = FeltStiffness::new(0.2);
+        let normal = Vector3::z();
+        for tick in 0..600 {
+            let depth = 0.003 + 1e-5 * f64::from(tick);
+            felt.update(&(normal * -depth), &(normal * -0.01), &(normal * depth * 200.0), DT);
+        }
+        let pressed = felt.value().unwrap();
+        assert!((pressed - 200.0).abs() < 1e-6, "{pressed}");
+        for tick in 0..3_000 {
+            let tremble = 1e-5 * (f64::from(tick) * 0.7).sin();
+            let force = 1.8 - 1e-4 * f64::from(tick) + 0.1 * (f64::from(tick) * 0.7).sin();
+            felt.update(&(normal * (-0.009 + tremble)), &(normal * 1e-4), &(normal * force), DT);
+        }
+        assert_eq!(felt.value(), Some(pressed));
     }
 }
