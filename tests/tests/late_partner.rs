@@ -150,7 +150,7 @@ const SAMPLE: [(&str, &[Cell]); 6] = [
             ("instruments", Late::Stall(2.0)),
         ],
     ),
-    ("band", &[("stomach", Late::Slow(5.0)), ("band", Late::Stall(0.2))]),
+    ("band", &[("stomach", Late::Slow(5.0)), ("band", Late::Slow(5.0)), ("band", Late::Stall(0.2))]),
     ("two-rates", &[("organ", Late::Slow(5.0)), ("membrane", Late::Stall(0.2))]),
     ("fem-liver", &[("liver", Late::Slow(5.0)), ("liver", Late::Stall(2.0)), ("trainee", Late::Kill)]),
     ("tube-loop", &[("thread", Late::Slow(5.0))]),

@@ -20,6 +20,7 @@ use super::bearing::{self, Bearer, Bearing, Bearings, BorneBody};
 use super::contact::penalty::{self, RespondingBody};
 use super::contact::tracking::{self, AdjacencyCache, Shape};
 use super::contact::{BorneContact, SoftContacts};
+use super::coupling::CoupledBody;
 use super::coupling::slow_side::SlowSide;
 use super::frozen::{FrozenPart, RejectedBody};
 use super::grasp::{Grips, Holder};
@@ -39,6 +40,8 @@ struct Body<M> {
     grips: Grips,
     strained: StrainedGrips,
     held_back: HeldBack,
+    /// The bodies with which it has grown together.
+    joined_with: Vec<Entity>,
     /// State of the slower side of a coupling, if others are coupled with it.
     slow_side: Option<SlowSide>,
     frozen: bool,
@@ -268,6 +271,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .reads::<Instrument>()
             .reads::<JawState>()
             .reads::<Crushable>()
+            .reads::<Grips>()
             .writes::<StrainedGrips>(EntitySet::Of(bodies.clone()))
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
@@ -425,6 +429,7 @@ impl<M: SoftMethod> Body<M> {
             grips,
             strained,
             held_back: HeldBack::resume(scene, entity),
+            joined_with: CoupledBody::joined_with(scene, entity),
             slow_side,
             frozen,
             inputs,
@@ -490,7 +495,12 @@ impl<M: SoftMethod> Body<M> {
                 && rods.iter().position(|rod| rod.instrument == by) != Some(touch.rod);
             !(stays || is_cut || slips || touch.nodes.iter().any(is_led))
         });
-        let holds = |instrument: Entity| self.grips.picks.of(instrument.to_bits()).is_some();
+        let grasps = |grips: &Grips, by: Entity| grips.picks.of(by.to_bits()).is_some();
+        // Jaws close on what has grown together as on one body.
+        let holds = |by: Entity| {
+            let mut others = self.joined_with.iter().filter_map(|other| scene.get::<Grips>(*other));
+            grasps(&self.grips, by) || others.any(|grips| grasps(grips, by))
+        };
         let skin = self.method.contact_surface(&self.body);
         let found = (&inputs.touches[..], &inputs.rods[..]);
         self.held_back.find(found, &skin, self.method.velocities(), period, holds);

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Entity, SimTime};
+use trocar_scene::{Component, ComponentError, Entity, SimTime, Snapshot};
 
 use crate::coupling::{GhostNodes, StickPoint};
 
@@ -82,6 +82,18 @@ pub struct CoupledBody {
 }
 
 impl CoupledBody {
+    /// The bodies that have grown onto this one, and those onto which it has grown.
+    #[must_use]
+    pub fn joined_with(scene: &Snapshot, body: Entity) -> Vec<Entity> {
+        let onto = |of: Entity| {
+            let all = scene.get::<Self>(of).into_iter().flat_map(|coupled| &coupled.with);
+            all.filter(|with| with.joined.is_some()).filter_map(|with| scene.find(&with.body))
+        };
+        let grown =
+            scene.iter::<Self>().map(|(other, _)| other).filter(|other| onto(*other).any(|it| it == body));
+        onto(body).chain(grown).collect()
+    }
+
     fn partners(&self) -> Vec<&str> {
         self.with.iter().map(|with| with.body.as_str()).collect()
     }
