@@ -155,9 +155,9 @@ pub(super) fn side(
     (joint, tie)
 }
 
-/// Contact of the needle with an instrument's rod, by the index of that obstacle: the first direction points from the rod
+/// Contact of the needle with an obstacle, by its index: the first direction points from it
 /// to the needle; `gap` along that, tangential displacement along the others.
-pub(super) fn rod(
+pub(super) fn obstacle(
     needle: &NeedleState,
     touching: &Point3<f64>,
     obstacle: usize,

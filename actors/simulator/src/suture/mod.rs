@@ -8,7 +8,7 @@
 //! | Needle and tissue as bodies coupled to the thread's island | `needle_tissue.rs` |
 //! | Contact of the needle's body and the thread with the tissue surface | `tissue_surface.rs` |
 //! | Contact of the thread with the needle | `needle_thread_contact.rs` |
-//! | Contact of the needle with instruments | `needle_instrument_contact.rs` |
+//! | Contact of the needle with instruments and rigid bodies | `needle_obstacle_contact.rs` |
 //! | Tip transitions: entry, passage, exit, withdrawal | `puncture.rs` |
 //! | Cutting and breaking the thread | `cut.rs` |
 //! | State kept from step to step | `state.rs` |
@@ -41,7 +41,7 @@ mod error;
 pub(crate) mod joints;
 mod material;
 pub mod needle;
-pub(crate) mod needle_instrument_contact;
+pub(crate) mod needle_obstacle_contact;
 pub(crate) mod needle_thread_contact;
 pub(crate) mod needle_tissue;
 pub(crate) mod puncture;

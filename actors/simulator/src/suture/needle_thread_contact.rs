@@ -35,7 +35,7 @@ pub(super) struct Strand {
     pub gap: f64,
 }
 
-fn chord_along(solid: &Solid, chord: usize) -> [f64; 2] {
+pub(super) fn chord_along(solid: &Solid, chord: usize) -> [f64; 2] {
     let length = solid.shape().length();
     [chord, chord + 1].map(|end| length * end as f64 / CHORDS as f64)
 }

@@ -8,7 +8,7 @@ use super::StepInputs;
 use super::joints::{self, Joint, JointPoint, Mobility, Pair};
 use super::material::Resistance;
 use super::needle::{NeedleState, Solid};
-use super::needle_instrument_contact::{self, Touch};
+use super::needle_obstacle_contact::NeedleTouches;
 use super::needle_thread_contact::{self, Strand};
 use super::state::{NeedleContact, StrandContact, SutureState, Tip};
 use super::tissue::{Tissue, TissueFeature};
@@ -42,7 +42,7 @@ pub(super) struct TieLayout {
     pub sides: usize,
     /// One per strand near the needle.
     pub strands: usize,
-    /// One per place where an instrument's rod touches the needle.
+    /// One per place where an instrument or a rigid body touches the needle.
     pub touches: usize,
 }
 
@@ -56,8 +56,8 @@ pub(super) struct Workspace {
     pub sites: Vec<JointPoint>,
     pub sides: Vec<NeedleSide>,
     pub strands: Vec<Strand>,
-    /// Places where rods may touch the needle; those that ties stand for, with the point in the world.
-    pub touches: Vec<Touch>,
+    /// Places where obstacles may touch the needle; those that ties stand for, with the point in the world.
+    pub touches: NeedleTouches,
     pub touched: Vec<(usize, Point3<f64>)>,
     /// Joints of all ties, in their order.
     pub joints: Vec<Joint>,
@@ -340,13 +340,12 @@ impl Sewing<'_> {
 impl CoupledBody for Sewing<'_> {
     fn begin(&mut self, dt: f64, motions: &[Motion]) {
         let (surface, passes) = (self.surface, self.surroundings.needle_passes);
-        needle_instrument_contact::near(
+        self.workspace.touches.find(
             self.solid,
             &self.start.needle,
             (self.obstacles, motions),
             |index| index != surface && !passes.contains(&index),
             dt,
-            &mut self.workspace.touches,
         );
     }
 
@@ -361,8 +360,7 @@ impl CoupledBody for Sewing<'_> {
     fn stops(&self, way: [&[Point3<f64>]; 2], motions: &[Motion]) -> Option<usize> {
         let needle = self.workspace.needle?;
         let both = [&self.start.needle, &needle];
-        let touches = &self.workspace.touches;
-        if needle_instrument_contact::passes(self.solid, both, (self.obstacles, motions), touches) {
+        if self.workspace.touches.passes(self.solid, both, (self.obstacles, motions)) {
             return Some(0);
         }
         let material = self.thread?;
@@ -423,11 +421,11 @@ impl CoupledBody for Sewing<'_> {
         }
         self.workspace.layout.touches = ties.len();
         self.workspace.touched.clear();
-        for index in 0..self.workspace.touches.len() {
-            let touch = self.workspace.touches[index];
+        for index in 0..self.workspace.touches.list.len() {
+            let touch = self.workspace.touches.list[index];
             let of = (&self.obstacles[touch.obstacle], &motions[touch.obstacle]);
             let both = [&self.start.needle, &needle];
-            if let Some((pair, at)) = needle_instrument_contact::contact(self.solid, both, of, &touch) {
+            if let Some((pair, at)) = self.workspace.touches.contact(self.solid, both, of, &touch) {
                 self.push(pair, &free, ties);
                 self.workspace.touched.push((touch.obstacle, at));
             }

@@ -62,24 +62,8 @@ impl Candidates {
         obstacles: &[Obstacle],
         motions: &[Motion],
     ) {
-        self.found.clear();
-        let edges = rest_lengths.len();
-        self.boxes.clear();
-        self.arcs.clear();
-        self.arcs.push(0.0);
-        for rest in rest_lengths {
-            let rest = if *rest > 0.0 { *rest } else { PARTED };
-            self.arcs.push(self.arcs.last().copied().unwrap_or(0.0) + rest);
-        }
         let room = radius + 0.5 * slack;
-        for first in (0..edges).step_by(RUN) {
-            let mut bounds = Bounds::empty();
-            for node in first..=(first + RUN).min(edges) {
-                let node = node % positions.len();
-                bounds.add(&positions[node], room + reach[node]);
-            }
-            self.boxes.push(bounds);
-        }
+        self.begin(positions, reach, rest_lengths, room);
         for a in 0..self.boxes.len() {
             for b in a..self.boxes.len() {
                 if self.boxes[a].overlaps(&self.boxes[b]) {
@@ -91,6 +75,45 @@ impl Candidates {
             self.with_obstacle(positions, reach, index, obstacle, motion, room);
         }
         self.found.sort_unstable();
+    }
+
+    /// Edges of a line, by its nodes, their `reach` and the lengths of its edges \[m\], that may touch the obstacles which
+    /// are wanted.
+    pub fn find_on_obstacles(
+        &mut self,
+        (positions, reach, lengths): (&[Point3<f64>], &[f64], &[f64]),
+        radius: f64,
+        (obstacles, motions): (&[Obstacle], &[Motion]),
+        is_wanted: impl Fn(usize) -> bool,
+    ) {
+        self.begin(positions, reach, lengths, radius);
+        for (index, (obstacle, motion)) in obstacles.iter().zip(motions).enumerate() {
+            if is_wanted(index) {
+                self.with_obstacle(positions, reach, index, obstacle, motion, radius);
+            }
+        }
+        self.found.sort_unstable();
+    }
+
+    /// Boxes around the runs of a line, and the arc lengths of its nodes.
+    fn begin(&mut self, positions: &[Point3<f64>], reach: &[f64], rest_lengths: &[f64], room: f64) {
+        self.found.clear();
+        let edges = rest_lengths.len();
+        self.boxes.clear();
+        self.arcs.clear();
+        self.arcs.push(0.0);
+        for rest in rest_lengths {
+            let rest = if *rest > 0.0 { *rest } else { PARTED };
+            self.arcs.push(self.arcs.last().copied().unwrap_or(0.0) + rest);
+        }
+        for first in (0..edges).step_by(RUN) {
+            let mut bounds = Bounds::empty();
+            for node in first..=(first + RUN).min(edges) {
+                let node = node % positions.len();
+                bounds.add(&positions[node], room + reach[node]);
+            }
+            self.boxes.push(bounds);
+        }
     }
 
     fn pairs(

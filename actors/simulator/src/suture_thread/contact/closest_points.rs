@@ -106,6 +106,31 @@ pub(crate) fn nearest_on_obstacle(
     }
 }
 
+/// Of an edge that crosses triangle `feature` of a mesh at the end of `motion`, and was on the side of `away` before: its
+/// end on the other side.
+pub(crate) fn crossing_of_mesh(
+    shape: &Shape,
+    motion: &Motion,
+    feature: u32,
+    edge: &[Point3<f64>; 2],
+    away: &Vector3<f64>,
+) -> Option<ObstaclePoint> {
+    let Shape::Mesh { from, to, triangles, radius } = shape else { return None };
+    let corners = triangles.get(feature as usize)?.map(|corner| corner as usize);
+    let at = |pose: &Isometry3<f64>, fraction: f64| {
+        corners.map(|k| pose * Point3::from(from[k].coords.lerp(&to[k].coords, fraction)))
+    };
+    let [a, b, c] = at(&motion.to, motion.fractions[1]);
+    let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;
+    let normal = normal * normal.dot(away).signum();
+    let heights = edge.map(|end| normal.dot(&(end - a)));
+    let along = if heights[0] <= heights[1] { 0.0 } else { 1.0 };
+    let (height, end) = if along == 0.0 { (heights[0], edge[0]) } else { (heights[1], edge[1]) };
+    let touching = end - normal * height;
+    let before = motion.from * motion.to.inverse_transform_point(&touching);
+    Some(ObstaclePoint { along, normal, distance: height - radius, surface: [before, touching] })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -20,7 +20,7 @@ pub(crate) use obstacle::Motion;
 pub use obstacle::{Obstacle, ObstacleMobility, Shape, Yielded};
 pub(crate) use semismooth_newton::{Complementarity, SOFTENING};
 
-pub(crate) use closest_points::{nearest_on_obstacle, nearest_segments};
+pub(crate) use closest_points::{crossing_of_mesh, nearest_on_obstacle, nearest_segments};
 
 /// Maximum number of strand contacts; contacts with obstacles are unlimited.
 pub const CONTACTS_MAX: usize = 1000;
