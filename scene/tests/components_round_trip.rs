@@ -138,7 +138,7 @@ fn graph_and_meshes(formats: &mut Formats) {
     formats.check(OutOfValidity { reason: "strained by 12 %".into(), since: SimTime::from_millis(31) }, true);
     formats.check(HeatFrozen { reason: "a step of 2 s".into(), since: SimTime::from_millis(44) }, true);
     formats.check(MeshRemarks { remarks: vec!["it is 40 m across".into()] }, true);
-    formats.check(MeshRepaired { what: "1 inverted elements turned (4)".into() }, true);
+    formats.check(MeshRepaired { what: "1 inverted element turned (4)".into() }, true);
     formats.check(TextureCoordinates { uv: Arc::new(vec![Vector2::new(0.25, 1.0)]) }, true);
     let node = BoundingVolumeNode {
         min: Point3::new(-1.0, -2.0, -3.0),

@@ -122,7 +122,7 @@ fn what_is_written_is_read_back_as_the_same_mesh() {
     let mut bad = volume.clone();
     bad.tets[4].swap(2, 3);
     let (mended, told) = mend(&read("a.vtk", &common::write_vtk(&bad, false, 3)), 1.0, None).expect("mended");
-    assert!(told.contains("1 inverted elements turned (5)"), "{told}");
+    assert!(told.contains("1 inverted element turned (5)"), "{told}");
     for extension in ["msh", "vtk"] {
         let bytes = written(&mended, extension).expect(extension);
         let MeshFile::Volume(again) = read(&format!("b.{extension}"), &bytes) else { panic!("a volume") };

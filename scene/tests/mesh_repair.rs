@@ -22,7 +22,7 @@ fn bad(kind: &str) -> (TetData, &'static str, &'static str) {
     match kind {
         "inverted" => {
             volume.tets[4].swap(0, 1);
-            (volume, "tetrahedron 5 is inverted", "1 inverted elements turned (5)")
+            (volume, "tetrahedron 5 is inverted", "1 inverted element turned (5)")
         }
         "flat" => {
             let [a, b, ..] = volume.tets[0];
@@ -32,19 +32,19 @@ fn bad(kind: &str) -> (TetData, &'static str, &'static str) {
             let [.., c, _] = volume.tets[0];
             volume.tets.push([a, b, c, more]);
             volume.tags.push(0);
-            (volume, "is flat", "1 elements dropped")
+            (volume, "is flat", "1 element dropped")
         }
         "repeated corner" => {
             let [a, b, c, _] = volume.tets[0];
             volume.tets.push([a, b, c, a]);
             volume.tags.push(0);
-            (volume, "more than once", "1 elements dropped")
+            (volume, "more than once", "1 element dropped")
         }
         "twice" => {
             volume.tets.push(volume.tets[3]);
             volume.tags.push(0);
             assert_eq!(count, 48);
-            (volume, "tetrahedra 4 and 49 have the same corners", "1 elements dropped")
+            (volume, "tetrahedra 4 and 49 have the same corners", "1 element dropped")
         }
         other => panic!("no such defect: {other}"),
     }
@@ -89,7 +89,7 @@ fn nodes_at_the_same_place_and_slivers_are_mended_too() {
     assert!(found.iter().any(|defect| matches!(defect, Defect::Sliver { tet: 48, .. })), "{found:?}");
     let (repaired, told) = loaded(&volume, ", repair = true").expect("can be mended");
     let told = told.expect("it says what it did");
-    assert!(told.contains("1 nodes merged") && told.contains("1 elements dropped"), "{told}");
+    assert!(told.contains("1 node merged") && told.contains("1 element dropped"), "{told}");
     assert_eq!((repaired.tets.len(), repaired.positions.len()), (48, 27));
 }
 

@@ -153,7 +153,8 @@ const SHOWN: usize = 4;
 impl fmt::Display for BadTets {
     /// Shows some of every kind, so that frequent kinds do not hide rare ones.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "the tetrahedral mesh has {} defects", self.defects.len())?;
+        let count = self.defects.len();
+        write!(out, "the tetrahedral mesh has {count} defect{}", if count == 1 { "" } else { "s" })?;
         let mut told = Vec::new();
         for defect in &self.defects {
             let kind = std::mem::discriminant(defect);

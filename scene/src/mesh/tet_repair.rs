@@ -42,16 +42,23 @@ impl fmt::Display for Repairs {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let merged: Vec<u32> = self.merged_nodes.iter().map(|(which, _)| *which).collect();
         let done = [
-            ("inverted elements turned", &self.turned_tets),
-            ("elements dropped that were flat, slivers or there already", &self.dropped_tets),
-            ("nodes merged with others at their place", &merged),
-            ("nodes dropped that no element uses", &self.dropped_nodes),
+            (["inverted element turned", "inverted elements turned"], &self.turned_tets),
+            (
+                [
+                    "element dropped that was flat, a sliver or there already",
+                    "elements dropped that were flat, slivers or there already",
+                ],
+                &self.dropped_tets,
+            ),
+            (["node merged with another at its place", "nodes merged with others at their place"], &merged),
+            (["node dropped that no element uses", "nodes dropped that no element uses"], &self.dropped_nodes),
         ];
         if self.is_empty() {
             return write!(out, "nothing had to be mended");
         }
         let mut joint = "";
-        for (what, numbers) in done.into_iter().filter(|(_, numbers)| !numbers.is_empty()) {
+        for ([one, many], numbers) in done.into_iter().filter(|(_, numbers)| !numbers.is_empty()) {
+            let what = if numbers.len() == 1 { one } else { many };
             let shown: Vec<String> = numbers.iter().take(SHOWN).map(u32::to_string).collect();
             let more = if numbers.len() > SHOWN { ", …" } else { "" };
             write!(out, "{joint}{} {what} ({}{more})", numbers.len(), shown.join(", "))?;
