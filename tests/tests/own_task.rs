@@ -1,4 +1,5 @@
-//! An exercise of one's own: its hands get motion metrics, and a virtual fixture adds a force to what they feel.
+//! An exercise of one's own: its hands get motion metrics, and a virtual fixture adds a force to what they feel. It fails
+//! where physics did: by a body that stands still, or a contact that was not kept.
 
 use nalgebra::{Point3, Vector3};
 use trocar::prelude::*;
@@ -138,4 +139,110 @@ fn an_invalid_fixture_is_refused_and_the_run_says_whose_it_was() {
         "{error}"
     );
     assert_eq!(outcome.exit(), trocar::summary::Exit::Failed);
+}
+
+/// What is wrong with the physics of a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Wrong {
+    Nothing,
+    FrozenBody,
+    DeepContact,
+    StrongContact,
+}
+
+/// An exercise that is completed after half a second, in a scene where something goes wrong before.
+struct Spoiler {
+    wrong: Wrong,
+    has_exercise: bool,
+    stone: Entity,
+    table: Entity,
+}
+
+impl Controller for Spoiler {
+    fn access(&self) -> Access {
+        Access::new()
+            .writes::<Frozen>(EntitySet::Of(vec![self.stone]))
+            .writes::<TaskState>(EntitySet::Own)
+            .contributes::<CollisionList>()
+    }
+    fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let now = tick.time.as_secs_f64();
+        let touch = |depth: f64, force: f64| CollisionList {
+            collisions: vec![Collision {
+                a: self.table,
+                primitive_a: Primitive::Shape(0),
+                b: self.stone,
+                primitive_b: Primitive::Shape(0),
+                points_in_world: [Point3::new(0.001, 0.002, 0.003); 2],
+                normal_in_world: Vector3::z(),
+                depth,
+                force_in_world: Vector3::new(0.0, 0.0, force),
+                velocity_constraint: 0.0,
+                method: Detection::Custom,
+                detected_at: tick.time,
+            }],
+            penetration_max: depth,
+        };
+        if now > 0.2 {
+            match self.wrong {
+                Wrong::Nothing => out.contribute(touch(1e-3, 1.0)),
+                Wrong::FrozenBody => {
+                    out.put(self.stone, Frozen { reason: "its solver failed".to_owned(), since: tick.time });
+                }
+                // The stone is a ball of 10 mm.
+                Wrong::DeepContact => out.contribute(touch(8e-3, 1.0)),
+                Wrong::StrongContact => out.contribute(touch(1e-3, 150.0)),
+            }
+        }
+        let over = now >= 0.5;
+        if self.has_exercise {
+            let score = over.then_some(100.0);
+            out.put(
+                tick.me,
+                TaskState { over, completed: over, seconds: now, score, ..TaskState::default() },
+            );
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn an_exercise_in_which_a_body_froze_or_a_contact_was_not_kept_fails_and_says_why() {
+    const SCENE: &str = "schema = 1\nname = \"spoiled\"\ntitle = \"A stone\"\ndescription = \"A stone on a table\"\n\
+        [[entity]]\nname = \"stone\"\nshape = { sphere = { radius = 0.005 } }\n\
+        rigid_body = { motion = \"dynamic\", mass = 0.01 }\n\
+        [[entity]]\nname = \"table\"\nshape = { box = { half_extents = [0.1, 0.1, 0.01] } }\n\
+        rigid_body = { motion = \"static\" }\n\
+        [[controller]]\nname = \"task\"\nkind = \"spoiler\"\nrate_hz = 100\n";
+    let run = |wrong: Wrong, has_exercise: bool| {
+        let app = App::new().controller_with("spoiler", move |(): &(), context: &BuildContext<'_>| {
+            let find = |name: &str| {
+                let found = context.scene.find(name);
+                found.ok_or_else(|| ControllerError::Scene(format!("no {name}")))
+            };
+            Ok(Spoiler { wrong, has_exercise, stone: find("stone")?, table: find("table")? })
+        });
+        let scenario = Scenario::parse("spoiled.toml".as_ref(), SCENE, app.registry()).expect("a scenario");
+        let options = RunOptions { seconds: Some(1.0), ..lockstep(1) };
+        let outcome = trocar_tests::finish(&app, &scenario, &options);
+        (outcome.exit().code(), outcome.summary)
+    };
+    let (code, summary) = run(Wrong::Nothing, true);
+    assert_eq!((code, summary.bodies_frozen, summary.contacts_not_kept), (0, 0, 0), "{:?}", summary.task);
+    let (code, summary) = run(Wrong::FrozenBody, true);
+    assert_eq!((code, summary.bodies_frozen, summary.contacts_not_kept), (1, 1, 0));
+    assert!(
+        summary.task.completed && summary.frozen_bodies[0].to_string().contains("stone stands still since")
+    );
+    for (wrong, value, limit) in [(Wrong::DeepContact, 8e-3, 7.5e-3), (Wrong::StrongContact, 150.0, 100.0)] {
+        let (code, summary) = run(wrong, true);
+        assert_eq!((code, summary.bodies_frozen, summary.contacts_not_kept), (1, 0, 1), "{wrong:?}");
+        let told = &summary.unkept_contacts[0];
+        assert_eq!((told.a.as_str(), told.b.as_str()), ("table", "stone"));
+        assert_eq!(told.at_in_world, [0.001, 0.002, 0.003]);
+        assert!((told.value - value).abs() < 1e-12 && (told.limit - limit).abs() < 1e-12, "{told:?}");
+    }
+    // A scene without an exercise counts them, and is no failure.
+    let (code, summary) = run(Wrong::DeepContact, false);
+    assert_eq!((code, summary.contacts_not_kept), (0, 1), "{:?}", summary.task);
 }

@@ -51,7 +51,10 @@ impl fmt::Display for Repairs {
                 &self.dropped_tets,
             ),
             (["node merged with another at its place", "nodes merged with others at their place"], &merged),
-            (["node dropped that no element uses", "nodes dropped that no element uses"], &self.dropped_nodes),
+            (
+                ["node dropped that no element uses", "nodes dropped that no element uses"],
+                &self.dropped_nodes,
+            ),
         ];
         if self.is_empty() {
             return write!(out, "nothing had to be mended");
