@@ -449,16 +449,31 @@ fn rub(bearings: &mut [Bearing], bearers: &[Bearer<'_>], bodies: &[BorneBody], s
             root
         })
         .collect();
+    // So do contacts at one vertex of a soft body.
+    let mut meeting: BTreeMap<(usize, u32), f64> = BTreeMap::new();
+    for Bearing { bearer, plane, .. } in bearings.iter().filter(|bearing| bearing.contact.force > 0.0) {
+        for (node, weight) in plane.joint() {
+            *meeting.entry((*bearer, node)).or_default() += weight;
+        }
+    }
     for (bearing, root) in bearings.iter_mut().zip(roots) {
         let (of, body) = (&bearers[bearing.bearer], &bodies[bearing.borne]);
-        let shared = root * sums[bearing.borne];
-        bearing.rub(of, body, shared, step);
+        let mobility = |node: u32| of.terms.masses_inverse.get(node as usize).copied().unwrap_or(0.0);
+        let shares = bearing.plane.joint().into_iter();
+        let soft: f64 = shares
+            .map(|(node, weight)| {
+                let all = meeting.get(&(bearing.bearer, node)).copied().unwrap_or(weight);
+                weight * all * mobility(node)
+            })
+            .sum();
+        bearing.rub(of, body, soft + root * sums[bearing.borne], step);
     }
 }
 
 impl Bearing {
-    /// The friction of a step, and the displacement of its spring.
-    fn rub(&mut self, of: &Bearer<'_>, body: &BorneBody, shared: f64, step: f64) {
+    /// The friction of a step, and the displacement of its spring. `yields` is a bound of the mobility of both bodies there,
+    /// with all contacts that share it \[1/kg\].
+    fn rub(&mut self, of: &Bearer<'_>, body: &BorneBody, yields: f64, step: f64) {
         let stiffness = self.plane.stiffness;
         let Self { contact, plane, normal_in_world: normal, at_in_world: at, .. } = self;
         let across = |of: Vector3<f64>| of - *normal * normal.dot(&of);
@@ -469,9 +484,6 @@ impl Bearing {
         let own = || plane.nodes.iter().zip(plane.weights).map(|(&node, weight)| (node, weight));
         let speed: Vector3<f64> = own().map(|(node, weight)| of.velocities[node as usize] * weight).sum();
         let slip = across(of.world_from_body.rotation * speed - body.proxy.speed(at));
-        let mobility = |node: u32| of.terms.masses_inverse.get(node as usize).copied().unwrap_or(0.0);
-        let soft: f64 = own().map(|(node, weight)| weight * weight * mobility(node)).sum();
-        let yields = soft + shared;
         let damping = if yields > 0.0 { 2.0 * DAMPING_RATIO * (stiffness / yields).sqrt() } else { 0.0 };
         let drawn = across(contact.drawn) + slip * step;
         let (resists, gives) = (stiffness * step + damping, yields * step);
