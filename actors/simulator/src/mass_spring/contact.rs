@@ -4,6 +4,9 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::particles::StepError;
 
+/// Slip velocity \[m/s\] at which friction reaches its full magnitude; below, it is a viscous drag.
+const CREEP: f64 = 1e-3;
+
 /// One contact of the network with another object, detected at the positions at the beginning of the step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Contact {
@@ -65,6 +68,27 @@ impl Contact {
     #[inline]
     pub(crate) fn pressing(&self, depth: f64, leaving: f64) -> f64 {
         if depth > 0.0 { (self.stiffness * depth - self.damping * leaving).max(0.0) } else { 0.0 }
+    }
+
+    /// Its force at the end of an implicit step of `h` seconds, normal force and friction, and the drag of friction there
+    /// \[N·s/m\]. `touched` is the point at the beginning; `ahead` is by how much more the point's velocity implies.
+    pub(super) fn force_at_end(
+        &self,
+        positions: &[Point3<f64>],
+        velocities: &[Vector3<f64>],
+        touched: &Vector3<f64>,
+        h: f64,
+        ahead: &Vector3<f64>,
+    ) -> (Vector3<f64>, [f64; 2]) {
+        let slip = self.slip(velocities);
+        let normal = self.normal;
+        // Depth at the end of the step, from its beginning: the normal part is linear in the velocity.
+        let out = normal.dot(&(self.point(positions) - touched - self.velocity * h));
+        let depth = self.depth - out - h * normal.dot(ahead);
+        let pressing = self.pressing(depth, normal.dot(&slip));
+        let across = slip - normal * normal.dot(&slip);
+        let drag = self.friction * pressing / across.norm().max(CREEP);
+        (normal * pressing - across * drag, [pressing, drag])
     }
 
     /// What is invalid in it, if anything.

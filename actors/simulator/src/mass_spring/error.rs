@@ -50,10 +50,10 @@ pub enum NetworkError {
         /// The elements.
         faulty: Faulty,
     },
-    /// Springs or hinges with invalid values.
+    /// Springs, hinges or tetrahedra with invalid values.
     #[error("{kind}s whose stiffness or rest length is negative or not finite: {faulty}")]
     Numbers {
-        /// Spring or hinge.
+        /// Spring, hinge or tetrahedron.
         kind: &'static str,
         /// The elements.
         faulty: Faulty,

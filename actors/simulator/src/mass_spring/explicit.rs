@@ -6,6 +6,9 @@ use trocar_dynamics::soft_body::bearing::rigid_motion::{PressedNodes, RigidMotio
 
 use super::{Input, MassSpring, Report, TooLarge, forces, stability};
 
+/// After how many substeps the tetrahedra that resist are found anew.
+const FOUND_EVERY: u32 = 8;
+
 impl MassSpring {
     pub(super) fn step_explicit(
         &mut self,
@@ -19,12 +22,24 @@ impl MassSpring {
         let mut moving: Vec<RigidMotion> =
             input.rigid.bodies.iter().map(|body| RigidMotion::of(body, dt)).collect();
         let damping = self.config.damping + self.config.lag * eigenvalue + damped;
-        let safe = stability::safe_step(eigenvalue + stiff, damping);
-        let parts = parts(dt, safe, too_large)?;
-        let part = dt / f64::from(parts);
-        for index in 0..parts {
-            self.explicit_part(part, f64::from(index) * part, input, &mut moving);
+        let known = eigenvalue + stiff;
+        let (mut done, mut since, mut safe_least) = (0, 0.0, f64::INFINITY);
+        loop {
+            let left = dt - since;
+            let (safe, count) = self.resist(left, done, known, damping, too_large)?;
+            safe_least = safe_least.min(safe);
+            let part = left / f64::from(count);
+            let now = if self.network.tets.is_empty() { count } else { count.min(FOUND_EVERY) };
+            for index in 0..now {
+                self.explicit_part(part, since + f64::from(index) * part, input, &mut moving);
+            }
+            done += now;
+            if now == count {
+                break;
+            }
+            since += f64::from(now) * part;
         }
+        let (parts, safe) = (done, safe_least);
         // Prescribed nodes end exactly at their target, without the rounding of the substeps.
         for (place, driven) in input.prescribed.iter().enumerate() {
             let watched = input.jaws.watched(place);
@@ -40,12 +55,42 @@ impl MassSpring {
         Ok(Report { parts, safe_step: safe, iterations: 0, residual: 0.0 })
     }
 
+    /// Finds the tetrahedra that resist their collapse, and in how many parts the rest of a step is taken, `left` seconds,
+    /// with its largest safe step \[s\]. `known` bounds the eigenvalues of everything else \[1/s²\]. Where a step may not be
+    /// divided so often, the tetrahedra resist less.
+    fn resist(
+        &mut self,
+        left: f64,
+        done: u32,
+        known: f64,
+        damping: f64,
+        too_large: TooLarge,
+    ) -> Result<(f64, u32), StepError> {
+        let scratch = &mut self.scratch;
+        let squeezed = scratch.resisting.find(&self.network, &scratch.mobility, &scratch.next.positions);
+        let safe = stability::safe_step(known + squeezed, damping);
+        if let TooLarge::Divide { most } = too_large
+            && squeezed > 0.0
+        {
+            let most = most.saturating_sub(done).max(1);
+            let bare = parts(left, stability::safe_step(known, damping), too_large)?;
+            let count = (left / safe).ceil().min(f64::from(most.max(bare)));
+            let part = left / count;
+            // The largest eigenvalue that is stable in such parts.
+            let borne = (4.0 / part - 2.0 * damping) / part - known;
+            scratch.resisting.scale = (borne / squeezed).clamp(0.0, 1.0);
+            return Ok((safe, count as u32));
+        }
+        Ok((safe, parts(left, safe, too_large)?))
+    }
+
     /// One substep; `since` is its beginning.
     fn explicit_part(&mut self, part: f64, since: f64, input: &Input<'_>, moving: &mut [RigidMotion]) {
         let scratch = &mut self.scratch;
         let (positions, velocities) = (&mut scratch.next.positions, &mut scratch.next.velocities);
         scratch.forces.fill(Vector3::zeros());
         forces::add_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
+        scratch.resisting.add_forces(&self.network, positions, &mut scratch.forces);
         for force in input.forces {
             scratch.forces[force.node as usize] += force.force;
         }

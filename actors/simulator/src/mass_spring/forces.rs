@@ -1,11 +1,24 @@
-//! Forces and energy of springs and hinges.
+//! Forces and energy of springs and hinges, and of tetrahedra.
 
 use nalgebra::{Point3, Vector3};
 
+use super::collapse;
 use super::network::Network;
 
 /// Fraction of a curved hinge's rest length within which its force fades out: nearly flat, its vector has no direction.
 pub(crate) const NEARLY_FLAT: f64 = 0.125;
+
+/// Adds the forces of springs, hinges and tetrahedra to `forces` \[N\].
+pub(super) fn add_all_forces(
+    network: &Network,
+    lag: f64,
+    positions: &[Point3<f64>],
+    velocities: &[Vector3<f64>],
+    forces: &mut [Vector3<f64>],
+) {
+    add_forces(network, lag, positions, velocities, forces);
+    collapse::add_forces(network, positions, forces);
+}
 
 /// Adds spring and hinge forces to `forces` \[N\]; `lag` is the ratio of damping to stiffness \[s\] (Kelvin–Voigt).
 pub(crate) fn add_forces(
@@ -57,7 +70,7 @@ pub(crate) fn pull_of_rest(rest: f64, length: f64, sense: f64) -> f64 {
     sense * rest / length.max(NEARLY_FLAT * rest)
 }
 
-/// Elastic energy of springs and hinges \[J\].
+/// Elastic energy of springs, hinges and tetrahedra \[J\].
 pub(crate) fn elastic_energy(network: &Network, positions: &[Point3<f64>]) -> f64 {
     let mut energy = 0.0;
     for spring in &network.springs {
@@ -73,5 +86,5 @@ pub(crate) fn elastic_energy(network: &Network, positions: &[Point3<f64>]) -> f6
         let of_rest = if none { 0.0 } else { hinge.rest * (0.5 * hinge.rest - sense * pushed) };
         energy += hinge.stiffness * (0.5 * length * length + of_rest);
     }
-    energy
+    energy + collapse::energy(network, positions)
 }

@@ -92,7 +92,7 @@ impl MassSpring {
         let scratch = &mut self.scratch;
         scratch.forces.fill(Vector3::zeros());
         let next = &scratch.next;
-        forces::add_forces(
+        forces::add_all_forces(
             &self.network,
             self.config.lag,
             &next.positions,

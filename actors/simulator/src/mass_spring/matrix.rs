@@ -5,6 +5,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::collapse::{self, Squeezed};
 use super::contact::Contact;
 use super::forces::pull_of_rest;
 use super::network::Network;
@@ -31,10 +32,11 @@ pub(super) struct StepMatrix {
     pub springs: Vec<Block>,
     pub hinges: Vec<Block>,
     pub contacts: Vec<Block>,
+    pub squeezed: Vec<Squeezed>,
 }
 
 impl StepMatrix {
-    /// Linearises springs and hinges at these positions; the pure stiffness matrix for `h` = 1 and `lag` = 0.
+    /// Linearises springs, hinges and tetrahedra at these positions; the pure stiffness matrix for `h` = 1 and `lag` = 0.
     pub fn linearise(&mut self, network: &Network, h: f64, lag: f64, positions: &[Point3<f64>]) {
         self.springs.clear();
         self.springs.extend(network.springs.iter().map(|spring| {
@@ -56,6 +58,7 @@ impl StepMatrix {
             let inverse = if length > 0.0 { 1.0 / length } else { 0.0 };
             block(hinge.stiffness, h, lag, vector * inverse, 1.0 - pull)
         }));
+        collapse::linearise(network, h, positions, &mut self.squeezed);
     }
 
     /// Linearises contacts: a penalty where active, and friction as a drag at the current slip.
@@ -66,7 +69,7 @@ impl StepMatrix {
     }
 
     /// Calls `each` with every off-diagonal pair of nodes once: row, column and block; (row, column) but not (column,
-    /// row).
+    /// row). Without tetrahedra, whose blocks are not symmetric.
     pub fn for_each_pair(
         &self,
         network: &Network,

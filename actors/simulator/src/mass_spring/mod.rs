@@ -3,9 +3,11 @@
 //! 1998, with springs whose stiffness matrix is never indefinite).
 //!
 //! Nodes can be pinned, prescribed (held by a jaw) or in contact; contact forces are reported, so that the other object
-//! can bear the reaction. The explicit method has a step limit that is safe in any shape, and rejects or subdivides
-//! larger steps; the implicit method takes any step, with numerical damping that grows with it.
+//! can bear the reaction. The explicit method has a step limit that is safe in any shape (of volumes, in the present one),
+//! and rejects or subdivides larger steps; the implicit method takes any step, with numerical damping that grows with it.
+//! Tetrahedra of volumes resist their collapse ([`Tet`]).
 
+mod collapse;
 mod contact;
 mod error;
 mod explicit;
@@ -18,6 +20,7 @@ pub(crate) mod remesh;
 pub(crate) mod stability;
 pub(crate) mod surface_network;
 
+pub use collapse::Tet;
 pub use contact::Contact;
 pub use error::NetworkError;
 pub use network::{Hinge, LineMaterial, Network, Spring, SurfaceMaterial, VolumeMaterial};
@@ -35,6 +38,7 @@ use trocar_dynamics::particles::{State, StepError};
 use trocar_dynamics::soft_body::bearing::rigid_response::{RigidPresses, RigidResponse};
 use trocar_dynamics::soft_body::jaw_friction::{GripForce, JawFriction};
 
+use collapse::Resisting;
 use implicit::Implicit;
 pub use implicit::SheetFactor;
 use stability::EigenvalueBound;
@@ -195,6 +199,10 @@ struct Scratch {
     meeting: Vec<f64>,
     /// Of the rigid bodies, each of their contacts' places at the beginning, and its force in the substep.
     rigid: RigidResponse,
+    /// The same at a trial of an implicit step.
+    rigid_trial: RigidResponse,
+    /// Of explicit steps, the tetrahedra that resist their collapse.
+    resisting: Resisting,
     rigid_touched: Vec<Vector3<f64>>,
     rigid_pressed: Vec<f64>,
     /// What the jaws of each grip did.
@@ -275,6 +283,7 @@ impl MassSpring {
         self.bound = EigenvalueBound::new(&self.network, &self.mobility);
         self.scratch.forces.resize(nodes, Vector3::zeros());
         self.scratch.next = self.state.clone();
+        self.scratch.resisting.reserve(&self.network);
         self.implicit = match self.config.integrator {
             Integrator::Explicit { .. } => None,
             Integrator::Implicit { solver, .. } => Some(Box::new(Implicit::new(&self.network, solver))),
@@ -333,6 +342,7 @@ impl MassSpring {
         let nodes = followed.nodes(&self.network, patch);
         self.bound.follow(&self.network, &self.mobility, &nodes, |node| patch.edges(node));
         self.scratch.forces.resize(self.mobility.len(), Vector3::zeros());
+        self.scratch.resisting.reserve(&self.network);
         if let Some(implicit) = &mut self.implicit {
             implicit.follow(&self.network);
         }
@@ -429,11 +439,14 @@ impl MassSpring {
         Ok(())
     }
 
-    /// Largest explicit step that is stable in any shape, without contacts \[s\].
+    /// Largest explicit step that is stable without contacts \[s\]: of springs and hinges in any shape, of squeezed
+    /// tetrahedra in the present one.
     #[must_use]
     pub fn safe_step(&self) -> f64 {
         let eigenvalue = self.bound.largest();
-        stability::safe_step(eigenvalue, self.config.damping + self.config.lag * eigenvalue)
+        let squeezed = Resisting::default().find(&self.network, &self.mobility, &self.state.positions);
+        let damping = self.config.damping + self.config.lag * eigenvalue;
+        stability::safe_step(eigenvalue + squeezed, damping)
     }
 
     /// Whether a step of `dt` seconds without contacts is short enough to be taken, as the network is now.
@@ -490,7 +503,7 @@ impl MassSpring {
     pub fn contact_forces(&self) -> &[Vector3<f64>] {
         &self.scratch.contact_forces
     }
-    /// Elastic energy of springs and hinges \[J\].
+    /// Elastic energy of springs, hinges and tetrahedra \[J\].
     #[must_use]
     pub fn elastic_energy(&self) -> f64 {
         forces::elastic_energy(&self.network, &self.state.positions)
@@ -519,7 +532,7 @@ impl MassSpring {
         let forces = &mut self.scratch.forces;
         forces.fill(Vector3::zeros());
         let State { positions, velocities } = &self.state;
-        forces::add_forces(&self.network, self.config.lag, positions, velocities, forces);
+        forces::add_all_forces(&self.network, self.config.lag, positions, velocities, forces);
         nodes.iter().filter_map(|&node| forces.get(node as usize)).sum()
     }
 }

@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::faulty::Faulty;
 
+use super::collapse::Tet;
 use super::error::NetworkError;
 use super::remesh::{ChangedMesh, NetworkChange};
 
@@ -85,6 +86,9 @@ pub struct Network {
     pub springs: Vec<Spring>,
     /// Sorted by their edges if built from a mesh.
     pub hinges: Vec<Hinge>,
+    /// Of a volume, sorted by their nodes.
+    #[serde(default)]
+    pub tets: Vec<Tet>,
     /// Rest positions of the nodes if built from a mesh \[m\]; else empty. Forces do not depend on it.
     #[serde(default)]
     pub rest: Vec<Point3<f64>>,
@@ -253,6 +257,10 @@ impl Network {
             about.extend(edge.iter().map(|share| share.1));
             network.springs.push(spring_of(rest, tets, material, &of, edge[0].0, &about));
         }
+        let there = (0..).zip(tets).map(|(index, tet)| (of(index), tet));
+        let there = there.filter(|(of, _)| *of != Alteration::GONE);
+        network.tets.extend(there.map(|(of, tet)| tet_of(rest, tet, material, of)));
+        network.tets.sort_by_key(|tet| tet.nodes);
         for &node in loose {
             let mass = &mut network.masses[node as usize];
             *mass = if *mass > 0.0 { *mass } else { LOOSE };
@@ -272,7 +280,10 @@ impl Network {
     ) -> Result<NetworkChange, NetworkError> {
         let extent = |tet: &[u32; 4]| volume(tet, patch.rest).abs() / 6.0;
         let share = |extent: f64| 0.25 * material.density * extent;
-        self.follow("tetrahedron", patch, extent, share, |nodes, about| {
+        let tet = |tet: u32| {
+            Some(tet_of(patch.rest, &patch.elements[tet as usize], material, (patch.altered)(tet)))
+        };
+        self.follow("tetrahedron", patch, extent, share, tet, |nodes, about| {
             (spring_of(patch.rest, patch.elements, material, patch.altered, nodes, about), None)
         })
     }
@@ -289,6 +300,7 @@ impl Network {
         self.masses.iter_mut().zip(&other.masses).for_each(|(own, more)| *own += more);
         self.springs.extend(&other.springs);
         self.hinges.extend(&other.hinges);
+        self.tets.extend(&other.tets);
         Ok(())
     }
 
@@ -348,6 +360,11 @@ impl Network {
             hinge.nodes.iter().any(|&node| node as usize >= nodes)
         })
         .refuse(|faulty| NetworkError::Nodes { kind: "hinge", nodes, faulty })?;
+        Faulty::among(self.tets.len(), |index| {
+            let [a, b, c, d] = self.tets[index].nodes;
+            !(a < b && b < c && c < d && (d as usize) < nodes)
+        })
+        .refuse(|faulty| NetworkError::Nodes { kind: "tetrahedron", nodes, faulty })?;
         self.check_numbers()
     }
 
@@ -364,7 +381,12 @@ impl Network {
             let finite = hinge.weights.iter().all(|weight| weight.is_finite()) && hinge.side.is_finite();
             !number(hinge.rest) || !number(hinge.stiffness) || !finite
         })
-        .refuse(|faulty| NetworkError::Numbers { kind: "hinge", faulty })
+        .refuse(|faulty| NetworkError::Numbers { kind: "hinge", faulty })?;
+        Faulty::among(self.tets.len(), |index| {
+            let tet = &self.tets[index];
+            !number(tet.stiffness) || !number(tet.rest.abs()) || tet.rest == 0.0
+        })
+        .refuse(|faulty| NetworkError::Numbers { kind: "tetrahedron", faulty })
     }
 }
 
@@ -390,5 +412,17 @@ fn spring_of(
         nodes,
         rest: squared.sqrt() * (length / whole),
         stiffness: material.young_modulus * stiff / squared,
+    }
+}
+
+/// What keeps a tetrahedron from collapsing.
+fn tet_of(rest: &[Point3<f64>], tet: &[u32; 4], material: &VolumeMaterial, of: Alteration) -> Tet {
+    let mut nodes = *tet;
+    nodes.sort_unstable();
+    let six = volume(&nodes, rest);
+    Tet {
+        nodes,
+        rest: six * of.length.powi(3),
+        stiffness: material.young_modulus * of.stiffness * six.abs() / 6.0,
     }
 }

@@ -10,6 +10,7 @@ use nalgebra::Point3;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::faulty::Faulty;
 
+use super::collapse::Tet;
 use super::error::NetworkError;
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring};
 
@@ -76,7 +77,7 @@ impl<T> Edits<T> {
 
 impl<T: Copy + PartialEq> Edits<T> {
     /// Replaces the items at `old` by `fresh`; both sorted by key.
-    fn make(list: &mut Vec<T>, old: &[usize], fresh: &[T], key: impl Fn(&T) -> [u32; 2]) -> Self {
+    fn make<K: Ord>(list: &mut Vec<T>, old: &[usize], fresh: &[T], key: impl Fn(&T) -> K) -> Self {
         let mut edits = Self::default();
         let mut come: Vec<(usize, T)> = Vec::new();
         let (mut old, mut fresh) = (old.iter().copied().peekable(), fresh.iter().peekable());
@@ -85,10 +86,10 @@ impl<T: Copy + PartialEq> Edits<T> {
             let wanted = fresh.peek().map(|of| key(of));
             match (is, wanted) {
                 (None, None) => break,
-                (Some(is), wanted) if wanted.is_none_or(|wanted| is < wanted) => {
+                (Some(is), wanted) if wanted.as_ref().is_none_or(|wanted| is < *wanted) => {
                     edits.gone.extend(old.next().map(|at| (at, list[at])));
                 }
-                (is, Some(wanted)) if is.is_none_or(|is| wanted < is) => {
+                (is, Some(wanted)) if is.as_ref().is_none_or(|is| wanted < *is) => {
                     let at = list.partition_point(|of| key(of) < wanted);
                     come.extend(fresh.next().map(|of| (at, *of)));
                 }
@@ -159,6 +160,8 @@ pub struct NetworkChange {
     pub springs: Edits<Spring>,
     /// Changed hinges.
     pub hinges: Edits<Hinge>,
+    /// Changed tetrahedra.
+    pub tets: Edits<Tet>,
     /// Number of edges visited.
     pub edges: usize,
     /// Number of node masses recomputed.
@@ -188,13 +191,14 @@ pub(super) type EdgeElements = (Spring, Option<Hinge>);
 
 impl Network {
     /// Updates to a mesh: `extent` is that of an element, `share` a node's mass from an element by its extent, `edge`
-    /// builds the spring and hinge from the elements around an edge.
+    /// builds the spring and hinge from the elements around an edge, `tet` what keeps an element from collapsing.
     pub(super) fn follow<const N: usize>(
         &mut self,
         kind: &'static str,
         patch: &ChangedMesh<'_, N>,
         extent: impl Fn(&[u32; N]) -> f64,
         share: impl Fn(f64) -> f64,
+        tet: impl Fn(u32) -> Option<Tet>,
         edge: impl Fn([u32; 2], &[u32]) -> EdgeElements,
     ) -> Result<NetworkChange, NetworkError> {
         let ChangedMesh { rest, elements, about, stale, .. } = *patch;
@@ -227,6 +231,9 @@ impl Network {
             fresh.springs.push(spring);
             fresh.hinges.extend(hinge);
         }
+        let whole = touched.iter().filter(|element| elements[**element as usize].iter().all(is_stale));
+        fresh.tets.extend(whole.filter_map(|&element| tet(element)));
+        fresh.tets.sort_by_key(|tet| tet.nodes);
         fresh.check_numbers()?;
         let mut followed =
             NetworkChange { edges: edges.len(), nodes: stale.len(), ..NetworkChange::default() };
@@ -234,6 +241,8 @@ impl Network {
         followed.springs = Edits::make(&mut self.springs, &old, &fresh.springs, |spring| spring.nodes);
         let old = between(&self.hinges, stale, Hinge::edge);
         followed.hinges = Edits::make(&mut self.hinges, &old, &fresh.hinges, Hinge::edge);
+        let old = between(&self.tets, stale, |tet| tet.nodes);
+        followed.tets = Edits::make(&mut self.tets, &old, &fresh.tets, |tet| tet.nodes);
         let known = self.rest.len();
         self.rest.extend_from_slice(&rest[known.min(nodes)..]);
         self.masses.resize(nodes, LOOSE);
@@ -247,13 +256,13 @@ impl Network {
     }
 }
 
-/// Indices of list items with both ends among the stale nodes.
-fn between<T>(list: &[T], stale: &[u32], key: impl Fn(&T) -> [u32; 2]) -> Vec<usize> {
+/// Indices of list items with all their nodes among the stale ones.
+fn between<T, const N: usize>(list: &[T], stale: &[u32], key: impl Fn(&T) -> [u32; N]) -> Vec<usize> {
     let mut found = Vec::new();
     for &node in stale {
         let first = list.partition_point(|of| key(of)[0] < node);
         let count = list[first..].partition_point(|of| key(of)[0] == node);
-        let is_stale = |at: &usize| stale.binary_search(&key(&list[*at])[1]).is_ok();
+        let is_stale = |at: &usize| key(&list[*at])[1..].iter().all(|node| stale.binary_search(node).is_ok());
         found.extend((first..first + count).filter(is_stale));
     }
     found

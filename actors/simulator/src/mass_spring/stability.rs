@@ -5,7 +5,8 @@
 //! which is bounded by the largest sum over the elements around one element (Anderson and Morley, *Eigenvalues of the
 //! Laplacian of a graph*, 1985, with masses and weights): for a spring network `dᵢ/mᵢ + dⱼ/mⱼ` of some spring, with `d`
 //! the total stiffness at a node. A symplectic Euler step is stable while `λh² + 2ch < 4`, with the damping rate `c`
-//! evaluated at the end of the last step.
+//! evaluated at the end of the last step. Squeezed tetrahedra are stiffer the flatter they are: they are bounded in their
+//! present shape (`collapse.rs`).
 
 use super::contact::Contact;
 use super::forces::NEARLY_FLAT;

@@ -89,9 +89,14 @@ impl Network {
     ) -> Result<NetworkChange, NetworkError> {
         let extent = |corners: &[u32; 3]| area(corners, patch.rest);
         let share = |area: f64| material.density * area / 3.0;
-        self.follow("triangle", patch, extent, share, |nodes, about| {
-            of_edge(patch.rest, patch.elements, material, patch.altered, nodes, about)
-        })
+        self.follow(
+            "triangle",
+            patch,
+            extent,
+            share,
+            |_| None,
+            |nodes, about| of_edge(patch.rest, patch.elements, material, patch.altered, nodes, about),
+        )
     }
 }
 

@@ -1,4 +1,5 @@
 //! Mass-spring networks.
 
+mod collapse;
 mod reference;
 mod solver;

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use trocar_dynamics::particles::StepError;
 use trocar_simulator::mass_spring::{
     Config, Contact, Hinge, Input, LinearSolver, MassSpring, Network, NetworkError, NodeForce, Prescribed,
-    Spring, SurfaceMaterial, TooLarge, VolumeMaterial,
+    Spring, SurfaceMaterial, Tet, TooLarge, VolumeMaterial,
 };
 
 use crate::support::springs::*;
@@ -169,12 +169,13 @@ fn what_a_step_too_large_does_is_found_and_undone() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(100))]
-    /// The stiffness matrix by finite differences, for networks with flat and curved hinges in any shape.
+    /// The stiffness matrix by finite differences, for networks with flat and curved hinges and tetrahedra in any shape.
     #[test]
     fn no_eigenvalue_is_above_the_bound(
         points in prop::collection::vec([-1.0..1.0, -1.0..1.0, -1.0..1.0], 7),
         springs in prop::collection::vec((0..7_u32, 0..7_u32, 0.0..1.5, 1.0..100.0), 1..14),
         hinges in prop::collection::vec((0..7_u32, 0..7_u32, 0..7_u32, 0.0..1.0, 1.0..50.0, -1.0..1.0), 0..5),
+        tets in prop::collection::vec((0..4_u32, 0.1_f64..2.0, prop::bool::ANY, 1.0..20.0), 0..4),
         masses in prop::collection::vec(0.1..3.0, 7),
     ) {
         let positions: Vec<_> = points.into_iter().map(Point3::from).collect();
@@ -185,7 +186,11 @@ proptest! {
             let weights = [1.0 + skew, 1.0 - skew, -1.2, -0.8];
             Hinge { nodes: [a, b, c, (a + 3) % 7], weights, rest, side: skew.signum(), stiffness }
         }).collect();
-        let network = Network { masses: masses.clone(), springs, hinges, ..Network::default() };
+        let tets = tets.into_iter().map(|(first, rest, other, stiffness)| {
+            let rest = if other { -rest } else { rest };
+            Tet { nodes: [first, first + 1, first + 2, first + 3], rest, stiffness }
+        }).collect();
+        let network = Network { masses: masses.clone(), springs, hinges, tets, ..Network::default() };
         let at = |positions: Vec<Point3<f64>>| {
             let mut solver = MassSpring::new(network.clone(), positions, &[], Config::default()).expect("valid");
             (0..7).map(|node| solver.pull_on(&[node])).collect::<Vec<_>>()

@@ -145,6 +145,15 @@ impl MassSpringBody {
         }
     }
 
+    /// Mass per volume of a volume \[kg/m³\].
+    #[must_use]
+    pub fn volume_density(&self) -> Option<f64> {
+        match self.springs {
+            Springs::Volume { density, .. } => Some(density),
+            _ => None,
+        }
+    }
+
     /// Linear solver for steps of this length \[s\].
     pub(crate) fn solver(&self, period: f64) -> LinearSolver {
         let (tolerance, iterations_max) = (1e-3, 100);

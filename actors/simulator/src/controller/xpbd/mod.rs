@@ -140,6 +140,15 @@ impl XpbdBody {
         }
     }
 
+    /// Mass per volume of a volume \[kg/m³\].
+    #[must_use]
+    pub fn volume_density(&self) -> Option<f64> {
+        match self.matter {
+            Matter::Volume { density, .. } => Some(density),
+            _ => None,
+        }
+    }
+
     /// Cutting and tearing criteria of a volume.
     fn failure_criteria(&self) -> FailureCriteria {
         let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {

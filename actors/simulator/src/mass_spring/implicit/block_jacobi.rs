@@ -43,6 +43,11 @@ impl NodeBlocks {
                 self.inverse[node as usize] += own * (share * share);
             }
         }
+        for of in &matrix.squeezed {
+            for (node, along) in of.nodes.into_iter().zip(&of.along) {
+                self.inverse[node as usize] += along * along.transpose();
+            }
+        }
         for (joint, axis, stiffness) in rigid.contacts() {
             let own = axis * axis.transpose() * stiffness;
             for (node, share) in joint {

@@ -6,11 +6,12 @@ mod conjugate_gradients;
 mod network_cholesky;
 mod operator;
 mod rigid_operator;
+mod search;
 mod warped;
 
 use nalgebra::Vector3;
 use trocar_dynamics::particles::StepError;
-use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
+use trocar_dynamics::soft_body::bearing::rigid_response::{RigidPresses, RigidResponse};
 
 use super::matrix::StepMatrix;
 use super::{Config, Input, LinearSolver, MassSpring, Network, Report, forces};
@@ -18,10 +19,8 @@ use block_jacobi::NodeBlocks;
 use conjugate_gradients::ConjugateGradients;
 use network_cholesky::NetworkCholesky;
 use operator::Operator;
+use search::SEARCHES_MAX;
 use warped::Warped;
-
-/// Slip velocity \[m/s\] at which friction reaches its full magnitude; below, it is a viscous drag.
-const CREEP: f64 = 1e-3;
 
 /// Maximum number of repeated solutions after a change of the active contacts: without repetition, a light sheet on a
 /// rod would alternately bounce off and come back.
@@ -36,6 +35,8 @@ pub(super) struct Implicit {
     /// Right-hand side, and the unknowns: change of velocity \[m/s\].
     right: Vec<Vector3<f64>>,
     change: Vec<Vector3<f64>>,
+    /// Residual at a trial.
+    trial: Vec<Vector3<f64>>,
     /// Difference of the positions from those implied by the velocities.
     lead: Vec<Vector3<f64>>,
 }
@@ -52,7 +53,7 @@ impl Implicit {
     /// is computed elsewhere; until then the block Jacobi preconditioner is used.
     pub fn follow(&mut self, network: &Network) {
         self.operator.forget();
-        for list in [&mut self.right, &mut self.change, &mut self.lead] {
+        for list in [&mut self.right, &mut self.change, &mut self.trial, &mut self.lead] {
             list.resize(network.masses.len(), Vector3::zeros());
         }
         match &mut self.solver {
@@ -81,6 +82,7 @@ impl Implicit {
             solver,
             right: zeros.clone(),
             change: zeros.clone(),
+            trial: zeros.clone(),
             lead: zeros,
         }
     }
@@ -136,16 +138,27 @@ impl MassSpring {
         let Some(mut implicit) = self.implicit.take() else { return Err(StepError::Factorisation) };
         let mut report = Report { parts: 1, safe_step: f64::INFINITY, ..Report::default() };
         let mut result = Ok(());
-        for iteration in 1..=newton + CHANGES_MAX {
+        let mut search = None;
+        for iteration in 1.. {
             self.linearise(&mut implicit, h, input);
+            let searches = !self.network.tets.is_empty()
+                && !(input.rigid.contacts.is_empty() && implicit.matrix.squeezed.is_empty());
             self.prepare_solver(&mut implicit, h, input);
             result = self.solve(&mut implicit, input, &mut report);
             if result.is_err() {
                 break;
             }
             self.advance(&implicit, h, input);
+            if searches {
+                let search = search.get_or_insert_with(|| self.begin_search(&implicit, h, input));
+                self.search(search, &mut implicit, h, input);
+            }
             let is_settled = self.press(&implicit, h, input);
-            if iteration >= newton && is_settled {
+            let (most, is_solved) = match &search {
+                Some(search) => (newton + SEARCHES_MAX, search.is_solved()),
+                None => (newton + CHANGES_MAX, true),
+            };
+            if iteration >= most || (iteration >= newton && is_settled && is_solved) {
                 break;
             }
         }
@@ -164,7 +177,7 @@ impl MassSpring {
         let matrix = &mut implicit.matrix;
         matrix.linearise(&self.network, h, self.config.lag, positions);
         scratch.forces.fill(Vector3::zeros());
-        forces::add_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
+        forces::add_all_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
         for force in input.forces {
             scratch.forces[force.node as usize] += force.force;
         }
@@ -180,18 +193,11 @@ impl MassSpring {
         for ((contact, touched), total) in
             input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)
         {
-            let slip = contact.slip(velocities);
-            let normal = contact.normal;
-            // Depth at the end of the step, from its beginning: the normal part is linear in the velocity.
-            let out = normal.dot(&(contact.point(positions) - touched - contact.velocity * h));
             let ahead: Vector3<f64> =
                 contact.joint().into_iter().map(|(node, share)| implicit.lead[node as usize] * share).sum();
-            let depth = contact.depth - out - h * normal.dot(&ahead);
-            let pressing = contact.pressing(depth, normal.dot(&slip));
-            let across = slip - normal * normal.dot(&slip);
-            let drag = contact.friction * pressing / across.norm().max(CREEP);
+            let (force, [pressing, drag]) = contact.force_at_end(positions, velocities, touched, h, &ahead);
             matrix.press(contact, h, pressing, drag);
-            *total = normal * pressing - across * drag;
+            *total = force;
             for (node, share) in contact.joint() {
                 scratch.forces[node as usize] += *total * share;
             }
@@ -232,6 +238,11 @@ impl MassSpring {
             for (node, weight) in hinge.nodes.into_iter().zip(hinge.weights) {
                 implicit.right[node as usize] -= force * weight;
             }
+        }
+        for of in &matrix.squeezed {
+            let all = || of.nodes.into_iter().zip(&of.along);
+            let sum: f64 = all().map(|(node, along)| along.dot(&implicit.lead[node as usize])).sum();
+            all().for_each(|(node, along)| implicit.right[node as usize] -= along * sum);
         }
         for (right, mass) in implicit.right.iter_mut().zip(&matrix.masses) {
             if *mass == 0.0 {
@@ -336,12 +347,15 @@ impl MassSpring {
 
 /// The response of the rigid bodies at the end of a step of `h` \[s\] with the current velocities.
 fn answer_rigid(scratch: &mut super::Scratch, rigid: &RigidPresses<'_>, h: f64) {
-    let velocities = &scratch.next.velocities;
+    answer_to(&scratch.next.velocities, rigid, h, &mut scratch.rigid);
+}
+
+fn answer_to(velocities: &[Vector3<f64>], rigid: &RigidPresses<'_>, h: f64, response: &mut RigidResponse) {
     let moved = |index: usize| {
         let contact = &rigid.contacts[index];
         let shares = contact.joint().into_iter();
         let along = shares.map(|(node, share)| contact.normal.dot(&velocities[node as usize]) * share);
         h * along.sum::<f64>()
     };
-    rigid.answer(h, moved, &mut scratch.rigid);
+    rigid.answer(h, moved, response);
 }

@@ -85,6 +85,7 @@ impl NetworkCholesky {
         for hinge in &network.hinges {
             pairs(&hinge.nodes, &hinge.weights, |a, b, _| add(a, b));
         }
+        network.tets.iter().for_each(|tet| pairs(&tet.nodes, &[1.0; 4], |a, b, _| add(a, b)));
         blocks.sort_unstable();
         blocks.dedup();
         let mut starts = vec![0; nodes + 1];
@@ -216,7 +217,8 @@ impl NetworkCholesky {
             if held(a) || held(b) {
                 return;
             }
-            // Symmetric, so that the block below the diagonal equals the one above it.
+            // Of the lower triangle.
+            let own = if a < b { own.transpose() } else { own };
             let Some(places) = self.place(a.max(b), a.min(b)) else { return };
             for (axis, place) in places.into_iter().enumerate() {
                 let from = if a == b { axis } else { 0 };
@@ -224,6 +226,7 @@ impl NetworkCholesky {
             }
         };
         matrix.for_each_pair(network, contacts, |a, b, weight, block| add(a, b, block.matrix() * weight));
+        matrix.squeezed.iter().for_each(|of| of.for_each_pair(&mut add));
         for (joint, axis, stiffness) in rigid.contacts() {
             for (index, (a, share)) in joint.into_iter().enumerate().filter(|(_, (_, share))| *share != 0.0) {
                 for (b, weight) in joint[index..].iter().filter(|(_, weight)| *weight != 0.0) {

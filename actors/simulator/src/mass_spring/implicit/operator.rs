@@ -46,6 +46,7 @@ pub(super) struct Operator {
     struts: Vec<SpringBlock>,
     hinges: Vec<HingeBlock<4>>,
     contacts: Vec<HingeBlock<3>>,
+    squeezed: Vec<([u32; 4], [Quad; 4])>,
     flat: Option<Flat>,
     /// Contacts with rigid bodies.
     pub rigid: RigidOperator,
@@ -121,6 +122,10 @@ impl Operator {
         let others = network.hinges.iter().zip(&matrix.hinges).filter(|(hinge, _)| !is_flat(hinge.rest));
         self.hinges.clear();
         self.hinges.extend(others.map(|(hinge, block)| HingeBlock::new(hinge.nodes, hinge.weights, block)));
+        self.squeezed.clear();
+        self.squeezed.reserve(network.tets.len());
+        let squeezed = matrix.squeezed.iter();
+        self.squeezed.extend(squeezed.map(|of| (of.nodes, of.along.map(|along| Quad::from(&along)))));
         self.contacts.clear();
         self.contacts.extend(contacts.iter().zip(&matrix.contacts).map(|(contact, block)| {
             let joint = contact.joint();
@@ -159,6 +164,16 @@ impl Operator {
         }
         for joint in &self.contacts {
             joint.add_product(vector, product);
+        }
+        for (nodes, along) in &self.squeezed {
+            let mut sum = Quad::default();
+            for (node, along) in nodes.iter().zip(along) {
+                sum += along.times(vector[*node as usize]);
+            }
+            let sum = sum.sum();
+            for (node, along) in nodes.iter().zip(along) {
+                product[*node as usize] += *along * sum;
+            }
         }
         self.rigid.apply(vector, product);
     }
@@ -210,7 +225,12 @@ mod tests {
             })
             .collect();
         let material = SurfaceMaterial { membrane_stiffness: 500.0, bending_stiffness: 1e-6, density: 0.15 };
-        let network = Network::from_surface(&points, &triangles, &material).expect("a network");
+        let mut network = Network::from_surface(&points, &triangles, &material).expect("a network");
+        // Two that are squeezed or inside out, and one that is not.
+        network.tets.extend(
+            [([0, 1, 7, 45], 1.0), ([8, 9, 20, 44], -1.0), ([2, 3, 10, 46], 1e-20)]
+                .map(|(nodes, rest)| crate::mass_spring::Tet { nodes, rest: 1e-5 * rest, stiffness: 1e-4 }),
+        );
         let mut any = || Vector3::from_fn(|_, _| random.random_range(-1.0..1.0));
         let positions: Vec<_> = points.iter().map(|point| point + any() * 1e-3).collect();
         let vector: Vec<Vector3<f64>> = points.iter().map(|_| any()).collect();
@@ -233,6 +253,15 @@ mod tests {
                     expected[b as usize] += block * vector[a as usize];
                 }
             });
+            assert!(matrix.squeezed.len() >= 2);
+            for of in &matrix.squeezed {
+                of.for_each_pair(|a, b, block| {
+                    expected[a as usize] += block * vector[b as usize];
+                    if a != b {
+                        expected[b as usize] += block.transpose() * vector[a as usize];
+                    }
+                });
+            }
             let quads: Vec<Quad> = vector.iter().map(Quad::from).collect();
             let mut product = vec![Quad::default(); quads.len()];
             operator.apply(&quads, &mut product);
