@@ -2,18 +2,22 @@
 //!
 //! For each rigid body that lies above a soft one the static depth is estimated: that of a ball on a half-space (Sneddon
 //! 1965) or of a flat punch (Boussinesq, in Johnson, *Contact Mechanics*, 1985, §3.4), and the compression of the column
-//! below it.
+//! below it. A soft volume that stands on its anchors and that its own weight makes fold is told as well.
 
 use nalgebra::{Point3, Vector3};
 use trocar_engine::EngineSoftBody;
-use trocar_scene::{Entity, Motion, RigidBody, Scenario, Shape, Snapshot, TetMesh, VertexPositions};
+use trocar_scene::{Anchors, Entity, Motion, RigidBody, Scenario, Shape, Snapshot, TetMesh, VertexPositions};
 use trocar_simulator::controller::{DynamicFemBody, LinearFemBody, MassSpringBody, XpbdBody};
 
 /// Share of a body's thickness down to which it bears what lies on it.
 const DEPTH_SHARE: f64 = 0.3;
-/// The same in cells for networks of springs: deeper, their cells turn inside out, also because a body that comes to lie on
-/// them sinks in twice as deep at first.
+/// The same in cells for networks of springs: deeper, a body lies more than a quarter deeper than on a continuum, and the
+/// network leans aside with it.
 const DEPTH_CELLS: f64 = 0.25;
+/// Lowest Young's modulus of a volume that stands on its anchors, over the pressure of its weight on them: softer springs
+/// sag by a quarter more than a continuum and lean aside; by other methods softer volumes buckle.
+const WEIGHTS_OF_SPRINGS: f64 = 10.0;
+const WEIGHTS: f64 = 3.0;
 /// Lowest rate of a controller of rigid bodies that soft ones bear \[Hz\].
 const RIGID_HZ: f64 = 50.0;
 
@@ -22,7 +26,9 @@ struct Soft {
     entity: Entity,
     young_modulus: f64,
     poisson_ratio: f64,
-    /// Whether its cells turn inside out in large deformation.
+    /// \[kg/m³\]; 0 where its weight is left out.
+    density: f64,
+    /// Whether it is of springs.
     folds: bool,
 }
 
@@ -53,30 +59,65 @@ fn bounds(scene: &Snapshot, entity: Entity) -> Option<[Point3<f64>; 2]> {
 /// The soft volumes of a scene.
 fn softs(scene: &Snapshot) -> Vec<Soft> {
     let mut softs = Vec::new();
-    let mut add = |entity, young_modulus, poisson_ratio, folds| {
-        softs.push(Soft { entity, young_modulus, poisson_ratio, folds });
+    let mut add = |entity, [young_modulus, poisson_ratio]: [f64; 2], density, folds| {
+        softs.push(Soft { entity, young_modulus, poisson_ratio, density, folds });
     };
     for (entity, of) in scene.iter::<DynamicFemBody>() {
-        add(entity, of.young_modulus, of.poisson_ratio, false);
+        add(entity, [of.young_modulus, of.poisson_ratio], of.density, false);
     }
     for (entity, of) in scene.iter::<LinearFemBody>() {
-        add(entity, of.young_modulus, of.poisson_ratio, false);
+        add(entity, [of.young_modulus, of.poisson_ratio], 0.0, false);
     }
     for (entity, of) in scene.iter::<EngineSoftBody>() {
-        add(entity, of.young_modulus, of.poisson_ratio, false);
+        add(entity, [of.young_modulus, of.poisson_ratio], of.density, false);
     }
     for (entity, of) in scene.iter::<XpbdBody>() {
-        if let Some([young_modulus, poisson_ratio]) = of.volume() {
-            add(entity, young_modulus, poisson_ratio, false);
+        if let (Some(elastic), Some(density)) = (of.volume(), of.volume_density()) {
+            add(entity, elastic, density, false);
         }
     }
     for (entity, of) in scene.iter::<MassSpringBody>() {
-        if let Some(young_modulus) = of.volume() {
+        if let (Some(young_modulus), Some(density)) = (of.volume(), of.volume_density()) {
             // Springs of a volume are a continuum with this ratio (Van Gelder 1998).
-            add(entity, young_modulus, 0.25, true);
+            add(entity, [young_modulus, 0.25], density, true);
         }
     }
     softs
+}
+
+/// How high a soft body stands above its highest anchor \[m\]; 0 without anchors.
+fn stands(scene: &Snapshot, entity: Entity) -> f64 {
+    let (Some(anchors), Some(vertices)) =
+        (scene.get::<Anchors>(entity), scene.get::<VertexPositions>(entity))
+    else {
+        return 0.0;
+    };
+    let pose = scene.world_pose(entity);
+    let (mut top, mut held) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+    for at in vertices.positions.iter() {
+        let height = (pose * at).z;
+        top = top.max(height);
+        if anchors.hold(at) {
+            held = held.max(height);
+        }
+    }
+    if held.is_finite() { top - held } else { 0.0 }
+}
+
+/// What a soft body that folds under its own weight is told.
+fn folds(scene: &Snapshot, of: &Soft, gravity: f64) -> Option<String> {
+    let pressure = of.density * gravity * stands(scene, of.entity);
+    let least = pressure * if of.folds { WEIGHTS_OF_SPRINGS } else { WEIGHTS };
+    (of.young_modulus < least).then(|| {
+        format!(
+            "{}: on its anchors it would fold under its own weight, which presses with {:.0} Pa: take a young_modulus of \
+             {:.0} Pa or more, a smaller density, a lower body{}",
+            scene.name(of.entity),
+            pressure,
+            least.ceil(),
+            if of.folds { ", or 'dynamic_fem'" } else { "" },
+        )
+    })
 }
 
 /// Estimated static depth of a rigid body on a soft one \[m\].
@@ -116,11 +157,16 @@ pub fn forecast(scene: &Snapshot, scenario: &Scenario) -> Vec<String> {
     let mut told = Vec::new();
     let moving: Vec<(Entity, &RigidBody)> =
         scene.iter::<RigidBody>().filter(|(_, body)| body.motion == Motion::Dynamic).collect();
-    if moving.is_empty() {
-        return told;
-    }
     // The weight acts along −z; scenarios with another direction are not estimated.
     if gravity.z < 0.0 && gravity.xy().norm() < 0.1 * gravity.norm() {
+        let mut softs = softs;
+        // Told once: what lies on such a body is not estimated.
+        softs.retain(|of| {
+            let fold = folds(scene, of, gravity.norm());
+            let stands = fold.is_none();
+            told.extend(fold);
+            stands
+        });
         for (entity, body) in &moving {
             let Some(rigid) = bounds(scene, *entity) else { continue };
             let size = rigid[1] - rigid[0];
@@ -158,7 +204,7 @@ pub fn forecast(scene: &Snapshot, scenario: &Scenario) -> Vec<String> {
             }
         }
     }
-    for entry in &scenario.controllers {
+    for entry in scenario.controllers.iter().filter(|_| !moving.is_empty()) {
         if matches!(entry.kind.as_str(), "rapier" | "rigid-bodies") && entry.rate_hz < RIGID_HZ {
             told.push(format!(
                 "{}: at {} Hz soft bodies do not bear its bodies reliably: take {RIGID_HZ} Hz or more",
