@@ -67,6 +67,7 @@ struct StepInputs {
     /// Length of that list without the friction of rigid bodies, which changes from part to part of a tick.
     given_before: usize,
     forces: Vec<Vector3<f64>>,
+    meets_instruments: bool,
     step_secs: f64,
 }
 
@@ -81,6 +82,7 @@ impl StepInputs {
             rods: &self.rods,
             touches: &self.touches,
             rigid: RigidPresses { bodies: &self.rigid, contacts: &self.presses },
+            meets_instruments: self.meets_instruments,
             forces: &self.given,
             driven: &self.driven,
             grip_limits: &self.jaws.limits,
@@ -504,6 +506,7 @@ impl<M: SoftMethod> Body<M> {
         let skin = self.method.contact_surface(&self.body);
         let found = (&inputs.touches[..], &inputs.rods[..]);
         self.held_back.find(found, &skin, self.method.velocities(), period, holds);
+        inputs.meets_instruments = self.held_back.is_touched();
         if let Some(slow_side) = &mut self.slow_side {
             let mut given = std::mem::take(&mut inputs.given);
             slow_side.take(&inputs.site(scene, tick), self.method.velocities(), &mut given);

@@ -24,6 +24,8 @@ const SOFT_IN_VOLUME: f64 = 0.6;
 /// Further depth, as such a share, at which one contact alone bears all that a hand can draw with. Of several on a sheet or
 /// a line each is softer by the root of their number: some bear more than others.
 const HARD: f64 = 0.1;
+/// Way in which a contact stops an instrument that its hand's force alone would not, as such a share.
+const BRAKING: f64 = 0.4;
 /// A displacement below this is over \[m\].
 const OVER: f64 = 1e-7;
 
@@ -56,6 +58,7 @@ struct Stop {
 pub struct HeldBack {
     list: Vec<Led>,
     stops: Vec<Stop>,
+    is_touched: bool,
     yields: InstrumentYields,
     is_told: bool,
 }
@@ -133,6 +136,7 @@ impl HeldBack {
         passes: impl Fn(Entity) -> bool,
     ) {
         self.stops.clear();
+        self.is_touched = false;
         let soft = if skin.closed { SOFT_IN_VOLUME } else { SOFT };
         for (index, led) in self.list.iter_mut().enumerate() {
             led.is_stopped = led.offset != Vector3::zeros() || led.velocity != Vector3::zeros();
@@ -148,6 +152,7 @@ impl HeldBack {
                 if rod.instrument != led.instrument || rod.is_open_jaw || is_through {
                     continue;
                 }
+                self.is_touched = true;
                 let own = touch.nodes.iter().zip(touch.weights);
                 let body: Vector3<f64> =
                     own.filter_map(|(&node, weight)| Some(velocities.get(node as usize)? * weight)).sum();
@@ -156,7 +161,11 @@ impl HeldBack {
                 led.is_stopped |= depth + nears * step > soft * reach;
                 // Turning brings some parts of it nearer than others.
                 let turns = touch.normal.dot(&(touch.velocity - led.speed - led.velocity));
-                let (stiffness, beyond) = (led.coupling.force_max / (HARD * reach), depth - soft * reach);
+                // It bears the hand's force, and stops the instrument's own momentum.
+                let comes = touch.normal.dot(&(led.speed + led.velocity)).max(0.0) / (BRAKING * reach);
+                let bears = led.coupling.force_max / (HARD * reach);
+                let stiffness = bears.max(led.coupling.mass * comes * comes);
+                let beyond = depth - soft * reach;
                 let plane = PlaneContact {
                     nodes: touch.nodes,
                     weights: touch.weights,
@@ -182,6 +191,12 @@ impl HeldBack {
         }
     }
 
+    /// Whether instruments that are not let through touch the body, or may within the tick.
+    #[must_use]
+    pub fn is_touched(&self) -> bool {
+        self.is_touched
+    }
+
     /// Adds them to a step of `step` \[s\].
     pub fn press(&self, step: f64, presses: &mut Vec<PlaneContact>, bodies: &mut Vec<RigidInStep>) {
         let mut last = None;
@@ -200,6 +215,21 @@ impl HeldBack {
             self.list[stop.led].pushed -= force;
         }
         self.list.iter_mut().filter(|led| led.is_stopped).for_each(|led| led.end_step(step));
+    }
+
+    /// For bodies without mass, whose forces balance at once: each instrument, with the bound of its coupling's force \[N\]
+    /// and its displacement \[m\].
+    pub fn instruments(&self) -> impl Iterator<Item = (Entity, f64, Vector3<f64>)> + '_ {
+        self.list.iter().map(|led| (led.instrument, led.coupling.force_max, led.offset))
+    }
+
+    /// Displaces an instrument further, by its number among those, in a step of `step` \[s\]: there contacts push it with
+    /// this force \[N\], which is its coupling's.
+    pub fn balance(&mut self, number: usize, by: Vector3<f64>, force: Vector3<f64>, step: f64) {
+        let led = &mut self.list[number];
+        led.is_stopped |= led.offset != Vector3::zeros() || by != Vector3::zeros();
+        (led.offset, led.velocity) = (led.offset + by, by / step);
+        (led.pushed, led.pulled) = (force, force);
     }
 
     /// The contacts that stop instruments, by the numbers of their touches, with these forces on the body \[N\].

@@ -31,6 +31,8 @@ pub struct StepContext<'a> {
     pub touches: &'a [RodContact],
     /// Contacts with rigid bodies that move.
     pub rigid: RigidPresses<'a>,
+    /// Whether instruments that it holds back touch it, or may within the tick.
+    pub meets_instruments: bool,
     /// External forces on vertices \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices held by jaws, with their prescribed positions at the end of the tick; ascending, without anchored ones.

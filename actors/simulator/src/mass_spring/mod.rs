@@ -271,6 +271,12 @@ impl MassSpring {
         Ok(())
     }
 
+    /// Continues from a state of as many nodes.
+    pub(crate) fn continue_from(&mut self, state: &State) {
+        self.state.positions.clone_from(&state.positions);
+        self.state.velocities.clone_from(&state.velocities);
+    }
+
     /// Updates what depends on network and pins.
     fn refresh(&mut self) {
         let nodes = self.network.masses.len();

@@ -36,15 +36,22 @@ pub fn step_together(
         nodes += member.body.mobility.len() + 1;
     }
     external_nodes.check(nodes).map_err(|error| (0, error))?;
-    members.iter_mut().for_each(|member| member.body.prepare(dt, &member.input));
     external_nodes.prepare(scratch);
+    // Without external nodes there is nothing to gather in each substep.
+    let has_company = !(external_nodes.ghost_nodes.is_empty() && external_nodes.ties.is_empty());
+    if let [Member { body, input }] = members
+        && !has_company
+        && input.direct
+        && body.has_network()
+    {
+        return body.step_directly(dt, input).map_err(|error| (0, error));
+    }
+    members.iter_mut().for_each(|member| member.body.prepare(dt, &member.input));
     let most = |of: fn(&XpbdConfig) -> u32| members.iter().map(|member| of(&member.body.config)).max();
     let (parts, iterations) = (most(|config| config.parts), most(|config| config.iterations));
     let wanted = members.iter().map(|member| member.input.parts_min).max().unwrap_or(0);
     let parts = parts.unwrap_or(1).max(wanted).min(PARTS_MAX);
     let h = dt / f64::from(parts);
-    // Without external nodes there is nothing to gather in each substep.
-    let has_company = !(external_nodes.ghost_nodes.is_empty() && external_nodes.ties.is_empty());
     for index in 1..=parts {
         if has_company {
             external_nodes.begin(all_places(members), scratch);

@@ -8,12 +8,15 @@
 //! fraction grows with an element's ratio of stiffness to mass: soft tissue with centimetre elements converges in a few
 //! substeps; stiff or fine bodies do not and need `dynamic_fem`.
 //!
+//! Where rigid bodies or instruments meet a cloth or a rod, its constraints are solved together (`direct.rs`).
+//!
 //! Constraints are coloured, four tetrahedra at a time, and projected sequentially or on the caller's rayon pool, with
 //! bit-identical results.
 
 mod colouring;
 mod constraint;
 mod contact;
+mod direct;
 pub(crate) mod island;
 mod jaws;
 pub(crate) mod remesh;
@@ -33,7 +36,9 @@ use trocar_dynamics::particles::{State, StepError};
 use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 use trocar_dynamics::soft_body::jaw_friction::{GripForce, JawFriction};
 
-use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
+use crate::mass_spring::{
+    Contact, MassSpring, NetworkError, NodeForce, Prescribed, check_contacts, check_elements,
+};
 use colouring::Coloured;
 use constraint::{Constraint, Nodes};
 use contact::ContactState;
@@ -116,6 +121,9 @@ pub struct XpbdInput<'a> {
     pub external_nodes: ExternalNodes<'a>,
     /// How much the jaws hold that prescribe positions.
     pub jaws: JawFriction<'a>,
+    /// Whether the constraints are solved together, where the body has a network ([`Xpbd::take_network`]) and no external
+    /// nodes: then it takes one step.
+    pub direct: bool,
 }
 
 /// The solver.
@@ -133,6 +141,8 @@ pub struct Xpbd {
     /// Masses besides those of tetrahedra; empty where there are none \[kg\].
     own: Vec<f64>,
     pinned: Vec<u32>,
+    /// The network of its constraints, for steps that solve them together.
+    network: Option<Box<MassSpring>>,
     scratch: Scratch,
 }
 
@@ -152,6 +162,8 @@ struct Scratch {
     tets: Sweep<TetPack>,
     /// Inverse squared length of the last substep \[1/s²\].
     rate: f64,
+    /// Whether the last step was solved directly.
+    was_direct: bool,
 }
 
 /// Workspace of a sweep.
@@ -249,6 +261,7 @@ impl Xpbd {
             density: body.elasticity.map_or(0.0, |elasticity| elasticity.density),
             own: body.masses.to_vec(),
             pinned,
+            network: None,
             scratch: Scratch::default(),
         };
         (0..nodes as u32).for_each(|node| solver.weigh(node));
@@ -350,6 +363,9 @@ impl Xpbd {
     /// step \[N\], for ties the mean over the step: the reaction on jaws that hold them. Zero before the first step.
     #[must_use]
     pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
+        if let Some(solver) = self.network.as_mut().filter(|_| self.scratch.was_direct) {
+            return solver.pull_on(nodes);
+        }
         let Scratch { places, distances, bends, tets, rate, external_nodes, .. } = &mut self.scratch;
         let mut sum = Vector3::zeros();
         let mut each = |node: u32, impulse: Vector3<f64>| {
@@ -427,6 +443,7 @@ impl Xpbd {
     fn prepare(&mut self, dt: f64, input: &XpbdInput<'_>) {
         let nodes = self.mobility.len();
         let scratch = &mut self.scratch;
+        scratch.was_direct = false;
         scratch.next.positions.clone_from(&self.state.positions);
         scratch.next.velocities.clone_from(&self.state.velocities);
         scratch.places.clear();

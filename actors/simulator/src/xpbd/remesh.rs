@@ -90,6 +90,7 @@ impl Xpbd {
         stays: impl Fn(u32) -> bool,
         carry: impl FnOnce(&mut State),
     ) -> Result<(), NetworkError> {
+        self.network = None;
         carry(&mut self.state);
         let State { positions, velocities } = &self.state;
         for (what, given) in [("positions", positions.len()), ("velocities", velocities.len())] {

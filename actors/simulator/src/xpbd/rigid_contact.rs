@@ -50,6 +50,12 @@ impl RigidContactStates {
         self.bodies.iter_mut().for_each(|body| body.end(h));
     }
 
+    /// Takes the forces of a step of `dt` \[s\] that was solved elsewhere \[N\].
+    pub fn take(&mut self, forces: &[f64], dt: f64) {
+        self.impulses.clear();
+        self.impulses.extend(forces.iter().map(|force| force * dt));
+    }
+
     /// Impulse of each contact of the step, along its normal \[N·s\].
     pub fn impulses(&self) -> &[f64] {
         &self.impulses

@@ -2,9 +2,11 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::rigid_bodies::RigidBodiesController;
-use trocar_scene::{Access, Commands, Controller, ControllerError, Frozen, Measured, Pose, Snapshot, Tick};
+use trocar_scene::{
+    Access, Commands, Controller, ControllerError, Frozen, Measured, Pose, Snapshot, Tick, VertexPositions,
+};
 use trocar_simulator::controller::{
-    DynamicFemController, LinearFemController, MassSpringController, ThreadController,
+    DynamicFemController, LinearFemController, MassSpringController, ThreadController, XpbdController,
 };
 use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 
@@ -206,4 +208,51 @@ joined = { within = 0.006, stiffness = 500.0 }
     // It swings as a pendulum of the rope's length; it loses little.
     assert!(longest < 0.106, "{longest} m from the anchor");
     assert!(lowest < -0.09, "it swings down to {lowest} m");
+}
+
+/// A rod of 0.1 g, of which the last 7.5 mm are joined to a weight or hang on it.
+#[test]
+fn a_position_based_rod_is_stretched_by_a_weight_as_its_stiffness_says() {
+    for ratio in [1.0, 10.0, 100.0, 1000.0] {
+        let mass = 1e-4 * ratio;
+        let axial_stiffness = 100.0 * mass * 9.81;
+        let rope = format!(
+            r#"
+[[entity]]
+name = "rigid"
+pose = {{ translation = [0.0, 0.0, -0.05] }}
+mesh = {{ shape = {{ sphere = {{ radius = 0.005 }} }}, segments = 16 }}
+rigid_body = {{ motion = "dynamic", mass = {mass} }}
+[[entity]]
+name = "rope"
+pose = {{ rotation = [0.0, 0.7071067811865476, 0.0, 0.7071067811865476] }}
+mesh = {{ line = {{ length = 0.10, segments = 40, radius = 0.0005 }} }}
+xpbd = {{ matter = {{ rod = {{ axial_stiffness = {axial_stiffness}, bending_stiffness = 1e-8, density = 0.001 }} }}, damping = 5.0 }}
+anchors = {{ regions = [{{ ball = {{ center = [-0.05, 0.0, 0.0], radius = 0.001 }} }}] }}
+[[entity.coupled.with]]
+body = "rigid"
+joined = {{ within = 0.003, stiffness = 500.0 }}
+"#
+        );
+        let stage = Stage::new(scene(&rope), 1000.0, |_| Ok(Nobody));
+        let soft = Other::new(&stage, SOFT, 2, |c| XpbdController::new(GRAVITY, c));
+        let rigid = Other::new(&stage, RIGID, 1, |context| {
+            let settings =
+                RigidSettings { gravity_in_world: GRAVITY, floor_height: None, ..RigidSettings::default() };
+            RigidBodiesController::<ImpulseWorld>::new(context, settings)
+                .map_err(|error| ControllerError::Scene(error.to_string()))
+        });
+        let mut scene = Scene { stage, soft, rigid };
+        scene.run(2.0);
+        assert!(!scene.stage.has::<Frozen>("rope"));
+        let (free, joined) = (0.0925, 0.0075);
+        let wanted = (mass * free + 1e-3 * free * (0.5 * free + joined)) * 9.81 / axial_stiffness;
+        let mut found = 0.0;
+        for _ in 0..500 {
+            scene.run(0.002);
+            let positions = scene.stage.get::<VertexPositions>("rope").positions;
+            found += (positions[37].x - positions[0].x - free) / 500.0;
+        }
+        assert!((found / wanted - 1.0).abs() < 0.02, "{ratio}: stretched by {found} of {wanted} m");
+    }
 }

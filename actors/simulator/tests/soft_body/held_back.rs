@@ -184,3 +184,32 @@ fn finite_elements_stop_a_shaft_at_any_speed() {
     );
     is_stopped(&body, 20.0, fem);
 }
+
+#[test]
+fn position_based_cloths_stop_a_shaft_at_any_speed() {
+    let stiff = STIFF.split(", density").next().unwrap_or_default();
+    for (mesh, density, parts, bounds) in
+        [(BAND, 0.1, 4, &[1.0, 12.0][..]), (BAND, 1.0, 40, &[1.0, 12.0]), (SHEET, 0.3, 8, &[5.0])]
+    {
+        let body = format!(
+            "{mesh}{ENDS}xpbd = {{ matter = {{ cloth = {{ {stiff}, density = {density} }} }}, parts = {parts}, damping = 20.0 }}"
+        );
+        bounds.iter().for_each(|bound| is_stopped(&body, *bound, xpbd));
+    }
+}
+
+#[test]
+fn a_position_based_cloth_that_a_shaft_is_too_strong_for_tears() {
+    let body = format!(
+        "{BAND}{ENDS}xpbd = {{ matter = {{ cloth = {{ {STIFF} }} }}, parts = 20, damping = 20.0, tears_at = 1.08 }}"
+    );
+    let torn = |bound: f64| {
+        let mut session = Session::new(&body, (1000.0, bound), xpbd);
+        (0..600).for_each(|_| session.tick(1e-4));
+        (session.stage.measured("body.pieces"), session.before())
+    };
+    let (pieces, before) = torn(1.0);
+    assert!(pieces == 1.0 && before > 0.0, "held: {pieces} pieces, {before} m");
+    let (pieces, before) = torn(200.0);
+    assert!(pieces > 1.0 && before < 0.0, "torn: {pieces} pieces, {before} m");
+}

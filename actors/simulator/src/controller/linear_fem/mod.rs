@@ -252,6 +252,7 @@ fn site<'a>(
         rods,
         touches: &[],
         rigid,
+        meets_instruments: false,
         forces: &[],
         driven: &[],
         grip_limits: &[],

@@ -90,6 +90,7 @@ impl LyingOn {
             rods: &[],
             touches: &[],
             rigid: RigidPresses::default(),
+            meets_instruments: false,
             forces: &[],
             driven: &[],
             grip_limits: &[],

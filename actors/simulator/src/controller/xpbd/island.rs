@@ -8,7 +8,7 @@ use trocar_dynamics::particles::StepError;
 use trocar_dynamics::soft_body::jaw_friction::JawFriction;
 use trocar_dynamics::soft_body::method::Step;
 
-use super::XpbdMethod;
+use super::{XpbdMethod, is_loaded};
 use crate::controller::coupling::fast_side::FastSide;
 use crate::xpbd::{Member, XpbdInput, step_together};
 
@@ -156,8 +156,17 @@ fn step_all(
             let gravity: Vector3<f64> = step.site.gravity;
             let (rigid, external_nodes) = (step.site.rigid, ExternalNodes::default());
             let parts_min = if rigid.contacts.is_empty() { 0 } else { (dt / *bearing_substep).ceil() as u32 };
-            let input =
-                XpbdInput { gravity, forces, contacts, prescribed, rigid, parts_min, external_nodes, jaws };
+            let input = XpbdInput {
+                gravity,
+                forces,
+                contacts,
+                prescribed,
+                rigid,
+                parts_min,
+                external_nodes,
+                jaws,
+                direct: is_loaded(&step.site),
+            };
             Member { body: &mut of.solver, input }
         })
         .collect();

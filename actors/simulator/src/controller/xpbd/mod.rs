@@ -189,7 +189,7 @@ impl XpbdBody {
         }
     }
 
-    /// The solver of a body without its removed elements, and for a cloth its edge network.
+    /// The solver of a body without its removed elements, and for a cloth or a rod its network.
     fn solver(
         &self,
         body: &Deformable,
@@ -221,7 +221,7 @@ impl XpbdBody {
             Matter::Rod { axial_stiffness, bending_stiffness, density } => {
                 let material = LineMaterial { axial_stiffness, bending_stiffness, density };
                 let network = Network::from_line(&body.rest, &body.segments, &material)?;
-                (of_network(body, &network, config, groups)?, None)
+                (of_network(body, &network, config, groups)?, Some(network))
             }
         };
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
@@ -280,11 +280,17 @@ impl XpbdGroups {
     }
 }
 
+/// Whether rigid bodies that move, or instruments that hands lead, touch a body in a step: sweeps over its constraints
+/// do not carry them.
+pub(super) fn is_loaded(site: &StepContext<'_>) -> bool {
+    site.meets_instruments || !site.rigid.contacts.is_empty()
+}
+
 /// The solver of one body, whose elements may be removed.
 pub(super) struct Solver {
     kind: XpbdBody,
     pub solver: Xpbd,
-    /// Edge network of a divisible cloth.
+    /// Network of a cloth or a rod.
     network: Option<Network>,
     /// Whether constraints have changed their group since the mesh was built.
     regrouped: bool,
@@ -300,6 +306,16 @@ impl Solver {
         }
     }
 
+    /// Makes a cloth or a rod ready for a step in which something may press or hang on it.
+    fn meet(&mut self, site: &StepContext<'_>) -> Result<(), String> {
+        match &self.network {
+            Some(network) if is_loaded(site) && !self.solver.has_network() => {
+                self.solver.take_network(network).map_err(|error| error.to_string())
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Follows a rod that was cut at nodes; `copies` are the nodes that the new ones duplicate.
     fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), NetworkError> {
         let mut state = self.solver.state().clone();
@@ -307,7 +323,7 @@ impl Solver {
             state.positions.push(state.positions[of as usize]);
             state.velocities.push(state.velocities[of as usize]);
         }
-        (self.solver, _) = self.kind.solver(body, &[], &[], &XpbdGroups::default())?;
+        (self.solver, self.network) = self.kind.solver(body, &[], &[], &XpbdGroups::default())?;
         self.solver.restore(state)
     }
 
@@ -399,6 +415,7 @@ impl XpbdMethod {
         site.jaw_friction(&mut self.grips);
         self.forces.clear();
         self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
+        self.of.meet(site)?;
         match &mut self.coupled {
             Some(coupled) => coupled.begin_step(body, self.of.solver.state(), site),
             None => Ok(()),
@@ -450,7 +467,6 @@ impl SoftMethod for XpbdMethod {
         let groups = scene.get::<XpbdGroups>(body.entity).cloned().unwrap_or_default();
         let made = kind.solver(body, &altered, &heated.removed, &groups);
         let (solver, network) = made.map_err(|error| error.to_string())?;
-        let network = network.filter(|_| membrane.is_some());
         let mut of = Solver { kind: *kind, solver, network, regrouped: false };
         of.alter(&heated.coagulated)?;
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
