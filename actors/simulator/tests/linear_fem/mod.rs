@@ -5,6 +5,7 @@ mod controller;
 mod convergence;
 mod element_removal;
 mod embedded_points;
+mod held_back;
 mod node_split;
 mod reference;
 mod solver;

@@ -10,6 +10,7 @@ mod bearing;
 pub(crate) mod blend;
 pub(crate) mod contacts;
 pub(crate) mod embedded_points;
+mod held_back;
 pub(crate) mod inverse_job;
 mod jaws;
 pub(crate) mod topology_change;
@@ -29,6 +30,7 @@ use trocar_dynamics::soft_body::bearing::{Bearings, access as bearing_access};
 use trocar_dynamics::soft_body::contact::SoftContacts;
 use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody};
 use trocar_dynamics::soft_body::grasp::Grips;
+use trocar_dynamics::soft_body::held_back::HeldBack;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaw_friction::{Crushable, StrainedGrips, TickGrips};
 use trocar_dynamics::soft_body::jaws::is_blade;
@@ -130,6 +132,7 @@ pub(super) struct Body {
     pub(super) grips: Grips,
     strained: StrainedGrips,
     pub(super) jaws: TickGrips,
+    pub(super) held_back: HeldBack,
     pub(super) pins: Pins,
     /// Points that rods pressed on in the last tick.
     pub(super) contacts: Contacts,
@@ -191,7 +194,8 @@ impl Controller for LinearFemController {
     fn access(&self) -> Access {
         let refused = self.refused.iter().map(|body| body.entity);
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
-        DivisibleVolume::access(bearing_access(Deformable::access(&bodies), &bodies), &bodies)
+        let access = HeldBack::access(bearing_access(Deformable::access(&bodies), &bodies), &bodies);
+        DivisibleVolume::access(access, &bodies)
             .reads::<LinearFemBody>()
             .reads::<Pose>()
             .reads::<Velocity>()
@@ -212,6 +216,7 @@ impl Controller for LinearFemController {
         for (index, body) in self.bodies.iter_mut().enumerate().filter(|(_, body)| !body.frozen) {
             body.world_from_body = scene.world_pose(body.body.entity);
             rods_of_all(scene, &body.world_from_body, &mut body.rods);
+            body.held_back.begin(scene, body.body.entity, &body.world_from_body, &mut body.rods);
             if body.kind.cut {
                 body.rods.retain(|rod| !is_blade(scene, rod.instrument));
             }
@@ -293,6 +298,7 @@ impl Body {
             grips: scene.get::<Grips>(entity).cloned().unwrap_or_default(),
             strained: scene.get::<StrainedGrips>(entity).cloned().unwrap_or_default(),
             jaws: TickGrips::default(),
+            held_back: HeldBack::resume(scene, entity),
             contacts: scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
             borne: scene.get::<SoftContacts>(entity).cloned().unwrap_or_default(),
             mobility: is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }).collect(),
@@ -340,9 +346,14 @@ impl Body {
     ) -> Result<(), String> {
         let (rods, world_from_body) = (std::mem::take(&mut self.rods), self.world_from_body);
         let site = StepContext { step_secs, ..site(scene, tick, &world_from_body, &rods, rigid) };
+        let before: Vec<Vector3<f64>> = self.held_back.instruments().map(|(_, _, offset)| offset).collect();
         let done = self.react(&site, out);
         self.rods = rods;
         self.answers = done?;
+        for ((instrument, _, offset), before) in self.held_back.instruments().zip(before) {
+            let own = self.rods.iter_mut().filter(|rod| rod.instrument == instrument);
+            own.for_each(|rod| rod.ends.iter_mut().for_each(|end| *end += offset - before));
+        }
         let bad = self.answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
         bad.map_or(Ok(()), |at| Err(format!("the force of contact {at} is no finite number")))
     }
@@ -359,15 +370,8 @@ impl Body {
         let mut answers = self.collect_constraints(site, out)?;
         self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
         let mut asked = 0;
-        for _ in 0..ROUNDS_MAX {
-            let before = answers.len();
-            self.answer(&mut answers, &mut asked).map_err(|error| error.to_string())?;
-            self.collect_more_contacts(site.rods, &mut answers);
-            let moved = self.advance_to_rod(&mut answers).map_err(|error| error.to_string())?;
-            if answers.len() == before && !moved {
-                break;
-            }
-        }
+        self.settle(&mut answers, site.rods, &mut asked).map_err(|error| error.to_string())?;
+        self.hold_back(&mut answers, site).map_err(|error| error.to_string())?;
         self.slip(&mut answers).map_err(|error| error.to_string())?;
         self.keep_slipped(&answers, site, out);
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
@@ -406,6 +410,7 @@ impl Body {
         if self.solver.is_some() {
             self.write(out);
         }
+        self.held_back.end(self.body.entity, &self.world_from_body, tick.time, out);
         if self.leaves_linear_range(tick) {
             out.event("beyond_linear", self.body.entity, None, tick.time.as_secs_f64());
             if scene.get::<OutOfValidity>(self.body.entity).is_none() {
