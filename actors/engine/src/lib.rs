@@ -11,7 +11,7 @@
 //! | `grasper.rs`, `jaws.rs` | an instrument as palm, jaws, hinge and drive |
 //! | `contacts.rs`, `anticipate.rs` | contacts for the collision list and for haptics |
 //! | `penalty.rs` | penalty contacts from external detectors |
-//! | `soft.rs` | Rapier's soft volumes as a soft-body method |
+//! | `soft.rs`, `held_back.rs` | Rapier's soft volumes as a soft-body method; instruments that they hold back |
 //! | `shapes.rs`, `settings.rs`, `conversion.rs` | geometry, tuning, glam to nalgebra |
 //!
 //! # How to grasp
@@ -49,6 +49,7 @@ pub mod anticipate;
 pub mod contacts;
 pub mod conversion;
 pub mod grasper;
+mod held_back;
 pub mod jaws;
 pub mod penalty;
 pub mod settings;

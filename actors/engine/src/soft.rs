@@ -2,10 +2,10 @@
 //! a scenario selects the method in one line.
 //!
 //! Instruments touch, press and grasp these bodies as any soft body. A contact is a spring of the body's
-//! `contact_stiffness`, integrated implicitly within each substep. The force on grasping jaws is the stress of the
-//! elements around the held vertices. Rapier's solvers warm-start from the previous step, and that state is not in the
-//! scene: after a restart the body resumes from the same positions and velocities, within the solver's tolerance and
-//! not bit-identically.
+//! `contact_stiffness`, integrated implicitly within each substep; what stops an instrument leads vertices
+//! (`held_back.rs`). The force on grasping jaws is the stress of the elements around the held vertices. Rapier's solvers
+//! warm-start from the previous step, and that state is not in the scene: after a restart the body resumes from the same
+//! positions and velocities, within the solver's tolerance and not bit-identically.
 
 use std::collections::BTreeMap;
 
@@ -18,6 +18,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
 use trocar_dynamics::soft_body::bearing::rigid_motion::{PressedNodes, RigidMotion, press, press_as_before};
+use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 use trocar_dynamics::soft_body::jaw_friction::GripForce;
 use trocar_dynamics::soft_body::method::{
     ContactParams, Measures, StepContext, bearing_stiffness, bearing_substep, pressure_wave_squared,
@@ -28,6 +29,7 @@ use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 
 use crate::conversion::{point_from_rapier, vector_from_rapier, vector_to_rapier};
+use crate::held_back::{LedVertex, first_led, led_vertices};
 use crate::settings::LENGTH_UNIT;
 
 /// Maximum number of substeps of a step.
@@ -174,6 +176,38 @@ impl EngineSoftMethod {
         touches.iter().map(of).collect()
     }
 
+    /// Pins vertices that contacts lead, or frees them.
+    fn pin_led(&mut self, led: &[LedVertex], pins: impl Fn(&LedVertex) -> bool) -> Result<(), String> {
+        let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+        led.iter().for_each(|led| body.set_particle_pinned(led.vertex as usize, pins(led)));
+        Ok(())
+    }
+
+    /// Calls `each` with the force of each element at these vertices (ascending), and the place among them \[N\].
+    fn element_forces(&self, held: &[u32], mut each: impl FnMut(usize, Vector3<f64>)) {
+        let EngineSoftBody { young_modulus, poisson_ratio, .. } = self.kind;
+        let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
+        let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
+        for (index, tet) in self.mesh.tets().iter().enumerate() {
+            if !tet.iter().any(|node| held.binary_search(node).is_ok()) {
+                continue;
+            }
+            let gradients = self.mesh.gradients(index);
+            let mut deformation = Matrix3::zeros();
+            for (node, gradient) in tet.iter().zip(&gradients) {
+                deformation += self.positions[*node as usize].coords * gradient.transpose();
+            }
+            let Some(inverse) = deformation.try_inverse() else { continue };
+            let jacobian = deformation.determinant().max(1e-3);
+            let stress = cauchy_stress([lambda, mu], &deformation) * inverse.transpose() * jacobian;
+            for (node, gradient) in tet.iter().zip(&gradients) {
+                if let Ok(place) = held.binary_search(node) {
+                    each(place, stress * gradient * -self.mesh.volumes()[index]);
+                }
+            }
+        }
+    }
+
     fn place(&self, touch: &RodContact) -> Vector3<f64> {
         joint(touch).map(|(node, share)| self.positions[node as usize].coords * share).sum()
     }
@@ -196,6 +230,37 @@ impl EngineSoftMethod {
         let across = (touch.normal * speed - slip) / (h * pressed.yields);
         let (size, most) = (across.norm(), friction * push);
         touch.normal * push + if size > most { across * (most / size) } else { across }
+    }
+
+    /// After a substep of `h` \[s\] under these loads \[N\]: what the led vertices took that had these velocities before.
+    fn end_led(
+        &self,
+        led: &mut [LedVertex],
+        was: &[Vector3<f64>],
+        loads: &[(u32, Vector3<f64>)],
+        (rigid, moving): (&RigidPresses<'_>, &mut [RigidMotion]),
+        h: f64,
+    ) {
+        if led.is_empty() {
+            return;
+        }
+        let vertices: Vec<u32> = led.iter().map(|led| led.vertex).collect();
+        let gravity = vector_from_rapier(self.world.gravity);
+        let change = |(&vertex, was): (&u32, &Vector3<f64>)| {
+            ((self.velocities[vertex as usize] - was) / h - gravity) * self.masses[vertex as usize]
+        };
+        let mut reactions: Vec<Vector3<f64>> = vertices.iter().zip(was).map(change).collect();
+        self.element_forces(&vertices, |place, force| reactions[place] -= force);
+        for (vertex, load) in loads {
+            if let Ok(place) = vertices.binary_search(vertex) {
+                reactions[place] -= load;
+            }
+        }
+        for (led, reaction) in led.iter_mut().zip(&reactions) {
+            let contact = &rigid.contacts[led.contact];
+            let at = &self.positions[led.vertex as usize];
+            led.end(contact, &mut moving[contact.body as usize], (at, reaction), h);
+        }
     }
 
     /// A substep under these forces \[N\], with held vertices led to these places \[m\].
@@ -489,10 +554,14 @@ impl SoftMethod for EngineSoftMethod {
         };
         let mut moving: Vec<RigidMotion> =
             site.rigid.bodies.iter().map(|body| RigidMotion::of(body, site.period_secs())).collect();
-        let began: Vec<Vector3<f64>> =
-            site.rigid.contacts.iter().map(|contact| contact.place(&self.positions)).collect();
-        let mut borne = vec![0.0; began.len()];
-        let mut now: Vec<f64> = site.rigid.contacts.iter().map(|contact| contact.force).collect();
+        let first = first_led(&site.rigid);
+        let bearing = &site.rigid.contacts[..first];
+        let began: Vec<Vector3<f64>> = bearing.iter().map(|contact| contact.place(&self.positions)).collect();
+        let mut borne = vec![0.0; first];
+        let mut now: Vec<f64> = bearing.iter().map(|contact| contact.force).collect();
+        let is_free =
+            |vertex: u32| self.mobility[vertex as usize] > 0.0 && self.driven.binary_search(&vertex).is_err();
+        let mut led = led_vertices(&site.rigid, first, &self.positions, is_free);
         let h = site.period_secs() / f64::from(parts);
         self.world.integration_parameters.dt = h;
         self.world.gravity = vector_to_rapier(&site.gravity);
@@ -509,8 +578,8 @@ impl SoftMethod for EngineSoftMethod {
                 .map(|(touch, of)| self.force(touch, of, since, h))
                 .collect();
             let mut nodes = PushedNodes { of: self, h, pushes: BTreeMap::new() };
-            press_as_before(site.rigid.contacts, &now, &mut moving, &mut nodes);
-            press(site.rigid.contacts, &began, &mut now, &mut moving, h, &mut nodes);
+            press_as_before(bearing, &now, &mut moving, &mut nodes);
+            press(bearing, &began, &mut now, &mut moving, h, &mut nodes);
             let mut loads: Vec<(u32, Vector3<f64>)> = site.forces.to_vec();
             for ((touch, of), push) in site.touches.iter().zip(&mut pressed).zip(&pushes) {
                 of.impulse += push * h;
@@ -521,9 +590,19 @@ impl SoftMethod for EngineSoftMethod {
             let before: Vec<Vector3<f64>> =
                 pushes.keys().map(|&node| self.velocities[node as usize]).collect();
             borne.iter_mut().zip(&now).for_each(|(total, force)| *total += force * h);
-            moving.iter_mut().for_each(|motion| motion.end(h));
             jaws.lead(f64::from(part + 1) / f64::from(parts), site);
+            let own = jaws.held.len();
+            self.pin_led(&led, |led| led.is_led)?;
+            jaws.held.extend(led.iter().filter(|led| led.is_led).map(|led| {
+                let contact = &site.rigid.contacts[led.contact];
+                let at = &self.positions[led.vertex as usize];
+                (led.vertex, led.goal(contact, &moving[contact.body as usize], at, h))
+            }));
+            let was: Vec<Vector3<f64>> = led.iter().map(|led| self.velocities[led.vertex as usize]).collect();
             self.part_under(&loads, &jaws.held)?;
+            jaws.held.truncate(own);
+            self.end_led(&mut led, &was, &loads, (&site.rigid, &mut moving), h);
+            moving.iter_mut().for_each(|motion| motion.end(h));
             if jaws.watches {
                 self.slip(&mut jaws, site, (h, &mut loads))?;
             }
@@ -534,6 +613,9 @@ impl SoftMethod for EngineSoftMethod {
                 self.borne.insert(*node, borne_of(push, &accelerating));
             }
         }
+        self.pin_led(&led, |_| false)?;
+        borne.resize(site.rigid.contacts.len(), 0.0);
+        led.iter().for_each(|led| borne[led.contact] += led.impulse);
         let period = site.period_secs();
         self.grips.iter_mut().for_each(|grip| grip.force /= period);
         forces.extend(pressed.iter().map(|of| of.impulse / site.period_secs()));
@@ -547,28 +629,8 @@ impl SoftMethod for EngineSoftMethod {
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
-        let EngineSoftBody { young_modulus, poisson_ratio, .. } = self.kind;
-        let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
-        let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
         let mut pull = Vector3::zeros();
-        for (index, tet) in self.mesh.tets().iter().enumerate() {
-            if !tet.iter().any(|node| held.binary_search(node).is_ok()) {
-                continue;
-            }
-            let gradients = self.mesh.gradients(index);
-            let mut deformation = Matrix3::zeros();
-            for (node, gradient) in tet.iter().zip(&gradients) {
-                deformation += self.positions[*node as usize].coords * gradient.transpose();
-            }
-            let Some(inverse) = deformation.try_inverse() else { continue };
-            let jacobian = deformation.determinant().max(1e-3);
-            let stress = cauchy_stress([lambda, mu], &deformation) * inverse.transpose() * jacobian;
-            for (node, gradient) in tet.iter().zip(&gradients) {
-                if held.binary_search(node).is_ok() {
-                    pull -= stress * gradient * self.mesh.volumes()[index];
-                }
-            }
-        }
+        self.element_forces(held, |_, force| pull += force);
         let gravity = vector_from_rapier(self.world.gravity);
         pull + held.iter().map(|&node| gravity * self.masses[node as usize]).sum::<Vector3<f64>>()
     }

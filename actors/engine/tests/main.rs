@@ -3,6 +3,7 @@
 //! All of these tests run beside each other.
 #![allow(clippy::duplicate_mod, reason = "the cases are held against each of the worlds")]
 
+mod held_back;
 mod impulse_world;
 mod rapier_world;
 mod sliding;

@@ -68,6 +68,17 @@ impl RigidMotion {
         self.wrench[1] += contact.arm.cross(&force);
     }
 
+    /// Its displacement since the beginning of the step \[m\], and its velocity \[m/s\].
+    #[must_use]
+    pub fn linear(&self) -> (Vector3<f64>, Vector3<f64>) {
+        (self.way[0], self.velocity[0])
+    }
+
+    /// Takes the reaction to a contact's force on the soft body in this substep \[N\].
+    pub fn take(&mut self, contact: &PlaneContact, force: f64) {
+        self.push(contact, force);
+    }
+
     /// Ends a substep of `h` seconds.
     pub fn end(&mut self, h: f64) {
         let faster = self.faster();

@@ -22,8 +22,16 @@ pub struct RigidInStep {
     pub velocity: [Vector3<f64>; 2],
     /// Acceleration by everything else, linear \[m/s²\] and angular \[rad/s²\].
     pub pull: [Vector3<f64>; 2],
-    /// Length of the steps in which its controller moves it \[s\].
+    /// Length of the steps in which its controller moves it \[s\]; 0 for an instrument that a hand leads.
     pub own_step: f64,
+}
+
+impl RigidInStep {
+    /// Whether it is an instrument that a hand leads.
+    #[must_use]
+    pub fn is_led(&self) -> bool {
+        self.own_step == 0.0
+    }
 }
 
 /// A contact of a soft body with a plane that is fixed to a rigid body; everything in the soft body's frame. Its force is
