@@ -30,7 +30,7 @@ pub(crate) fn first_led(rigid: &RigidPresses<'_>) -> usize {
     rigid.contacts.iter().position(is_led).unwrap_or(rigid.contacts.len())
 }
 
-/// The vertices that contacts from number `first` on may lead: each by its deepest, which has all corners of an element.
+/// The vertices that contacts from number `first` on may lead, each by the first of them; ascending.
 pub(crate) fn led_vertices(
     rigid: &RigidPresses<'_>,
     first: usize,

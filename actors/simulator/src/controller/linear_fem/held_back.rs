@@ -67,9 +67,10 @@ impl Body {
             let guess = beyond / (beyond + bound) * deepest;
             let first = if beyond > 0.0 { guess.max(FIRST) } else { most };
             // A way and the force beyond the bound there, and the way to be tried next.
-            let (mut known, mut way) = ((0.0, beyond), first);
+            let (mut known, mut way, mut gone) = ((0.0, beyond), first, 0.0);
             for _ in 0..STEPS_MAX {
-                self.lead(answers, &mut rods, instrument, &(along * (way - known.0)))?;
+                self.lead(answers, &mut rods, instrument, &(along * (way - gone)))?;
+                gone = way;
                 let now = pressed_by(answers, &rods, instrument).norm() - bound;
                 let is_back = way == most && now <= 0.0;
                 if is_back || now.abs() <= TOLERANCE * bound || now == known.1 {
@@ -80,7 +81,7 @@ impl Body {
                 way = next.clamp(0.0, most.min(4.0 * way.max(FIRST)));
             }
             let force = pressed_by(answers, &rods, instrument);
-            let by = if way == most { -offset } else { along * way };
+            let by = if gone == most { -offset } else { along * gone };
             self.held_back.balance(number, by, -force, site.period_secs());
         }
         Ok(())
