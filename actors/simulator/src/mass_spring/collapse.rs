@@ -19,6 +19,9 @@ const BEGIN: f64 = 0.95;
 /// Share below which its force grows linearly.
 const END: f64 = 0.2;
 
+/// By how much of the way back a tetrahedron is accelerated in a substep at most.
+const TURNED_BACK: f64 = 0.1;
+
 /// A tetrahedron that resists its collapse.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Tet {
@@ -63,13 +66,20 @@ impl Tet {
         (b - a).cross(&(c - a)).dot(&(d - a)) / self.rest
     }
 
-    /// Adds its forces on the corners \[N\], times `scale`.
+    /// Adds its forces on the corners \[N\]; `limited` is what its force on its share of the volume \[J\] is limited to, by
+    /// that share and its derivatives by the corners.
     #[inline]
-    fn add_force(&self, scale: f64, positions: &[Point3<f64>], forces: &mut [Vector3<f64>]) {
+    fn add_force(
+        &self,
+        positions: &[Point3<f64>],
+        forces: &mut [Vector3<f64>],
+        limited: impl Fn(f64, f64, &[Vector3<f64>; 4]) -> f64,
+    ) {
         let (six, gradient) = volume(&self.nodes, positions);
         let q = six / self.rest;
         if q < BEGIN {
-            let push = -scale * self.stiffness * law(q)[1] / self.rest;
+            let gradient = gradient.map(|of| of / self.rest);
+            let push = limited(-self.stiffness * law(q)[1], q, &gradient);
             for (node, gradient) in self.nodes.into_iter().zip(gradient) {
                 forces[node as usize] += gradient * push;
             }
@@ -80,7 +90,8 @@ impl Tet {
     /// which is never negative. `None` where it does not resist.
     #[inline]
     fn along(&self, positions: &[Point3<f64>]) -> Option<[Vector3<f64>; 4]> {
-        if !(self.share(positions) < BEGIN) {
+        let q = self.share(positions);
+        if q >= BEGIN || q.is_nan() {
             return None;
         }
         let (six, gradient) = volume(&self.nodes, positions);
@@ -91,7 +102,8 @@ impl Tet {
     /// Bounds of its stiffness: the sums of the norms of its blocks, row by row \[N/m\].
     fn rows(&self, positions: &[Point3<f64>]) -> [f64; 4] {
         let (six, gradient) = volume(&self.nodes, positions);
-        let [_, slope, curvature] = law(six / self.rest);
+        // One that resists no longer has no stiffness.
+        let [_, slope, curvature] = law((six / self.rest).min(BEGIN));
         let sizes = gradient.map(|of| of.norm());
         let all: f64 = sizes.iter().sum();
         let places = self.nodes.map(|node| positions[node as usize]);
@@ -109,7 +121,7 @@ impl Tet {
 pub(super) fn add_forces(network: &Network, positions: &[Point3<f64>], forces: &mut [Vector3<f64>]) {
     for tet in &network.tets {
         if tet.share(positions) < BEGIN {
-            tet.add_force(1.0, positions, forces);
+            tet.add_force(positions, forces, |push, _, _| push);
         }
     }
 }
@@ -171,12 +183,21 @@ impl Resisting {
         self.meeting.reserve(if network.tets.is_empty() { 0 } else { network.masses.len() });
     }
 
-    /// Finds them. Returns a bound of the largest eigenvalue of their M⁻¹K \[1/s²\] (Gershgorin, by blocks).
-    pub fn find(&mut self, network: &Network, mobility: &[f64], positions: &[Point3<f64>]) -> f64 {
+    /// Finds them.
+    pub fn find(&mut self, network: &Network, positions: &[Point3<f64>]) {
         let all = (0..).zip(&network.tets);
         self.which.clear();
         self.which.extend(all.filter(|(_, tet)| tet.share(positions) < BEGIN).map(|(at, _)| at));
         self.scale = 1.0;
+    }
+
+    /// Whether none were found.
+    pub fn is_empty(&self) -> bool {
+        self.which.is_empty()
+    }
+
+    /// A bound of the largest eigenvalue of their M⁻¹K \[1/s²\] (Gershgorin, by blocks).
+    pub fn largest(&mut self, network: &Network, mobility: &[f64], positions: &[Point3<f64>]) -> f64 {
         if self.which.is_empty() {
             return 0.0;
         }
@@ -191,8 +212,23 @@ impl Resisting {
         self.meeting.iter().zip(mobility).map(|(row, mobility)| row * mobility).fold(0.0, f64::max)
     }
 
-    /// Adds their forces \[N\].
-    pub fn add_forces(&self, network: &Network, positions: &[Point3<f64>], forces: &mut [Vector3<f64>]) {
-        self.which.iter().for_each(|&at| network.tets[at as usize].add_force(self.scale, positions, forces));
+    /// Adds their forces in a substep of `h` seconds \[N\]. A substep may carry a tetrahedron far into what it resists:
+    /// its force then is one that turns it back over some substeps, instead of throwing it out.
+    pub fn add_forces(
+        &self,
+        network: &Network,
+        mobility: &[f64],
+        h: f64,
+        positions: &[Point3<f64>],
+        forces: &mut [Vector3<f64>],
+    ) {
+        for &at in &self.which {
+            let tet = &network.tets[at as usize];
+            tet.add_force(positions, forces, |push, q, gradient| {
+                let nodes = tet.nodes.iter().zip(gradient);
+                let yields: f64 = nodes.map(|(node, of)| mobility[*node as usize] * of.norm_squared()).sum();
+                (self.scale * push).min(TURNED_BACK * (BEGIN - q) / (yields * h * h))
+            });
+        }
     }
 }

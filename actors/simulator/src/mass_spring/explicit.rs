@@ -24,12 +24,21 @@ impl MassSpring {
         let damping = self.config.damping + self.config.lag * eigenvalue + damped;
         let known = eigenvalue + stiff;
         let (mut done, mut since, mut safe_least) = (0, 0.0, f64::INFINITY);
+        let mut found = 0;
         loop {
             let left = dt - since;
+            if done >= found {
+                self.scratch.resisting.find(&self.network, &self.scratch.next.positions);
+                found = done + FOUND_EVERY;
+            }
             let (safe, count) = self.resist(left, done, known, damping, too_large)?;
             safe_least = safe_least.min(safe);
             let part = left / f64::from(count);
-            let now = if self.network.tets.is_empty() { count } else { count.min(FOUND_EVERY) };
+            let now = match (self.network.tets.is_empty(), self.scratch.resisting.is_empty()) {
+                (true, _) => count,
+                (_, true) => count.min(found - done),
+                _ => 1,
+            };
             for index in 0..now {
                 self.explicit_part(part, since + f64::from(index) * part, input, &mut moving);
             }
@@ -55,9 +64,9 @@ impl MassSpring {
         Ok(Report { parts, safe_step: safe, iterations: 0, residual: 0.0 })
     }
 
-    /// Finds the tetrahedra that resist their collapse, and in how many parts the rest of a step is taken, `left` seconds,
-    /// with its largest safe step \[s\]. `known` bounds the eigenvalues of everything else \[1/s²\]. Where a step may not be
-    /// divided so often, the tetrahedra resist less.
+    /// The largest safe step \[s\] in the present shape, and in how many parts the rest of a step is taken, `left` seconds.
+    /// `known` bounds the eigenvalues of everything but squeezed tetrahedra \[1/s²\]. Where a step may not be divided so
+    /// often, these resist less.
     fn resist(
         &mut self,
         left: f64,
@@ -67,7 +76,8 @@ impl MassSpring {
         too_large: TooLarge,
     ) -> Result<(f64, u32), StepError> {
         let scratch = &mut self.scratch;
-        let squeezed = scratch.resisting.find(&self.network, &scratch.mobility, &scratch.next.positions);
+        let positions = &scratch.next.positions;
+        let squeezed = scratch.resisting.largest(&self.network, &scratch.mobility, positions);
         let safe = stability::safe_step(known + squeezed, damping);
         if let TooLarge::Divide { most } = too_large
             && squeezed > 0.0
@@ -90,7 +100,8 @@ impl MassSpring {
         let (positions, velocities) = (&mut scratch.next.positions, &mut scratch.next.velocities);
         scratch.forces.fill(Vector3::zeros());
         forces::add_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
-        scratch.resisting.add_forces(&self.network, positions, &mut scratch.forces);
+        let (resisting, mobility) = (&scratch.resisting, &scratch.mobility);
+        resisting.add_forces(&self.network, mobility, part, positions, &mut scratch.forces);
         for force in input.forces {
             scratch.forces[force.node as usize] += force.force;
         }

@@ -141,8 +141,8 @@ impl MassSpring {
         let mut search = None;
         for iteration in 1.. {
             self.linearise(&mut implicit, h, input);
-            let searches = !self.network.tets.is_empty()
-                && !(input.rigid.contacts.is_empty() && implicit.matrix.squeezed.is_empty());
+            let is_pressed = !(input.rigid.contacts.is_empty() && implicit.matrix.squeezed.is_empty());
+            let searches = is_pressed && !self.network.tets.is_empty();
             self.prepare_solver(&mut implicit, h, input);
             result = self.solve(&mut implicit, input, &mut report);
             if result.is_err() {
