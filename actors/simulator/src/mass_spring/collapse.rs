@@ -11,6 +11,7 @@
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::particles::State;
 
 use super::network::Network;
 
@@ -183,12 +184,33 @@ impl Resisting {
         self.meeting.reserve(if network.tets.is_empty() { 0 } else { network.masses.len() });
     }
 
-    /// Finds them.
-    pub fn find(&mut self, network: &Network, positions: &[Point3<f64>]) {
+    /// Finds those that resist, or may within `ahead` seconds at their velocities.
+    pub fn find(&mut self, network: &Network, state: &State, ahead: f64) {
+        let State { positions, velocities } = state;
+        let may = |tet: &Tet| {
+            let [a, b, c, d] = tet.nodes.map(|node| positions[node as usize]);
+            let (b, c, d) = (b - a, c - a, d - a);
+            let across = b.cross(&c);
+            let [u, v, w, x] = tet.nodes.map(|node| velocities[node as usize]);
+            let (v, w, x) = (v - u, w - u, x - u);
+            let rate = across.dot(&x) + (v.cross(&c) + b.cross(&w)).dot(&d);
+            (across.dot(&d) + rate * ahead) / tet.rest < BEGIN || across.dot(&d) / tet.rest < BEGIN
+        };
         let all = (0..).zip(&network.tets);
         self.which.clear();
-        self.which.extend(all.filter(|(_, tet)| tet.share(positions) < BEGIN).map(|(at, _)| at));
+        self.which.extend(all.filter(|(_, tet)| may(tet)).map(|(at, _)| at));
         self.scale = 1.0;
+    }
+
+    /// How fast one of them loses its volume, as a share of that at rest \[1/s\].
+    pub fn fastest(&self, network: &Network, state: &State) -> f64 {
+        let rate = |at: &u32| {
+            let tet = &network.tets[*at as usize];
+            let (_, gradient) = volume(&tet.nodes, &state.positions);
+            let nodes = tet.nodes.iter().zip(&gradient);
+            -nodes.map(|(node, of)| of.dot(&state.velocities[*node as usize])).sum::<f64>() / tet.rest
+        };
+        self.which.iter().map(rate).fold(0.0, f64::max)
     }
 
     /// Whether none were found.

@@ -9,6 +9,9 @@ use super::{Input, MassSpring, Report, TooLarge, forces, stability};
 /// After how many substeps the tetrahedra that resist are found anew.
 const FOUND_EVERY: u32 = 8;
 
+/// Share of its volume at rest that a resisting tetrahedron loses in a substep at most.
+const SHARE_MAX: f64 = 0.1;
+
 impl MassSpring {
     pub(super) fn step_explicit(
         &mut self,
@@ -28,7 +31,8 @@ impl MassSpring {
         loop {
             let left = dt - since;
             if done >= found {
-                self.scratch.resisting.find(&self.network, &self.scratch.next.positions);
+                let ahead = f64::from(FOUND_EVERY) * stability::safe_step(known, damping).min(left);
+                self.scratch.resisting.find(&self.network, &self.scratch.next, ahead);
                 found = done + FOUND_EVERY;
             }
             let (safe, count) = self.resist(left, done, known, damping, too_large)?;
@@ -78,9 +82,10 @@ impl MassSpring {
         let scratch = &mut self.scratch;
         let positions = &scratch.next.positions;
         let squeezed = scratch.resisting.largest(&self.network, &scratch.mobility, positions);
-        let safe = stability::safe_step(known + squeezed, damping);
+        let fastest = scratch.resisting.fastest(&self.network, &scratch.next);
+        let safe = stability::safe_step(known + squeezed, damping).min(SHARE_MAX / fastest);
         if let TooLarge::Divide { most } = too_large
-            && squeezed > 0.0
+            && squeezed + fastest > 0.0
         {
             let most = most.saturating_sub(done).max(1);
             let bare = parts(left, stability::safe_step(known, damping), too_large)?;
@@ -88,7 +93,7 @@ impl MassSpring {
             let part = left / count;
             // The largest eigenvalue that is stable in such parts.
             let borne = (4.0 / part - 2.0 * damping) / part - known;
-            scratch.resisting.scale = (borne / squeezed).clamp(0.0, 1.0);
+            scratch.resisting.scale = if squeezed > borne { (borne / squeezed).max(0.0) } else { 1.0 };
             return Ok((safe, count as u32));
         }
         Ok((safe, parts(left, safe, too_large)?))

@@ -450,9 +450,9 @@ impl MassSpring {
     #[must_use]
     pub fn safe_step(&self) -> f64 {
         let eigenvalue = self.bound.largest();
-        let (mut resisting, positions) = (Resisting::default(), &self.state.positions);
-        resisting.find(&self.network, positions);
-        let squeezed = resisting.largest(&self.network, &self.mobility, positions);
+        let mut resisting = Resisting::default();
+        resisting.find(&self.network, &self.state, 0.0);
+        let squeezed = resisting.largest(&self.network, &self.mobility, &self.state.positions);
         let damping = self.config.damping + self.config.lag * eigenvalue;
         stability::safe_step(eigenvalue + squeezed, damping)
     }
