@@ -187,10 +187,16 @@ impl Resisting {
     /// Finds those that resist, or may within `ahead` seconds at their velocities.
     pub fn find(&mut self, network: &Network, state: &State, ahead: f64) {
         let State { positions, velocities } = state;
+        let fastest = velocities.iter().map(|velocity| velocity.norm_squared()).fold(0.0, f64::max);
+        // In a way this much shorter than an edge no tetrahedron loses much of its volume.
+        let way = 40.0 * 40.0 * fastest * ahead * ahead;
         let may = |tet: &Tet| {
             let [a, b, c, d] = tet.nodes.map(|node| positions[node as usize]);
             let (b, c, d) = (b - a, c - a, d - a);
             let across = b.cross(&c);
+            if d.norm_squared() > way {
+                return across.dot(&d) / tet.rest < BEGIN;
+            }
             let [u, v, w, x] = tet.nodes.map(|node| velocities[node as usize]);
             let (v, w, x) = (v - u, w - u, x - u);
             let rate = across.dot(&x) + (v.cross(&c) + b.cross(&w)).dot(&d);
