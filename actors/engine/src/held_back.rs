@@ -26,7 +26,7 @@ pub(crate) struct LedVertex {
 
 /// Number of contacts before those with instruments that hands lead, which are listed last.
 pub(crate) fn first_led(rigid: &RigidPresses<'_>) -> usize {
-    let is_led = |contact: &PlaneContact| rigid.bodies[contact.body as usize].is_led();
+    let is_led = |contact: &PlaneContact| rigid.bodies[contact.body as usize].is_led;
     rigid.contacts.iter().position(is_led).unwrap_or(rigid.contacts.len())
 }
 

@@ -275,6 +275,7 @@ impl Led {
             velocity: [self.speed + self.velocity, Vector3::zeros()],
             pull: [(free / step - self.velocity) / step, Vector3::zeros()],
             own_step: 0.0,
+            is_led: true,
         }
     }
 

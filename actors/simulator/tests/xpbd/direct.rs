@@ -78,6 +78,7 @@ impl Hanging {
             velocity: [self.velocity, Vector3::zeros()],
             pull: [self.gravity, Vector3::zeros()],
             own_step: STEP,
+            is_led: false,
         };
         let rigid = RigidPresses { bodies: &[body], contacts: &contacts };
         let input =

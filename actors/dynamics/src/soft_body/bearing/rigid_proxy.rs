@@ -172,6 +172,7 @@ impl RigidProxy {
             velocity: [turn * self.velocity, turn * self.spin],
             pull: pull.map(|of| turn * of),
             own_step: self.tick,
+            is_led: false,
         }
     }
 

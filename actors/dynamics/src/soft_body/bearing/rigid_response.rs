@@ -22,16 +22,10 @@ pub struct RigidInStep {
     pub velocity: [Vector3<f64>; 2],
     /// Acceleration by everything else, linear \[m/s²\] and angular \[rad/s²\].
     pub pull: [Vector3<f64>; 2],
-    /// Length of the steps in which its controller moves it \[s\]; 0 for an instrument that a hand leads.
+    /// Length of the steps in which its controller moves it \[s\]; 0 where that is not known yet.
     pub own_step: f64,
-}
-
-impl RigidInStep {
     /// Whether it is an instrument that a hand leads.
-    #[must_use]
-    pub fn is_led(&self) -> bool {
-        self.own_step == 0.0
-    }
+    pub is_led: bool,
 }
 
 /// A contact of a soft body with a plane that is fixed to a rigid body; everything in the soft body's frame. Its force is
@@ -203,7 +197,7 @@ mod tests {
     fn ball(mass: f64) -> RigidInStep {
         let inertia = Matrix3::identity() * (0.4 * mass * 1e-4);
         let pull = [Vector3::new(0.0, 0.0, -9.81), Vector3::zeros()];
-        RigidInStep { mass, inertia, velocity: [Vector3::zeros(); 2], pull, own_step: 0.0 }
+        RigidInStep { mass, inertia, velocity: [Vector3::zeros(); 2], pull, own_step: 0.0, is_led: false }
     }
 
     fn contact(arm: Vector3<f64>, normal: Vector3<f64>, depth: f64) -> PlaneContact {
