@@ -187,8 +187,8 @@ impl StrainedGrips {
         slipped.map(|grip| grip.slip).reduce(f64::max)
     }
 
-    /// Takes over the pulls of a tick, in the order of the picks, with the weights of what they hold \[N\], and lets vertices that have slipped keep their new
-    /// places in the jaws; those that have left them are let go. Tells of jaws that begin to slip. Returns whether the
+    /// Takes over the pulls of a tick, in the order of the picks, with the weights of what they hold \[N\], and lets vertices
+    /// that have slipped keep their new places in the jaws; those that have left them are let go. Tells of jaws that begin to slip. Returns whether the
     /// picks have changed.
     pub fn take(
         &mut self,

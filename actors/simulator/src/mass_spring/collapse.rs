@@ -144,7 +144,7 @@ pub(super) struct Squeezed {
 }
 
 impl Squeezed {
-    /// Calls `each` with every off-diagonal pair of its nodes once, row and column, and their block.
+    /// Calls `each` with every pair of its nodes once, row and column, a node with itself too, and their block.
     pub fn for_each_pair(&self, mut each: impl FnMut(u32, u32, nalgebra::Matrix3<f64>)) {
         for first in 0..4 {
             for second in 0..=first {
