@@ -13,10 +13,14 @@ use trocar_scene::{Access, Commands, Controller, ControllerError, EntitySet, Sna
 use trocar_test_support::allocations::touches;
 use trocar_test_support::alone;
 
-/// Notes its thread's count at the beginning of every tick, in room that is there already.
+/// At the beginning of a tick: how many there were before, and its thread's count of allocations and frees.
+type Seen = (u64, u64);
+
+/// Notes what it sees in every tick in which nobody reads the notes, in room that is there already.
 struct Scale {
-    seen: Arc<Mutex<Vec<u64>>>,
+    seen: Arc<Mutex<Vec<Seen>>>,
     waste: Arc<AtomicBool>,
+    ticks: u64,
 }
 
 impl Controller for Scale {
@@ -27,8 +31,9 @@ impl Controller for Scale {
         if let Ok(mut seen) = self.seen.try_lock()
             && seen.len() < seen.capacity()
         {
-            seen.push(touches());
+            seen.push((self.ticks, touches()));
         }
+        self.ticks += 1;
         if self.waste.load(Ordering::Relaxed) {
             std::hint::black_box(Box::new(tick.number));
         }
@@ -40,11 +45,12 @@ impl Controller for Scale {
 
 const TICKS: usize = 1_500;
 
-fn run(waste: bool) -> Vec<u64> {
+/// What a controller saw, that wastes one allocation and its free in every tick or does not.
+fn run(waste: bool) -> Vec<Seen> {
     let seen = Arc::new(Mutex::new(Vec::with_capacity(TICKS)));
     let (given, waste) = (seen.clone(), Arc::new(AtomicBool::new(waste)));
     let spec = ControllerSpec::new("scale", 1, RuntimeClass::Haptics, 1_000.0, move |_| {
-        Ok(Box::new(Scale { seen: given.clone(), waste: waste.clone() }) as Box<dyn Controller>)
+        Ok(Box::new(Scale { seen: given.clone(), waste: waste.clone(), ticks: 0 }) as Box<dyn Controller>)
     });
     let live = LiveSession::start(session(vec![spec])).expect("starts");
     for _ in 0..200 {
@@ -63,11 +69,13 @@ fn run(waste: bool) -> Vec<u64> {
 #[test]
 fn a_warmed_tick_neither_allocates_nor_frees() {
     let _alone = alone();
-    let seen = run(false);
-    let warm = &seen[500..];
-    assert_eq!(warm[warm.len() - 1] - warm[0], 0, "over {} ticks", warm.len());
+    let ticks_and_touches = |seen: &[Seen]| {
+        let [(first, before), (last, after)] = [seen[500], seen[TICKS - 1]];
+        (last - first, after - before)
+    };
+    let (ticks, touched) = ticks_and_touches(&run(false));
+    assert_eq!(touched, 0, "in {ticks} ticks");
     // The count sees what it should.
-    let wasteful = run(true);
-    let warm = &wasteful[500..];
-    assert_eq!(warm[warm.len() - 1] - warm[0], 2 * (warm.len() as u64 - 1));
+    let (ticks, touched) = ticks_and_touches(&run(true));
+    assert_eq!(touched, 2 * ticks);
 }
