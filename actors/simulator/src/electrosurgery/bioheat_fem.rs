@@ -38,6 +38,8 @@ pub(super) struct OrganHeat {
     /// Heat deposited since the last step \[J\], and whether there is any.
     deposits: Vec<f64>,
     has_deposits: bool,
+    /// Vertices with deposits and their neighbours; a buffer.
+    reached: Vec<u32>,
     /// By how much depositing has moved them, and their square of the distance from the origin, times the heat \[J·m\],
     /// \[J·m²\].
     scatter: (Vector3<f64>, f64),
@@ -191,6 +193,7 @@ impl OrganHeat {
             conduction,
             deposits: vec![0.0; vertices],
             has_deposits: false,
+            reached: Vec::new(),
             scatter: (Vector3::zeros(), 0.0),
             positions: tissue.positions().to_vec(),
             whole: volume,
@@ -249,9 +252,20 @@ impl OrganHeat {
             return;
         }
         self.has_deposits = false;
-        let [rise, ..] = &mut self.rest;
-        for (rise, (joules, capacity)) in rise.iter_mut().zip(self.deposits.iter().zip(&self.capacity)) {
-            *rise = joules / capacity;
+        // Heat arrives in the vertices around a few blocks, of all those of an organ.
+        let (rows, columns) = (&self.conduction.rows, &self.conduction.columns);
+        self.reached.clear();
+        for node in (0..self.deposits.len()).filter(|node| self.deposits[*node] != 0.0) {
+            self.reached.push(node as u32);
+            self.reached.extend_from_slice(&columns[rows[node] as usize..rows[node + 1] as usize]);
+        }
+        self.reached.sort_unstable();
+        self.reached.dedup();
+        let reached = || self.reached.iter().map(|node| *node as usize);
+        let [rise, moved, ..] = &mut self.rest;
+        rise.fill(0.0);
+        for node in reached() {
+            rise[node] = self.deposits[node] / self.capacity[node];
         }
         // Where tissue is gone, less is exchanged.
         let left = |node: usize| CAPACITY_KEPT * self.capacity[node] / self.capacity_least[node];
@@ -267,22 +281,24 @@ impl OrganHeat {
             }
             joules
         };
-        let deposits = self.deposits.iter().zip(&self.positions);
-        let (whole, middle) = deposits.fold((0.0, Vector3::zeros()), |(whole, middle), (joules, place)| {
-            (whole + joules, middle + place.coords * *joules)
-        });
+        let (mut whole, mut middle) = (0.0, Vector3::zeros());
+        for node in reached() {
+            whole += self.deposits[node];
+            middle += self.positions[node].coords * self.deposits[node];
+        }
         let middle = if whole == 0.0 { Vector3::zeros() } else { middle / whole };
         let mut gathered = 0.0;
-        for node in (0..rise.len()).filter(|node| !self.held[*node]) {
-            gathered -= exchanged(node, rise) * (self.positions[node].coords - middle).norm_squared();
+        for node in reached().filter(|node| !self.held[*node]) {
+            moved[node] = exchanged(node, rise);
+            gathered -= moved[node] * (self.positions[node].coords - middle).norm_squared();
         }
         let scattered = self.scatter.1 - 2.0 * self.scatter.0.dot(&middle);
         let share = if gathered > 0.0 { (scattered / gathered).clamp(0.0, EXCHANGED_MAX) } else { 0.0 };
         self.scatter = (Vector3::zeros(), 0.0);
-        for node in 0..rise.len() {
+        for node in reached() {
             let joules = std::mem::take(&mut self.deposits[node]);
             if !self.held[node] {
-                self.celsius[node] += (joules + share * exchanged(node, rise)) / self.capacity[node];
+                self.celsius[node] += (joules + share * moved[node]) / self.capacity[node];
             }
         }
     }

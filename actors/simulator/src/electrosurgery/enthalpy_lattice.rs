@@ -209,7 +209,7 @@ impl ThermalGrid {
             if self.next.len() == used {
                 self.next.push(Box::new([0.0; CELLS]));
             }
-            let is_rim = self.gather(index);
+            let (is_rim, boils) = self.gather(index);
             self.find_held(index, outputs.organ, holds);
             let (block, next) = (&self.blocks[index], &mut self.next[used]);
             used += 1;
@@ -219,9 +219,17 @@ impl ThermalGrid {
             let mut lost = 0.0;
             let is_whole = block.raster.cut.is_empty();
             for cell in 0..CELLS {
+                // A block at a surface is partly empty, one of a membrane mostly.
+                if !block.is_tissue(cell) {
+                    next[cell] = 0.0;
+                    continue;
+                }
                 let at = padded(cell);
                 let (own, through) = (excess[at], conduction[at]);
                 let flow = |beyond: usize| {
+                    if !boils {
+                        return through.min(conduction[beyond]) * (excess[beyond] - own);
+                    }
                     let to_boiling = (dry[at] * boiling[beyond]).max(dry[beyond] * boiling[at]);
                     let between = if to_boiling > 0.0 { to_boiling } else { through.min(conduction[beyond]) };
                     between * (excess[beyond] - own)
@@ -237,10 +245,6 @@ impl ThermalGrid {
                     let ways = SIDES.into_iter().filter(|side| !block.is_cut_off(cell, *side));
                     ways.fold(0.0, |sum, side| sum + flow(beside(at, side)))
                 };
-                if !block.is_tissue(cell) {
-                    next[cell] = 0.0;
-                    continue;
-                }
                 let capacity = self.enthalpy.capacity(block.water[cell]) * block.share(cell);
                 let mut gain = scale * flows;
                 if block.flags[cell] & COAGULATED == 0 {
@@ -282,8 +286,9 @@ impl ThermalGrid {
         }
     }
 
-    /// Collects excess and conduction of a block and its halo; returns which sides have no active neighbour.
-    fn gather(&mut self, index: usize) -> [bool; 6] {
+    /// Collects excess and conduction of a block and its halo; returns which sides have no active neighbour, and whether
+    /// a cell boils or is dry: only then is there more than conduction.
+    fn gather(&mut self, index: usize) -> ([bool; 6], bool) {
         let block = &self.blocks[index];
         let around = SIDES.map(|side| self.find(block.beyond(side)).ok());
         let through = |block: &Block, cell: usize| {
@@ -309,10 +314,15 @@ impl ThermalGrid {
             let at = padded(cell);
             excess[at] = block.excess[cell];
             conduction[at] = through(block, cell);
-            (dry[at], boiling[at]) = kind(block, cell, conduction[at]);
         }
-        std::array::from_fn(|side| {
+        let is_special = |block: &Block| {
+            block.water.contains(&0.0) || block.flags.iter().any(|flags| flags & BOILING != 0)
+        };
+        let mut boils = is_special(block);
+        let is_rim = std::array::from_fn(|side| {
             let beyond = around[side].map(|at| &self.blocks[at]);
+            let is_special = beyond.is_some_and(|beyond| beyond.is_active && is_special(beyond));
+            boils |= is_special;
             let side = SIDES[side];
             for (_, halo, other) in side_cells(side) {
                 (excess[halo], conduction[halo]) = match beyond {
@@ -321,12 +331,19 @@ impl ThermalGrid {
                 };
                 // At the rim, heat passes to the mesh by conduction alone.
                 (dry[halo], boiling[halo]) = match beyond {
-                    Some(beyond) if beyond.is_active => kind(beyond, other, conduction[halo]),
+                    Some(beyond) if is_special => kind(beyond, other, conduction[halo]),
                     _ => (0.0, 0.0),
                 };
             }
             beyond.is_none_or(|beyond| !beyond.is_active)
-        })
+        });
+        if boils {
+            for cell in 0..CELLS {
+                let at = padded(cell);
+                (dry[at], boiling[at]) = kind(block, cell, conduction[at]);
+            }
+        }
+        (is_rim, boils)
     }
 
     /// Boiling, damage and removal after conduction for `dt`; activates and deactivates blocks.

@@ -58,20 +58,39 @@ pub(super) fn beside(at: usize, (axis, way): (usize, i32)) -> usize {
     if way < 0 { at - step } else { at + step }
 }
 
+/// The cells along each of the [`SIDES`].
+static SIDE_CELLS: [[(u16, u16, u16); EDGE * EDGE]; 6] = {
+    let mut table = [[(0, 0, 0); EDGE * EDGE]; 6];
+    let (steps, halo_steps) = ([1, EDGE, EDGE * EDGE], [1, PADDED, PADDED * PADDED]);
+    let mut side = 0;
+    while side < 6 {
+        let (axis, is_above) = (side / 2, side % 2 == 1);
+        let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
+        let (own, halo, beyond) = if is_above { (EDGE - 1, PADDED - 1, 0) } else { (0, 0, EDGE - 1) };
+        let mut at = 0;
+        while at < EDGE * EDGE {
+            let (i, j) = (at / EDGE, at % EDGE);
+            let along = i * steps[a] + j * steps[b];
+            let halo_along = (i + 1) * halo_steps[a] + (j + 1) * halo_steps[b];
+            table[side][at] = (
+                (own * steps[axis] + along) as u16,
+                (halo * halo_steps[axis] + halo_along) as u16,
+                (beyond * steps[axis] + along) as u16,
+            );
+            at += 1;
+        }
+        side += 1;
+    }
+    table
+};
+
 /// The cells along a side: in the block, in the halo, and in the neighbouring block.
+#[inline]
 pub(super) fn side_cells((axis, way): (usize, i32)) -> impl Iterator<Item = (usize, usize, usize)> {
-    let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
-    (0..EDGE).flat_map(move |i| (0..EDGE).map(move |j| (i, j))).map(move |(i, j)| {
-        let place = |along: usize| {
-            let mut at = [0; 3];
-            (at[axis], at[a], at[b]) = (along, i, j);
-            at
-        };
-        let index = |[x, y, z]: [usize; 3]| x + EDGE * (y + EDGE * z);
-        let (own, beyond) = if way < 0 { (0, EDGE - 1) } else { (EDGE - 1, 0) };
-        let own_cell = index(place(own));
-        (own_cell, beside(padded(own_cell), (axis, way)), index(place(beyond)))
-    })
+    let side = 2 * axis + usize::from(way > 0);
+    SIDE_CELLS[side]
+        .iter()
+        .map(|(own, halo, beyond)| (usize::from(*own), usize::from(*halo), usize::from(*beyond)))
 }
 
 impl Block {
