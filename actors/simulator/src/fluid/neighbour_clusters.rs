@@ -53,13 +53,16 @@ impl<'a> Links<'a> {
     /// Sums the neighbours' values times the factors.
     #[inline(always)]
     fn weighted<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
-        let mut sums = [eight.all(0.0); 4];
+        let [mut x, mut y, mut z, mut w] = [eight.all(0.0); 4];
         for (other, factor) in self.others.iter().zip(self.factors) {
             let (its, factor) = (&of[*other as usize], eight.unpack(&factor.0));
-            sums = std::array::from_fn(|axis| eight.add(sums[axis], eight.mul(factor, eight.all(its[axis]))));
+            x = eight.add(x, eight.mul(factor, eight.all(its[0])));
+            y = eight.add(y, eight.mul(factor, eight.all(its[1])));
+            z = eight.add(z, eight.mul(factor, eight.all(its[2])));
+            w = eight.add(w, eight.mul(factor, eight.all(its[3])));
         }
         let unit = eight.all(self.unit);
-        std::array::from_fn(|axis| eight.mul(sums[axis], unit))
+        [eight.mul(x, unit), eight.mul(y, unit), eight.mul(z, unit), eight.mul(w, unit)]
     }
 
     /// Positions of the rows.
@@ -91,7 +94,8 @@ fn three<T>([x, y, z, _]: [T; 4]) -> [T; 3] {
 /// The vectors from a point.
 #[inline(always)]
 fn ways<E: Eight>(eight: E, own: [E::Numbers; 3], from: &[f32; 4]) -> [E::Numbers; 3] {
-    std::array::from_fn(|axis| eight.sub(own[axis], eight.all(from[axis])))
+    let [x, y, z] = own;
+    [eight.sub(x, eight.all(from[0])), eight.sub(y, eight.all(from[1])), eight.sub(z, eight.all(from[2]))]
 }
 
 /// Eight items of a list from an index on.
@@ -129,14 +133,16 @@ impl Sweep<Vector3<f64>> for PressureForces<'_> {
     #[inline(always)]
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
         let (own, place) = (eight.load(&eight_of(self.pressures, links.row)), links.own(eight));
-        let mut sums = [eight.nothing(); 3];
+        let [mut x, mut y, mut z] = [eight.nothing(); 3];
         for (other, factor) in links.others.iter().zip(links.factors) {
             let its = eight.all(self.pressures[*other as usize]);
             let times = eight.mul(eight.add(own, its), eight.unpack(&factor.0));
             let way = ways(eight, place, &links.places[*other as usize]);
-            sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(times, way[axis])));
+            x = eight.add_to(x, eight.mul(times, way[0]));
+            y = eight.add_to(y, eight.mul(times, way[1]));
+            z = eight.add_to(z, eight.mul(times, way[2]));
         }
-        write(eight, out, sums, self.scale * f64::from(links.unit));
+        write(eight, out, [x, y, z], self.scale * f64::from(links.unit));
     }
 }
 
@@ -150,26 +156,65 @@ pub(super) struct ViscousForces<'a> {
     pub walls: bool,
 }
 
-impl Sweep<Vector3<f64>> for ViscousForces<'_> {
+impl ViscousForces<'_> {
+    /// The sums over the particles, and over all.
     #[inline(always)]
-    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
+    fn sums<E: Eight>(&self, eight: E, links: Links<'_>) -> [[E::Sums; 3]; 2] {
         let soft = eight.all(SOFT * self.support * self.support);
         let (own, place) = (three(links.of_own(eight, self.velocities)), links.own(eight));
-        let mut sums = [eight.nothing(); 3];
+        let [mut x, mut y, mut z] = [eight.nothing(); 3];
         for (other, factor) in links.liquid() {
             let way = ways(eight, place, &links.places[*other as usize]);
             let apart = ways(eight, own, &self.velocities[*other as usize]);
             let drag = eight.div(eight.unpack(&factor.0), eight.add(eight.dot(way, way), soft));
             let push = eight.mul(drag, eight.dot(apart, way));
-            sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(push, way[axis])));
+            x = eight.add_to(x, eight.mul(push, way[0]));
+            y = eight.add_to(y, eight.mul(push, way[1]));
+            z = eight.add_to(z, eight.mul(push, way[2]));
         }
+        let between = [x, y, z];
         let walls = if self.walls { usize::MAX } else { 0 };
         for (other, factor) in links.walls().take(walls) {
             let apart = ways(eight, own, &self.velocities[*other as usize]);
             let drag = eight.mul(eight.unpack(&factor.0), eight.all(WALL_DRAG));
-            sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(drag, apart[axis])));
+            x = eight.add_to(x, eight.mul(drag, apart[0]));
+            y = eight.add_to(y, eight.mul(drag, apart[1]));
+            z = eight.add_to(z, eight.mul(drag, apart[2]));
         }
+        [between, [x, y, z]]
+    }
+}
+
+impl Sweep<Vector3<f64>> for ViscousForces<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
+        let [_, sums] = self.sums(eight, links);
         write(eight, out, sums, self.scale * f64::from(links.unit));
+    }
+}
+
+/// The viscous forces, and those between particles alone times a scale of their own.
+pub(super) struct ForcesAndNoise<'a> {
+    pub forces: ViscousForces<'a>,
+    pub noise: f64,
+}
+
+impl Sweep<(Vector3<f64>, [f32; 4])> for ForcesAndNoise<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [(Vector3<f64>, [f32; 4])]) {
+        let [between, sums] = self.forces.sums(eight, links);
+        let (scale, noise) = (self.forces.scale * f64::from(links.unit), self.noise * f64::from(links.unit));
+        let [x, y, z] = sums;
+        let sums = [eight.sums(x), eight.sums(y), eight.sums(z)];
+        let [x, y, z] = between;
+        let between = [eight.sums(x), eight.sums(y), eight.sums(z)];
+        for (k, out) in out.iter_mut().enumerate() {
+            let small = |axis: usize| (between[axis][k] * noise) as f32;
+            *out = (
+                Vector3::new(sums[0][k], sums[1][k], sums[2][k]) * scale,
+                [small(0), small(1), small(2), 0.0],
+            );
+        }
     }
 }
 
@@ -205,11 +250,13 @@ impl Sweep<[f32; 4]> for Gradient<'_> {
         let at = vector(eight, &self.rows.centred[cluster]);
         let pull = vector(eight, &self.rows.pulls[cluster]);
         let [.., own] = links.of_own(eight, self.lifted);
-        let velocity: [E::Numbers; 3] = std::array::from_fn(|axis| {
-            let change = eight.sub(eight.mul(at[axis], sums[3]), sums[axis]);
-            eight.add(eight.mul(pull[axis], own), change)
-        });
-        let [x, y, z] = velocity;
+        let along = |at, pull, sum| {
+            let change = eight.sub(eight.mul(at, sums[3]), sum);
+            eight.add(eight.mul(pull, own), change)
+        };
+        let [x, y, z] =
+            [along(at[0], pull[0], sums[0]), along(at[1], pull[1], sums[1]), along(at[2], pull[2], sums[2])];
+        let velocity = [x, y, z];
         out.copy_from_slice(&eight.rows([x, y, z, eight.dot(velocity, at)]));
     }
 }

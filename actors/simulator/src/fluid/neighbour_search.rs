@@ -100,7 +100,8 @@ impl NeighbourRows {
         (grid, first, last): (&CellGrid, usize, usize),
         sorted: Sorted<'_>,
     ) {
-        let (own, square) = (axes.map(|axis| eight.load(&axis.0)), eight.all(square));
+        let [x, y, z] = [eight.load(&axes[0].0), eight.load(&axes[1].0), eight.load(&axes[2].0)];
+        let square = eight.all(square);
         for (from, to) in grid.rows_about_all(first, last) {
             let range = sorted.cells.range(from, to);
             if range.is_empty() {
@@ -117,8 +118,11 @@ impl NeighbourRows {
                 (&mut self.rows[self.found..room], &mut self.places[self.found..room]);
             // Every candidate is written, and rejected ones overwritten by the next: without a branch.
             for (place, row) in places.iter().zip(rows) {
-                let way: [E::Numbers; 3] =
-                    std::array::from_fn(|axis| eight.sub(own[axis], eight.all(place[axis])));
+                let way = [
+                    eight.sub(x, eight.all(place[0])),
+                    eight.sub(y, eight.all(place[1])),
+                    eight.sub(z, eight.all(place[2])),
+                ];
                 let near = eight.bits(eight.less(eight.dot(way, way), square));
                 rows_found[found] = *row;
                 places_found[found] = *place;
@@ -142,35 +146,38 @@ impl NeighbourRows {
     ) -> Sums {
         let (liquid, walls) = self.places[..self.found].split_at(self.liquid);
         let mut sums = Sums::default();
-        factors.reserve(self.found);
-        weigh_each(eight, liquid, axes, (kernel, unit), own, factors, &mut sums);
+        // Made before they are computed: a list that may grow within the loop would keep its sums out of registers.
+        let begin = factors.len();
+        factors.resize(begin + self.found, Packed::default());
+        let (to_liquid, to_walls) = factors[begin..].split_at_mut(self.liquid);
+        weigh_each(eight, (liquid, to_liquid), axes, (kernel, unit), own, &mut sums);
         // Walls do not move.
         let squares = sums.squares;
-        weigh_each(eight, walls, axes, (kernel, unit), own, factors, &mut sums);
+        weigh_each(eight, (walls, to_walls), axes, (kernel, unit), own, &mut sums);
         Sums { squares, ..sums }
     }
 }
 
-/// Appends a factor for each of the positions, and adds its contribution to each row.
+/// Computes a factor for each of the positions, and adds its contribution to each row.
 #[inline(always)]
 fn weigh_each<E: Eight>(
     eight: E,
-    places: &[[f32; 4]],
+    (places, factors): (&[[f32; 4]], &mut [Packed]),
     axes: &[Lanes; 3],
     (kernel, unit): (&Kernel, f32),
     own: Option<&Lanes>,
-    factors: &mut Vec<Packed>,
     sums: &mut Sums,
 ) {
     let most = eight.all((kernel.support * kernel.support) as f32);
     let (zero, one) = (eight.all(0.0), eight.all(1.0));
     let (unit, units) = (eight.all(unit), eight.all(1.0 / unit));
     let own = own.map(|own| eight.load(&own.0));
-    let [x, y, z] = axes.map(|axis| eight.load(&axis.0));
+    let [x, y, z] = [eight.load(&axes[0].0), eight.load(&axes[1].0), eight.load(&axes[2].0)];
     let Sums { value, squares, pull, count } = *sums;
-    let [mut value, mut squares, mut count] = [value, squares, count].map(|sum| eight.load(&sum.0));
-    let [mut px, mut py, mut pz] = pull.map(|sum| eight.load(&sum.0));
-    for place in places {
+    let (mut value, mut squares, mut count) =
+        (eight.load(&value.0), eight.load(&squares.0), eight.load(&count.0));
+    let (mut px, mut py, mut pz) = (eight.load(&pull[0].0), eight.load(&pull[1].0), eight.load(&pull[2].0));
+    for (place, to) in places.iter().zip(factors) {
         let volumes = own.unwrap_or(eight.all(place[3]));
         let [x, y, z] = [
             eight.sub(x, eight.all(place[0])),
@@ -182,7 +189,7 @@ fn weigh_each<E: Eight>(
         // Coincident points have no direction.
         let exact = eight.choose(eight.less(zero, square), eight.mul(volumes, slope), zero);
         let packed = eight.pack(eight.mul(exact, units));
-        factors.push(Packed(packed));
+        *to = Packed(packed);
         // The rounded factor, as used from here on.
         let factor = eight.mul(eight.unpack(&packed), unit);
         value = eight.add(value, eight.mul(volumes, its));
@@ -192,6 +199,10 @@ fn weigh_each<E: Eight>(
         py = eight.add(py, eight.mul(factor, y));
         pz = eight.add(pz, eight.mul(factor, z));
     }
-    let [value, squares, count] = [value, squares, count].map(|sum| Lanes(eight.store(sum)));
-    *sums = Sums { value, squares, pull: [px, py, pz].map(|sum| Lanes(eight.store(sum))), count };
+    *sums = Sums {
+        value: Lanes(eight.store(value)),
+        squares: Lanes(eight.store(squares)),
+        pull: [Lanes(eight.store(px)), Lanes(eight.store(py)), Lanes(eight.store(pz))],
+        count: Lanes(eight.store(count)),
+    };
 }

@@ -557,7 +557,7 @@ impl Fluid {
 
     /// Viscosity, after the pressures: what these leave unbalanced between neighbours does not move them.
     fn drag(&mut self, dt: f64) {
-        self.solver.resize(self.rows.count());
+        self.solver.velocities.fill([0.0; 4]);
         self.set_row_velocities();
         let Self { rows, solver, state, config, .. } = self;
         let step = ViscousStep {

@@ -9,7 +9,7 @@
 
 use nalgebra::Vector3;
 
-use super::neighbour_clusters::ViscousForces;
+use super::neighbour_clusters::{ForcesAndNoise, ViscousForces};
 use super::neighbour_lists::Rows;
 
 /// Factor of the forces between particles: 2 (d + 2) = 10 in d = 3 dimensions for many neighbours. Thirty, as they lie in a
@@ -33,6 +33,8 @@ pub(super) struct ViscositySolver {
     residual: Vec<Vector3<f64>>,
     direction: Vec<Vector3<f64>>,
     image: Vec<Vector3<f64>>,
+    /// Velocity change of each row, and the noise of its neighbours.
+    both: Vec<(Vector3<f64>, [f32; 4])>,
     /// Velocities of all rows that determined the forces.
     pub velocities: Vec<[f32; 4]>,
 }
@@ -53,6 +55,11 @@ impl ViscousStep {
     pub(super) fn scale(&self) -> f64 {
         FACTOR * self.spread
     }
+
+    /// Factor of the forces that damp noise.
+    fn noise(&self) -> f64 {
+        NOISE * self.spacing * self.spacing
+    }
 }
 
 impl ViscositySolver {
@@ -65,19 +72,25 @@ impl ViscositySolver {
         velocities: &mut [[f32; 4]],
     ) -> &[Vector3<f64>] {
         let (support, scale) = (step.support, step.scale());
-        let Self { change, residual, direction, image, velocities: before } = self;
-        for list in [&mut *change, residual, direction, image] {
-            list.clear();
-            list.resize(rows.particles, Vector3::zeros());
-        }
-        rows.each(residual, &ViscousForces { velocities, support, scale, walls: true });
+        let Self { change, residual, direction, image, both, velocities: before } = self;
+        change.resize(rows.particles, Vector3::zeros());
+        image.resize(rows.particles, Vector3::zeros());
         before.clear();
         before.extend_from_slice(velocities);
         if step.spread <= EXPLICIT * step.spacing * step.spacing {
-            std::mem::swap(change, residual);
-            damp_noise(rows, step, before, velocities, [change, direction, image]);
+            both.resize(rows.particles, (Vector3::zeros(), [0.0; 4]));
+            let forces = ViscousForces { velocities, support, scale, walls: true };
+            rows.each(both, &ForcesAndNoise { forces, noise: step.noise() });
+            damp_noise(rows, step, before, velocities, both, image);
+            for (change, (by, _)) in change.iter_mut().zip(&*both) {
+                *change = *by;
+            }
             return change;
         }
+        change.fill(Vector3::zeros());
+        direction.resize(rows.particles, Vector3::zeros());
+        residual.resize(rows.particles, Vector3::zeros());
+        rows.each(residual, &ViscousForces { velocities, support, scale, walls: true });
         // (1 - S) Δ = S v, where S are the forces over a substep, symmetric and negative.
         let square = |list: &[Vector3<f64>]| list.iter().map(Vector3::norm_squared).sum::<f64>();
         let mut left = square(residual);
@@ -125,31 +138,28 @@ impl ViscositySolver {
 /// viscosity alone is too weak. The forces of the forces are nothing where velocities vary over many particles: a wave
 /// of 12 spacings loses a thousandth in a substep, one of 24 a hundred-thousandth. They keep momentum and angular
 /// momentum. Where liquid is crowded, as in a wound that it comes from, they would be too strong: they go at most as far
-/// as kinetic energy falls. `before` are the velocities, `velocities` is a buffer that holds the same.
+/// as kinetic energy falls. `before` are the velocities, `velocities` is a buffer, `both` holds the velocity changes and the
+/// first forces, and takes the change.
 fn damp_noise(
     rows: &Rows,
     step: ViscousStep,
     before: &[[f32; 4]],
     velocities: &mut [[f32; 4]],
-    [change, direction, image]: [&mut Vec<Vector3<f64>>; 3],
+    both: &mut [(Vector3<f64>, [f32; 4])],
+    image: &mut [Vector3<f64>],
 ) {
-    let (support, scale) = (step.support, NOISE * step.spacing * step.spacing);
-    let forces = |velocities: &[[f32; 4]], out: &mut [Vector3<f64>]| {
-        rows.each(out, &ViscousForces { velocities, support, scale, walls: false });
-    };
-    forces(velocities, direction);
-    for (to, from) in velocities.iter_mut().zip(&*direction) {
-        *to = [from.x as f32, from.y as f32, from.z as f32, 0.0];
+    for (to, (_, noise)) in velocities.iter_mut().zip(&*both) {
+        *to = *noise;
     }
     rows.copy_to_images(velocities);
-    forces(velocities, image);
+    rows.each(image, &ViscousForces { velocities, support: step.support, scale: step.noise(), walls: false });
     let (mut along, mut square) = (0.0, 0.0);
     for (velocity, image) in before.iter().zip(&*image) {
         along += (0..3).map(|axis| f64::from(velocity[axis]) * image[axis]).sum::<f64>();
         square += image.norm_squared();
     }
     let share = if square > along { along / square } else { 1.0 };
-    for (change, image) in change.iter_mut().zip(&*image) {
+    for ((change, _), image) in both.iter_mut().zip(&*image) {
         *change -= image * share;
     }
 }

@@ -201,7 +201,7 @@ mod registers {
     use pulp::bytemuck::{cast, cast_slice};
     use pulp::x86::V3;
     use pulp::{f32x8, f64x4, m32x8};
-    use std::arch::x86_64::{__m128, __m128i, __m256, __m256d};
+    use std::arch::x86_64::{__m128, __m128i, __m256};
 
     use super::{Eight, LANES};
 
@@ -278,9 +278,11 @@ mod registers {
 
         #[inline(always)]
         fn add_to(self, sums: [f64x4; 2], x: f32x8) -> [f64x4; 2] {
-            let halves: [__m128; 2] = cast(x);
-            let wide = halves.map(|half| cast::<__m256d, f64x4>(self.avx._mm256_cvtps_pd(half)));
-            [self.add_f64x4(sums[0], wide[0]), self.add_f64x4(sums[1], wide[1])]
+            // Written out: a closure here may be called through memory.
+            let [low, high]: [__m128; 2] = cast(x);
+            let (low, high): (f64x4, f64x4) =
+                (cast(self.avx._mm256_cvtps_pd(low)), cast(self.avx._mm256_cvtps_pd(high)));
+            [self.add_f64x4(sums[0], low), self.add_f64x4(sums[1], high)]
         }
 
         #[inline(always)]
