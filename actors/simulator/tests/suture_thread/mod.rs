@@ -16,6 +16,7 @@ mod knot_hold;
 mod knot_slip_force;
 mod knot_turns;
 mod led_instrument;
+mod led_onto_knot;
 mod moving_obstacle;
 mod soft_support;
 mod suture_table;

@@ -13,7 +13,7 @@
 
 use super::coupled_body::{CoupledBody, TieResult};
 use super::moving_obstacles::GivingKind;
-use super::{Active, BestIterate, Failure, Island, TOLERANCE};
+use super::{Active, Failure, Island, TOLERANCE};
 use crate::linear_algebra::block_banded::{Cell, LANES};
 use crate::simd::dispatch::wide;
 use crate::suture_thread::contact::{CONTACTS_MAX, CoulombState, ForceLaw, FrictionLimit, SOFTENING};
@@ -25,10 +25,10 @@ const ROUNDS_MAX: usize = 10;
 const SOFTENED_ROUNDS_MAX: usize = 8;
 /// Both limits when strand contacts are among the springs.
 const KNOTTED_ROUNDS_MAX: (usize, usize) = (24, 20);
-/// Maximum solutions with limits of friction from the solution before, and factorisations in each of them.
-const FORMER_FRICTION_ROUNDS_MAX: usize = 24;
-/// See above.
+/// Maximum factorisations in a solution with limits of friction from the solution before.
 const CONVEX_ROUNDS_MAX: usize = 24;
+/// The same in all of these solutions together.
+const FORMER_FRICTION_ROUNDS_MAX: usize = 6 * CONVEX_ROUNDS_MAX;
 /// Maximum alternations between contact springs and the dense problem.
 const TURNS_MAX: usize = 5;
 /// Force tolerance \[N\]: `TOLERANCE` times the stiffness of a thread with a compliance of a metre per newton, as 2-0
@@ -38,6 +38,15 @@ const FORCE_TOLERANCE: f64 = 1e-9;
 const TIE_ERROR_MAX: f64 = 1e-7;
 /// A strand pair further apart than this, after motion by the warm-started forces, is no contact \[m\].
 const NEAR: f64 = 3e-5;
+
+/// When the states of the contact springs were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Found {
+    /// The initial ones were right.
+    AtOnce,
+    Later,
+    Not,
+}
 
 impl Island {
     /// Solves the linearised island: leaves the change of the iterate in `moved` and the forces in the contacts.
@@ -50,7 +59,12 @@ impl Island {
         self.with_obstacles = self.sprung.len();
         self.number_giving();
         self.factorise(1.0)?;
-        self.settle(report)?;
+        let found = self.search(report)?;
+        // With pairs of strands only, this solution is for nothing but to choose among them.
+        let chooses = !self.dense.is_empty() && self.dense.iter().all(Active::is_of_strands);
+        if !chooses {
+            self.fall_back(found, report)?;
+        }
         let moved = &self.moved;
         self.dense.retain(|contact| {
             contact.tie.is_some()
@@ -66,12 +80,16 @@ impl Island {
             self.sprung.append(&mut self.dense);
         }
         if self.is_knotted() {
+            self.limit_by_friction();
             self.factorise(1.0)?;
             self.settle(report)?;
+        } else if chooses {
+            self.fall_back(found, report)?;
         }
         self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.join(companion)?;
         if !self.alternate(report)? && self.promote_obstacle_contacts() {
+            self.limit_by_friction();
             self.factorise(1.0)?;
             self.settle(report)?;
             self.join(companion)?;
@@ -193,9 +211,15 @@ impl Island {
     }
 
     /// Solves for the states of the contact springs with the forces of the dense problem fixed, starting with the
-    /// current factors. Returns whether the initial states were right. Without convergence, the best result for strand
-    /// contacts is kept.
+    /// current factors. Returns whether the initial states were right. Without convergence, the best result is kept.
     fn settle(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        let found = self.search(report)?;
+        self.fall_back(found, report)?;
+        Ok(found == Found::AtOnce)
+    }
+
+    /// The same, by Newton's method on Coulomb's law.
+    fn search(&mut self, report: &mut ThreadReport) -> Result<Found, Failure> {
         let knotted = self.is_knotted();
         let (rounds, softened) = if knotted { KNOTTED_ROUNDS_MAX } else { (ROUNDS_MAX, SOFTENED_ROUNDS_MAX) };
         let mut first = true;
@@ -210,48 +234,59 @@ impl Island {
                 if !first {
                     report.sweeps += 1;
                     left -= 1;
+                    self.limit_by_friction();
                     self.factorise(softness)?;
                 }
                 self.carry(softness);
                 let error = self.error(softness);
                 if error <= TOLERANCE && softness == 1.0 {
-                    return Ok(first);
+                    return Ok(if first { Found::AtOnce } else { Found::Later });
                 }
                 first = false;
                 if error <= TOLERANCE {
                     break;
                 }
                 if knotted && softness == 1.0 && error < self.nearest.error {
-                    self.nearest.take(error, &self.moved, &self.sprung);
+                    self.take_nearest(error);
                 }
             }
         }
-        if self.has_giving() {
-            return self.settle_with_former_friction(report);
-        }
-        if self.nearest.error.is_finite() {
-            self.moved.clone_from(&self.nearest.moved);
-            for (contact, force) in self.sprung.iter_mut().zip(&self.nearest.forces) {
-                contact.force = *force;
-            }
-        }
-        Ok(false)
+        Ok(Found::Not)
     }
 
-    /// Where Newton's method on Coulomb's law does not converge, with obstacles that give way: limits each friction to
-    /// that of the normal force found before, from a solution without friction on. Each such problem is that of a
-    /// convex potential; a belt around a drum converges as the series of the exponential function does.
-    fn settle_with_former_friction(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+    /// Where that search has not converged: a solution by other means, or the best one so far.
+    fn fall_back(&mut self, found: Found, report: &mut ThreadReport) -> Result<(), Failure> {
+        if found != Found::Not {
+            return Ok(());
+        }
+        // Between strands the search ends next to a solution; limits of former friction converge around drums, not in knots.
+        // A body that moves freely would get another impulse than the thread.
+        let is_near = self.is_knotted() && self.nearest.error.is_finite() && !self.has_free_giving();
+        if self.has_giving() && !is_near {
+            return self.settle_with_former_friction(report);
+        }
+        self.return_to_nearest();
+        Ok(())
+    }
+
+    /// Limits each friction to that of the normal force found before, from a solution without friction on. Each such
+    /// problem is that of a convex potential; a belt around a drum converges as the series of the exponential function
+    /// does.
+    fn settle_with_former_friction(&mut self, report: &mut ThreadReport) -> Result<(), Failure> {
+        // Until one of these problems is solved, the end of the search.
+        self.take_nearest(f64::MAX);
         self.sprung.iter_mut().for_each(|contact| {
             contact.limit = FrictionLimit::Force(0.0);
             contact.next =
                 CoulombState::begin([contact.force[0], 0.0, 0.0], contact.offset, 0.0, contact.compliance);
         });
+        let mut left = FORMER_FRICTION_ROUNDS_MAX;
         let mut settled = true;
-        for _ in 0..FORMER_FRICTION_ROUNDS_MAX {
+        while left >= CONVEX_ROUNDS_MAX {
             settled = false;
             for _ in 0..CONVEX_ROUNDS_MAX {
                 report.sweeps += 1;
+                left -= 1;
                 self.factorise(1.0)?;
                 self.carry(1.0);
                 if self.error(1.0) <= TOLERANCE {
@@ -273,12 +308,44 @@ impl Island {
             if change <= TOLERANCE {
                 break;
             }
+            self.take_nearest(change);
         }
-        // Of a led instrument nothing is passed on, so the law may still be off in this iterate: others follow.
-        if !settled && self.has_free_giving() {
-            return Err(Failure { node: 0, why: FailureCause::Unsettled });
+        if !settled {
+            // Of a led instrument nothing is passed on, so the law may still be off in this iterate: others follow.
+            if self.has_free_giving() {
+                return Err(Failure { node: 0, why: FailureCause::Unsettled });
+            }
+            self.return_to_nearest();
         }
-        Ok(false)
+        Ok(())
+    }
+
+    /// Limits friction by Coulomb's law: a former solution may have ended with limits of its own.
+    fn limit_by_friction(&mut self) {
+        self.sprung.iter_mut().for_each(|contact| contact.limit = contact.friction.into());
+    }
+
+    /// Remembers the current solution, with its error \[m\].
+    fn take_nearest(&mut self, error: f64) {
+        let Self { nearest, moved, sprung, giving, .. } = self;
+        nearest.error = error;
+        nearest.moved.clone_from(moved);
+        nearest.forces.clear();
+        nearest.forces.extend(sprung.iter().map(|contact| contact.force));
+        nearest.gives.clear();
+        nearest.gives.extend(giving.changes());
+    }
+
+    /// Returns to the remembered solution, if there is one.
+    fn return_to_nearest(&mut self) {
+        if !self.nearest.error.is_finite() {
+            return;
+        }
+        self.moved.clone_from(&self.nearest.moved);
+        for (contact, force) in self.sprung.iter_mut().zip(&self.nearest.forces) {
+            contact.force = *force;
+        }
+        self.giving.set_changes(&self.nearest.gives);
     }
 
     /// Error of the contact springs, compliances multiplied by `softness` \[m\], and their next states. Contacts near
@@ -430,16 +497,6 @@ impl Island {
             self.tied[tie.number] = TieResult { force: contact.force, gap, gives_way };
         }
         Ok(())
-    }
-}
-
-impl BestIterate {
-    fn take(&mut self, error: f64, moved: &[Cell], contacts: &[Active]) {
-        self.error = error;
-        self.moved.clear();
-        self.moved.extend_from_slice(moved);
-        self.forces.clear();
-        self.forces.extend(contacts.iter().map(|contact| contact.force));
     }
 }
 

@@ -10,7 +10,7 @@ pub(crate) mod coupled_body;
 mod elastic;
 mod moving_obstacles;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Vector3, Vector6};
 
 use coupled_body::{CoupledBody, Link, Tie, TieResult, Tolerance};
 pub(crate) use elastic::TiedAround;
@@ -81,6 +81,8 @@ struct BestIterate {
     error: f64,
     moved: Vec<Cell>,
     forces: Vec<[f64; 3]>,
+    /// How far the obstacles that give way do so.
+    gives: Vec<Vector6<f64>>,
 }
 
 /// Workspace of a step.

@@ -84,6 +84,16 @@ impl GivingObstacles {
         self.list.iter_mut().for_each(|giving| giving.change *= 0.5);
     }
 
+    /// By how much each of them gives way in its solution.
+    pub fn changes(&self) -> impl Iterator<Item = Vector6<f64>> + '_ {
+        self.list.iter().map(|giving| giving.change)
+    }
+
+    /// Sets that.
+    pub fn set_changes(&mut self, changes: &[Vector6<f64>]) {
+        self.list.iter_mut().zip(changes).for_each(|(giving, change)| giving.change = *change);
+    }
+
     /// Which of them is the obstacle of a contact.
     fn of(&self, with: u32) -> Option<usize> {
         let obstacle = (with as usize).checked_sub(1)?;
