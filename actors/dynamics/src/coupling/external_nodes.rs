@@ -27,6 +27,8 @@ pub struct GhostNode {
     pub path: PredictedPath,
     /// Stiffness of the spring to the path \[N/m\].
     pub stiffness: f64,
+    /// Damping of its motion relative to the path \[N·s/m\].
+    pub damping: f64,
 }
 
 /// A motion with constant acceleration for a while, then with constant velocity.
@@ -54,6 +56,7 @@ impl GhostNode {
             pull: Vector3::zeros(),
             path,
             stiffness: 0.0,
+            damping: 0.0,
             ..self
         }
     }
@@ -67,7 +70,13 @@ impl GhostNode {
         self.path = path;
     }
 
-    /// Its velocity after a substep without contact forces, and its mobility \[1/kg\]. The spring to its path is
+    /// What it yields to an impulse in a substep of `h` seconds \[1/kg\].
+    #[must_use]
+    pub fn mobility_in(&self, h: f64) -> f64 {
+        self.mobility / (1.0 + h * h * self.stiffness * self.mobility + h * self.damping * self.mobility)
+    }
+
+    /// Its velocity after a substep without contact forces, and its mobility \[1/kg\]. Spring and damper to its path are
     /// implicit; the path advances by the substep.
     fn free_velocity(
         &self,
@@ -77,8 +86,11 @@ impl GhostNode {
         path: &mut PredictedPath,
     ) -> (Vector3<f64>, f64) {
         let velocity = moved + path.go(h) + self.pull * (self.mobility * h);
-        let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
-        let now = path.position.coords.lerp(&(was + velocity * h), loose);
+        let drag = h * self.damping * self.mobility;
+        let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility + drag);
+        // With the damper alone.
+        let dragged = (velocity + path.velocity * drag) / (1.0 + drag);
+        let now = path.position.coords.lerp(&(was + dragged * h), loose * (1.0 + drag));
         ((now - was) / h, self.mobility * loose)
     }
 }

@@ -82,6 +82,8 @@ pub struct GhostNodes {
     paths: Vec<PredictedPath>,
     pulls: Vec<Vector3<f64>>,
     springs: Vec<f64>,
+    /// Damping of its motion relative to the path \[N·s/m\].
+    dampers: Vec<f64>,
     /// Position error of each ghost, still to be corrected \[m\].
     behind: Vec<Vector3<f64>>,
     given: Vec<Vector3<f64>>,
@@ -126,6 +128,7 @@ impl GhostNodes {
         self.paths.extend(still);
         self.masses_inverse.resize(count, 0.0);
         self.springs.resize(count, 0.0);
+        self.dampers.resize(count, 0.0);
         for list in [&mut self.velocities, &mut self.pulls, &mut self.behind, &mut self.given] {
             list.resize(count, Vector3::zeros());
         }
@@ -256,6 +259,7 @@ impl GhostNodes {
             self.masses_inverse[ghost] = ghost_node.mobility;
             self.pulls[ghost] = ghost_node.pull;
             self.springs[ghost] = ghost_node.stiffness;
+            self.dampers[ghost] = ghost_node.damping;
             self.paths[ghost] = ghost_node.path;
         }
         (self.given_work, self.received) = (report.given_work, report.received);
@@ -302,6 +306,7 @@ impl GhostNodes {
             pull: self.pulls[ghost],
             path: self.paths[ghost],
             stiffness: self.springs[ghost],
+            damping: self.dampers[ghost],
         })
     }
 
@@ -376,7 +381,7 @@ impl GhostNodes {
         let paths =
             paths.flat_map(|path| path.velocity.iter().chain(&path.acceleration).chain([&path.lasts]));
         let places = self.positions.iter().chain(self.paths.iter().map(|path| &path.position));
-        let sizes = [&self.masses_inverse, &self.springs];
+        let sizes = [&self.masses_inverse, &self.springs, &self.dampers];
         vectors.iter().all(|list| list.len() == count && list.iter().flatten().all(|x| x.is_finite()))
             && self.positions.len() == count
             && self.paths.len() == count
@@ -410,7 +415,19 @@ fn expect(report: &SlowBodyReport<'_>, node: usize) -> GhostNode {
             lasts: report.step,
         },
         stiffness: held.max(0.0) * per_step * per_step,
+        damping: damping(held.max(0.0), mass_inverse) * per_step,
     }
+}
+
+/// Damping of a ghost relative to its path, times the slower body's step h \[kg\]; `held` is K h² of the spring to the path
+/// \[kg\].
+///
+/// The slower body's implicit step damps what is faster than the step; a ghost without that would swing on its ties between
+/// two reports, and a report that arrives late would give its swing more energy each time. With this damper a constant force
+/// takes the ghost, within a step, as far as it takes the slower body by backward Euler's rule: K h² / (m + K h²) of the
+/// spring's equilibrium, which an overdamped one reaches by 1 − exp(−K h / c).
+fn damping(held: f64, mass_inverse: f64) -> f64 {
+    held / (held * mass_inverse).ln_1p().max(1.0)
 }
 
 fn finite<'a>(what: &'static str, values: impl IntoIterator<Item = &'a f64>) -> Result<(), GhostNodesError> {

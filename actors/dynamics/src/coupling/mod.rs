@@ -7,6 +7,9 @@
 //! the sum at its next step. Action and reaction are the same numbers, so momentum is exchanged to rounding, for any
 //! rates, masses and delays.
 //!
+//! A ghost is also damped as the slower body's implicit step damps it. Otherwise it would swing on its ties between two
+//! reports, and a report that takes long to compute would find the swing elsewhere and feed it.
+//!
 //! Each report of the slower body corrects the ghosts. Correcting velocities costs nothing: it is the body's own
 //! motion. Correcting positions would stretch the springs anew; this energy is paid from a tank that is filled by
 //! dissipation in dampers and friction, and by the difference between the work on the ghosts and on the body (passivity

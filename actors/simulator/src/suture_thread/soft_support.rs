@@ -170,9 +170,7 @@ impl CoupledBody for LyingOn<'_> {
             alone.go(dt, &Vector3::zeros());
             soft.began.push(ghost_node.position);
             soft.free.push(alone.position + drift * dt);
-            soft.yields.push(
-                ghost_node.mobility / (1.0 + dt * dt * ghost_node.stiffness * ghost_node.mobility) * dt * dt,
-            );
+            soft.yields.push(ghost_node.mobility_in(dt) * dt * dt);
         }
         soft.at.clone_from(&soft.free);
     }

@@ -112,6 +112,7 @@ impl SlowSide {
         out: &mut Commands,
     ) {
         let StepPrediction { expected, yielding, masses } = &self.outlook;
+        let parts = site.tick.period.as_secs_f64() / site.period_secs();
         for index in 0..self.told.from.len() {
             let Some(giver) = self.told.from[index].body else { continue };
             let Some(to) = self.given(site.scene, giver) else { continue };
@@ -124,19 +125,73 @@ impl SlowSide {
                 let at = vertex as usize;
                 let now = velocities.get(at).copied().unwrap_or_default();
                 from.received += (body_from_giver * last).dot(&(0.5 * (before + now)));
-                from.expected.push(expected.get(at).copied().unwrap_or(now));
                 let is_led = site.driven.binary_search_by_key(&vertex, |driven| driven.vertex).is_ok();
                 let holds = is_led || stays.get(at).copied().unwrap_or(true);
                 let mass = masses.get(at).copied().filter(|mass| *mass > 0.0 && !holds);
                 let alone = mass.map_or(0.0, f64::recip);
                 let yields = self.active.binary_search(&vertex).ok().and_then(|at| yielding.get(at)).copied();
+                let in_part = NodePrediction { expected: expected.get(at).copied().unwrap_or(now), yields };
+                let NodePrediction { expected, yields } = in_part.of_tick(&now, alone, parts);
                 from.masses_inverse.push(alone);
                 from.mobilities.push(if holds { 0.0 } else { yields.unwrap_or(alone) });
+                from.expected.push(expected);
             }
         }
         self.told.number += 1;
         self.told.time = site.tick.time;
         self.told.step = site.tick.period.as_secs_f64();
         out.put(self.me, self.told.clone());
+    }
+}
+
+/// The predicted motion of a node in a step.
+struct NodePrediction {
+    /// Its velocity at the end \[m/s\].
+    expected: Vector3<f64>,
+    /// Its effective inverse mass \[1/kg\]; `None` where nothing was computed.
+    yields: Option<f64>,
+}
+
+impl NodePrediction {
+    /// Converts the prediction of one part into that of the whole tick of `parts` parts. The node is a mass on a spring by
+    /// backward Euler's rule: in a step h it yields 1/(m + K h²), and under an unbalanced force F its velocity changes from v
+    /// by (h F − K h² v)/(m + K h²). `now` is v \[m/s\], and `alone` is 1/m \[1/kg\].
+    fn of_tick(self, now: &Vector3<f64>, alone: f64, parts: f64) -> Self {
+        let Some(yields) = self.yields.filter(|yields| *yields > 0.0 && alone > 0.0 && parts > 1.0 + 1e-9)
+        else {
+            return self;
+        };
+        let mass = alone.recip();
+        // K h² of the part, in kg.
+        let spring = (yields.recip() - mass).max(0.0);
+        let impulse = (self.expected - now) * (mass + spring) + now * spring;
+        let resists = mass + spring * parts * parts;
+        let change = (impulse * parts - now * (spring * parts * parts)) / resists;
+        Self { expected: now + change, yields: Some(resists.recip()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One step of a mass on a spring, by backward Euler's rule: its change of velocity, and what it yields to an impulse.
+    fn step(mass: f64, stiffness: f64, force: f64, velocity: f64, h: f64) -> (f64, f64) {
+        let resists = mass + stiffness * h * h;
+        ((h * force - stiffness * h * h * velocity) / resists, resists.recip())
+    }
+
+    #[test]
+    fn the_prediction_of_a_part_becomes_that_of_the_tick() {
+        for (mass, stiffness) in [(1e-3, 0.0), (1e-3, 5.0), (2e-4, 800.0)] {
+            let (force, velocity, period, parts) = (0.03, -0.2, 0.05, 5.0);
+            let (change, yields) = step(mass, stiffness, force, velocity, period / parts);
+            let now = Vector3::x() * velocity;
+            let part = NodePrediction { expected: now + Vector3::x() * change, yields: Some(yields) };
+            let whole = part.of_tick(&now, mass.recip(), parts);
+            let (change, yields) = step(mass, stiffness, force, velocity, period);
+            assert!((whole.expected.x - velocity - change).abs() < 1e-9 * change.abs());
+            assert!((whole.yields.expect("a number") / yields - 1.0).abs() < 1e-9);
+        }
     }
 }
