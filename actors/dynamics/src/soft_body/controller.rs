@@ -30,6 +30,7 @@ use super::jaw_friction::{Crushable, StrainedGrips, TickGrips, crush};
 use super::jaws::is_blade;
 use super::method::{Measures, Step, StepContext, finite_vertices};
 use super::rod_contact::{COLLISIONS_MAX, RodContact, collision, touches};
+use super::rod_paths::RodPaths;
 use super::{Deformable, SoftMethod};
 use crate::picking::{DrivenVertex, Jaws, Pick};
 
@@ -40,6 +41,7 @@ struct Body<M> {
     grips: Grips,
     strained: StrainedGrips,
     held_back: HeldBack,
+    rod_paths: RodPaths,
     /// The bodies with which it has grown together.
     joined_with: Vec<Entity>,
     /// State of the slower side of a coupling, if others are coupled with it.
@@ -278,7 +280,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
-        let access = HeldBack::access(access, &bodies);
+        let access = RodPaths::access(HeldBack::access(access, &bodies), &bodies);
         let access = SlowSide::access(access, &self.registry, &bodies);
         let access = tracking::access(access, &self.registry);
         M::access(bearing::access(access, &bodies), &bodies)
@@ -431,6 +433,7 @@ impl<M: SoftMethod> Body<M> {
             grips,
             strained,
             held_back: HeldBack::resume(scene, entity),
+            rod_paths: RodPaths::resume(scene, entity),
             joined_with: CoupledBody::joined_with(scene, entity),
             slow_side,
             frozen,
@@ -469,6 +472,7 @@ impl<M: SoftMethod> Body<M> {
         inputs.given.clear();
         rods_of_all(scene, &inputs.world_from_body, &mut inputs.rods);
         self.held_back.begin(scene, entity, &inputs.world_from_body, &mut inputs.rods);
+        self.rod_paths.lead(tick, &mut inputs.rods, &mut self.held_back);
         let reshaped = self.method.reshape(&mut self.body, &inputs.site(scene, tick), out)?;
         if let Some(reshaped) = reshaped {
             self.is_pinned = self.body.stays();
@@ -539,6 +543,7 @@ impl<M: SoftMethod> Body<M> {
         let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
         self.held_back.end(entity, &self.inputs.world_from_body, tick.time, out);
+        self.rod_paths.end(scene, entity, !self.inputs.touches.is_empty(), out);
         let site = self.inputs.site(scene, tick);
         self.method.publish(&self.body, &site, out);
         for (touch, force) in site.touches.iter().zip(&self.inputs.forces) {

@@ -125,6 +125,18 @@ impl HeldBack {
         }
     }
 
+    /// Displacement of an instrument by this body \[m\], and its velocity \[m/s\].
+    pub(super) fn displacement(&self, instrument: Entity) -> [Vector3<f64>; 2] {
+        let led = self.list.iter().find(|led| led.instrument == instrument);
+        led.map_or([Vector3::zeros(); 2], |led| [led.offset, led.velocity])
+    }
+
+    /// Notes how fast an instrument is led in the body's own time, after missed steps \[m/s\].
+    pub(super) fn is_led_at(&mut self, instrument: Entity, speed: Vector3<f64>) {
+        let led = self.list.iter_mut().find(|led| led.instrument == instrument);
+        led.into_iter().for_each(|led| led.speed = speed);
+    }
+
     /// Finds the contacts that stop instruments in a step of `step` \[s\]; `passes` are those that do not: jaws that hold
     /// the body.
     pub fn find(

@@ -6,6 +6,7 @@
 //! | interface of a method: input and results of a step | `method.rs` |
 //! | a body's state in the scene | `deformable.rs`, `pinned.rs`, `frozen.rs` |
 //! | instruments as rods, their contacts, grasps | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
+//! | their way in the time of a body that missed steps | `rod_paths.rs` |
 //! | what jaws hold by friction, and crush | `jaw_friction.rs` |
 //! | instruments that hands lead, held back | `held_back.rs` |
 //! | contacts that detectors find | `contact/` |
@@ -26,6 +27,7 @@ pub mod jaws;
 pub mod method;
 pub mod pinned;
 pub mod rod_contact;
+pub mod rod_paths;
 
 pub use controller::SoftController;
 pub use deformable::Deformable;
@@ -42,7 +44,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     trocar_scene::register_all!(builder;
         grasp::Grips, PinnedBody, contact::SoftContacts, contact::RigidContacts,
         coupling::CoupledBody, coupling::CouplingGiven, coupling::CouplingTaken,
-        jaw_friction::StrainedGrips, jaw_friction::Crushable,
+        jaw_friction::StrainedGrips, jaw_friction::Crushable, rod_paths::RodPaths,
     )?;
     Ok(())
 }
