@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{
-    DeviceForce, DeviceInfo, Frozen, Hand, HeatFrozen, LocalContactModel, RigidBody, Snapshot, Velocity,
-    VertexPositions, VertexVelocities,
+    DeviceForce, DeviceInfo, Entity, Frozen, Hand, HeatFrozen, LocalContactModel, RigidBody, Snapshot,
+    Velocity, VertexPositions, VertexVelocities,
 };
 
 /// Fastest speed of a node or body \[m/s\]. A hand in the shipped scenes moves at less than 0.2 m/s.
@@ -27,13 +27,16 @@ fn places(scene: &Snapshot) -> impl Iterator<Item = Point3<f64>> {
     nodes.chain(bodies)
 }
 
-/// The fastest node or body \[m/s\].
-fn fastest(scene: &Snapshot) -> f64 {
-    let nodes = scene.iter::<VertexVelocities>().flat_map(|(_, of)| of.velocities.iter().map(Vector3::norm));
+/// The body with the fastest node, and its speed \[m/s\].
+fn fastest(scene: &Snapshot) -> Option<(Entity, f64)> {
+    let nodes = scene.iter::<VertexVelocities>().map(|(body, of)| {
+        let speeds = of.velocities.iter().map(Vector3::norm);
+        (body, speeds.fold(0.0, f64::max))
+    });
     let bodies = scene
         .iter::<RigidBody>()
-        .filter_map(|(body, _)| scene.get::<Velocity>(body).map(|velocity| velocity.linear.norm()));
-    nodes.chain(bodies).fold(0.0, f64::max)
+        .filter_map(|(body, _)| Some((body, scene.get::<Velocity>(body)?.linear.norm())));
+    nodes.chain(bodies).max_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 fn bounds(scene: &Snapshot) -> Option<[Vector3<f64>; 2]> {
@@ -53,6 +56,8 @@ fn still(scene: &Snapshot) -> BTreeSet<String> {
 pub struct Bounded {
     /// Speed of the fastest node or body \[m/s\].
     pub speed: f64,
+    /// Which body that was, and when.
+    pub fastest: String,
     /// Farthest distance of a node from the box \[m\].
     pub reach: f64,
     /// Farthest such distance that is not wrong \[m\]: [`REACH`], unless bodies fly about on purpose.
@@ -68,12 +73,23 @@ impl Bounded {
     /// Begins with the box around all bodies of this scene.
     pub fn around(scene: &Snapshot) -> Self {
         let (around, stood) = (bounds(scene), still(scene));
-        Self { speed: 0.0, reach: 0.0, reach_max: REACH, wrong: BTreeSet::new(), around, stood }
+        Self {
+            speed: 0.0,
+            fastest: String::new(),
+            reach: 0.0,
+            reach_max: REACH,
+            wrong: BTreeSet::new(),
+            around,
+            stood,
+        }
     }
 
     /// Looks at the scene.
     pub fn look(&mut self, scene: &Snapshot) {
-        self.speed = self.speed.max(fastest(scene));
+        if let Some((body, speed)) = fastest(scene).filter(|(_, speed)| *speed > self.speed) {
+            self.speed = speed;
+            self.fastest = format!("{} at {:.3} s", scene.name(body), scene.time().as_secs_f64());
+        }
         if let (Some([low, high]), Some([l, h])) = (self.around, bounds(scene)) {
             self.reach = self.reach.max((low - l).max()).max((h - high).max());
         }

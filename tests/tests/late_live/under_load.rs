@@ -41,7 +41,13 @@ fn under_load_bodies_stay_bounded_and_who_was_too_slow_is_told() {
         let summary = outcome.summary;
         let seen = seen.expect("it was looked at");
         let told = summary.too_slow();
-        println!("{name}: {:.2} m/s, {:.1} mm; {told:?} {:?}", seen.speed, seen.reach * 1e3, seen.wrong);
+        println!(
+            "{name}: {:.2} m/s ({}), {:.1} mm; {told:?} {:?}",
+            seen.speed,
+            seen.fastest,
+            seen.reach * 1e3,
+            seen.wrong
+        );
         wrong.extend(seen.wrong.iter().map(|wrong| format!("{name}: {wrong}")));
         // A driver that the machine keeps waiting holds its force meanwhile, but no command of an actor counts for longer.
         if !(summary.task.completed || summary.task.cut_off || told.is_some()) {
