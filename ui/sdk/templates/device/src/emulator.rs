@@ -44,8 +44,9 @@ impl Emulator {
         let given = shared.clone();
         let thread = std::thread::Builder::new().name("emulator".to_owned()).spawn(move || {
             while !given.stop.load(Ordering::Relaxed) {
-                if !given.unplugged.load(Ordering::Relaxed)
-                    && let Ok((stream, _)) = listener.accept()
+                // While the cable is unplugged, a terminal server hangs up on whoever calls.
+                if let Ok((stream, _)) = listener.accept()
+                    && !given.unplugged.load(Ordering::Relaxed)
                 {
                     given.connections.fetch_add(1, Ordering::Relaxed);
                     serve(&stream, &given);
@@ -72,7 +73,7 @@ impl Emulator {
     pub fn force_max(&self) -> f64 {
         1e-3 * f64::from(self.shared.force_max_mn.load(Ordering::Relaxed))
     }
-    /// Number of connections so far.
+    /// Number of connections so far, but for those that came while the cable was unplugged.
     pub fn connections(&self) -> u32 {
         self.shared.connections.load(Ordering::Relaxed)
     }
