@@ -10,13 +10,13 @@ use super::material::{BODY, ThermalMaterial};
 /// Largest conductance factor between a dry cell and a boiling neighbour ([`boiling_nearer`]).
 const BOILING_NEARER: f64 = 2.0;
 
-/// Conductance factor between a dry cell and a boiling neighbour with this water fraction. Heat crosses half of the dry
-/// cell, and then the part of the boiling one that has dried, which is on its near side: 2 where it is wet, 2/3 just
-/// before it is dry. In the mean of the resistance over the time that it takes to dry this is 1: a front advances by
-/// Stefan's law, and not by jumps of a cell.
+/// Conductance factor between a dry cell and a boiling neighbour, the front in which has left this part ahead of it. Heat
+/// crosses half of the dry cell, and then the part of the boiling one behind its front: 2 where the front arrives, 2/3 where
+/// it leaves. In the mean of the resistance over that time this is 1: a front advances by Stefan's law, and not by jumps of a
+/// cell. A cell that dries by a current of its own boils all over, and has no such part.
 #[inline]
-pub(super) fn boiling_nearer(water: f64) -> f64 {
-    1.0 / (1.0 / BOILING_NEARER + (1.0 - water))
+pub(super) fn boiling_nearer(ahead: f64) -> f64 {
+    1.0 / (1.0 / BOILING_NEARER + (1.0 - ahead))
 }
 
 /// Derived material constants used by every cell.

@@ -65,6 +65,8 @@ pub(super) struct ThermalGrid {
     /// Requested blocks without tissue, sorted: rasterising them again would be slow.
     empty: Vec<[i32; 3]>,
     next: Vec<Box<[f64; CELLS]>>,
+    /// Fronts to advance after all blocks: block, cell, and the fraction of a full cell's water.
+    fronts: Vec<(usize, usize, f64)>,
     /// Planes held at a temperature.
     pub planes: Vec<HeldPlane>,
     held_cells: Vec<HeldCell>,
@@ -105,6 +107,7 @@ impl ThermalGrid {
             lattice,
             empty: Vec::new(),
             next: Vec::new(),
+            fronts: Vec::new(),
             planes: Vec::new(),
             held_cells: Vec::new(),
             wanted: Vec::new(),
@@ -201,6 +204,7 @@ impl ThermalGrid {
         let volume = self.cell_volume();
         let blood = dt * outputs.material.perfusion_loss();
         let holds = outputs.organ.held.contains(&true);
+        let mut fronts = std::mem::take(&mut self.fronts);
         let mut used = 0;
         for index in 0..self.blocks.len() {
             if !self.blocks[index].is_active {
@@ -245,10 +249,17 @@ impl ThermalGrid {
                     let ways = SIDES.into_iter().filter(|side| !block.is_cut_off(cell, *side));
                     ways.fold(0.0, |sum, side| sum + flow(beside(at, side)))
                 };
-                let capacity = self.enthalpy.capacity(block.water[cell]) * block.share(cell);
+                let share = block.share(cell);
+                if boils && boiling[at] > 0.0 {
+                    let ways = SIDES.into_iter().filter(|side| is_whole || !block.is_cut_off(cell, *side));
+                    let from_dry = ways.map(|side| beside(at, side)).filter(|beyond| dry[*beyond] > 0.0);
+                    let joules = scale * from_dry.map(flow).sum::<f64>().max(0.0) / share;
+                    fronts.push((index, cell, joules / self.enthalpy.latent));
+                }
+                let capacity = self.enthalpy.capacity(block.water[cell]) * share;
                 let mut gain = scale * flows;
                 if block.flags[cell] & COAGULATED == 0 {
-                    let carried = blood * block.share(cell) * own;
+                    let carried = blood * share * own;
                     gain -= carried;
                     lost += carried;
                 }
@@ -264,6 +275,9 @@ impl ThermalGrid {
                 let before = next[cell];
                 next[cell] = (before + pull * held) / (1.0 + pull);
                 outputs.ledger.held -= capacity * block.share(cell) * volume * (next[cell] - before);
+                if block.flags[cell] & BOILING != 0 && next[cell] > before {
+                    fronts.push((index, cell, capacity * (next[cell] - before) / self.enthalpy.latent));
+                }
             }
             // Heat that leaves the active blocks enters the mesh, in the cells beyond: in those that it has left, it would have
             // gone less far than it has.
@@ -280,6 +294,10 @@ impl ThermalGrid {
                 }
             }
         }
+        for (index, cell, vaporises) in fronts.drain(..) {
+            self.blocks[index].advance_front(cell, vaporises);
+        }
+        self.fronts = fronts;
         let active = self.blocks.iter_mut().filter(|block| block.is_active);
         for (block, next) in active.zip(&mut self.next) {
             std::mem::swap(&mut block.excess, next);
@@ -303,7 +321,7 @@ impl ThermalGrid {
             if block.water[cell] == 0.0 {
                 (through, 0.0)
             } else if block.flags[cell] & BOILING != 0 {
-                (0.0, boiling_nearer(block.water[cell]) * block.share(cell))
+                (0.0, boiling_nearer(block.ahead_of_front(cell)) * block.share(cell))
             } else {
                 (0.0, 0.0)
             }
@@ -427,7 +445,7 @@ impl ThermalGrid {
                     let below = block.site(cell).interpolate(&organ.celsius);
                     // Of a boiling cell the part next to the plane has dried.
                     let boils = block.flags[cell] & BOILING != 0;
-                    let distance = if boils { 1.0 - block.water[cell] } else { distance };
+                    let distance = if boils { 1.0 - block.ahead_of_front(cell) } else { distance };
                     let nearness = 1.0 / distance.max(ON_FACE);
                     found.push(HeldCell { cell, nearness, excess: celsius - below });
                 }

@@ -30,6 +30,9 @@ pub(super) struct Block {
     pub excess: Box<[f64; CELLS]>,
     /// Remaining water fraction of each cell.
     pub water: Box<[f64; CELLS]>,
+    /// Part of each cell that is ahead of a drying front, which heat from dry neighbours drives: it holds all of the water,
+    /// evenly. A current dries a cell without a front.
+    pub ahead: Box<[f64; CELLS]>,
     /// Damage Ω.
     pub damage: Box<[f64; CELLS]>,
     pub flags: Box<[u8; CELLS]>,
@@ -106,6 +109,7 @@ impl Block {
             raster,
             excess: Box::new([0.0; CELLS]),
             water: Box::new([1.0; CELLS]),
+            ahead: Box::new([1.0; CELLS]),
             damage: Box::new([0.0; CELLS]),
             flags,
             is_active: false,
@@ -136,6 +140,21 @@ impl Block {
         self.raster.cut.get(first).is_some_and(|cut| cut & (1 << axis) != 0)
     }
 
+    /// Part of a cell ahead of its drying front.
+    #[inline]
+    pub(super) fn ahead_of_front(&self, cell: usize) -> f64 {
+        // Never less than its water: heat for the front may have gone on to cooler neighbours.
+        self.ahead[cell].max(self.water[cell])
+    }
+
+    /// Advances the front in a boiling cell by heat that vaporises this fraction of a full cell's water, if that is still
+    /// there.
+    pub(super) fn advance_front(&mut self, cell: usize, vaporises: f64) {
+        let water = self.water[cell];
+        let left = if vaporises < water { 1.0 - vaporises / water } else { 0.0 };
+        self.ahead[cell] = self.ahead_of_front(cell) * left;
+    }
+
     /// Whether it is unchanged, so that it need not be stored.
     pub(super) fn is_pristine(&self) -> bool {
         !self.is_active
@@ -156,5 +175,31 @@ impl Block {
         let mut key = self.key;
         key[axis] += way;
         key
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Tissue;
+    use super::super::testing::bar;
+    use super::super::voxelisation::TissueLattice;
+    use super::*;
+
+    #[test]
+    fn a_front_passes_a_cell_with_its_water_and_one_that_a_current_half_dried_with_half_the_heat() {
+        let (positions, tets) = bar([1, 1, 1], 10e-3);
+        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+        let raster = TissueLattice::new(&tissue, 1e-3).expect("a lattice").raster([0; 3]).expect("tissue");
+        for by_current in [0.0, 0.5, 0.9] {
+            let mut block = Block::new([0; 3], raster.clone());
+            block.water[0] -= by_current;
+            assert_eq!(block.ahead_of_front(0), 1.0, "a current makes no front");
+            let part = 0.1 * block.water[0];
+            for passed in 1..=10 {
+                block.advance_front(0, part);
+                block.water[0] = (block.water[0] - part).max(0.0);
+                assert!((block.ahead_of_front(0) - (1.0 - 0.1 * f64::from(passed))).abs() < 1e-12);
+            }
+        }
     }
 }

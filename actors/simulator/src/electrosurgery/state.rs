@@ -23,6 +23,9 @@ pub struct BlockState {
     pub excess: Vec<f64>,
     /// Remaining water fractions.
     pub water: Vec<f64>,
+    /// Parts ahead of drying fronts.
+    #[serde(default)]
+    pub ahead: Vec<f64>,
     /// Damage Ω.
     pub damage: Vec<f64>,
     /// Bits: tissue, removed, coagulated, charred, burst, boiling.
@@ -103,6 +106,7 @@ impl BlockState {
             peak: block.peak,
             excess: block.excess.to_vec(),
             water: block.water.to_vec(),
+            ahead: block.ahead.to_vec(),
             damage: block.damage.to_vec(),
             flags: block.flags.to_vec(),
         }
@@ -112,6 +116,9 @@ impl BlockState {
         let own = |what: &str| format!("block {:?}: {what}", self.key);
         fits(&own("excess"), &self.excess, CELLS, &EXCESS)?;
         fits(&own("water"), &self.water, CELLS, &(0.0..=1.0))?;
+        if !self.ahead.is_empty() {
+            fits(&own("ahead"), &self.ahead, CELLS, &(0.0..=1.0))?;
+        }
         fits(&own("damage"), &self.damage, CELLS, &OMEGA)?;
         fits(&own("peak"), &[self.peak], 1, &(0.0..=*EXCESS.end()))?;
         if self.flags.len() != CELLS {
@@ -231,6 +238,8 @@ impl Electrosurgery {
             };
             kept.excess.copy_from_slice(&block.excess);
             kept.water.copy_from_slice(&block.water);
+            // A state from before fronts were stored: all that has dried is behind one.
+            kept.ahead.copy_from_slice(if block.ahead.is_empty() { &block.water } else { &block.ahead });
             kept.damage.copy_from_slice(&block.damage);
             // The tissue flag comes from the mesh.
             for (kept, flag) in kept.flags.iter_mut().zip(&block.flags) {
