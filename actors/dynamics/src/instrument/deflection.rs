@@ -34,6 +34,8 @@ pub struct InstrumentYields {
     pub list: Vec<InstrumentYield>,
     /// When.
     pub at: SimTime,
+    /// Longest step in which it follows them \[s\]; 0 where it need not be limited.
+    pub step_max: f64,
 }
 
 impl InstrumentYields {

@@ -31,6 +31,7 @@ use super::jaws::is_blade;
 use super::method::{Measures, Step, StepContext, finite_vertices};
 use super::rod_contact::{COLLISIONS_MAX, RodContact, collision, touches};
 use super::rod_paths::RodPaths;
+use super::tick_course::{TickCourse, foresees};
 use super::{Deformable, SoftMethod};
 use crate::picking::{DrivenVertex, Jaws, Pick};
 
@@ -64,6 +65,8 @@ struct StepInputs {
     presses: Vec<PlaneContact>,
     rigid: Vec<RigidInStep>,
     driven: Vec<DrivenVertex>,
+    /// Where driven vertices are at the beginning of the tick, and where at its end.
+    driven_ways: Vec<[Point3<f64>; 2]>,
     jaws: TickGrips,
     given: Vec<(u32, Vector3<f64>)>,
     /// Length of that list without the friction of rigid bodies, which changes from part to part of a tick.
@@ -162,9 +165,9 @@ impl<M: SoftMethod> SoftController<M> {
         }
     }
 
-    /// Finds the contacts of its bodies with rigid ones that move, and makes them part of the bodies' next step.
-    /// In a tick that is divided for them, instruments are not held back.
-    fn press(&mut self, borne: &[BorneBody], is_divided: bool) -> Vec<Bearing> {
+    /// Finds the contacts of its bodies with rigid ones that move, and makes them part of the bodies' next step, with those of
+    /// instruments if they are `held_back`.
+    fn press(&mut self, borne: &[BorneBody], held_back: bool) -> Vec<Bearing> {
         let Self { bodies, bearings, .. } = self;
         let answering: Vec<usize> = (0..bodies.len())
             .filter(|&at| !bodies[at].frozen && bodies[at].method.terms().is_some())
@@ -177,7 +180,7 @@ impl<M: SoftMethod> SoftController<M> {
             inputs.given.truncate(inputs.given_before);
         }
         if borne.is_empty() {
-            if !is_divided {
+            if held_back {
                 answering.iter().for_each(|&at| bodies[at].press_instruments());
             }
             return Vec::new();
@@ -203,7 +206,7 @@ impl<M: SoftMethod> SoftController<M> {
             let inputs = &mut bodies[at].inputs;
             (inputs.presses, inputs.rigid) = (presses, rigid);
             inputs.given.extend(rubbed);
-            if !is_divided {
+            if held_back {
                 bodies[at].press_instruments();
             }
         }
@@ -302,14 +305,23 @@ impl<M: SoftMethod> Controller for SoftController<M> {
         let bearers: Vec<Bearer<'_>> =
             self.bodies.iter().filter(|of| !of.frozen).filter_map(Body::bearer).collect();
         let parts = self.bearings.parts(&bearers, &borne, period);
-        self.bodies.iter_mut().for_each(|of| of.inputs.step_secs = period / f64::from(parts));
         self.bodies.iter_mut().for_each(|of| of.contacts.course.clear());
-        for part in 0..parts {
-            if parts > 1 {
+        let mut course = TickCourse::new(period, parts);
+        while !course.is_over() {
+            if parts > 1 && course.begins_part() {
                 let all = self.bodies.iter_mut().map(|of| &mut of.contacts);
                 all.for_each(|contacts| contacts.course.push(contacts.given_whole.clone()));
             }
-            let pressed = self.press(&borne, parts > 1);
+            let going = self.bodies.iter().filter(|of| !of.frozen && course.is_divisible());
+            let longest = going.map(|of| of.step_max(scene, course.left())).fold(f64::INFINITY, f64::min);
+            let step = course.next(longest);
+            for of in &mut self.bodies {
+                of.inputs.step_secs = step;
+                if !of.frozen {
+                    of.begin_step(scene, course.done(), period);
+                }
+            }
+            let pressed = self.press(&borne, parts == 1 || foresees(period));
             let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
             let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
             M::step_all(&mut steps);
@@ -322,7 +334,11 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                     body.slip();
                 }
             }
-            self.bear(pressed, &mut borne, tick, part + 1 == parts);
+            self.bear(pressed, &mut borne, tick, course.is_over());
+            if foresees(period) {
+                let going = self.bodies.iter_mut().filter(|of| !of.frozen);
+                going.for_each(|of| of.move_on(scene, (!course.is_over()).then(|| course.left()), period));
+            }
         }
         for of in &mut self.bodies {
             if std::mem::take(&mut of.contacts_changed) {
@@ -484,11 +500,27 @@ impl<M: SoftMethod> Body<M> {
         touches(&inputs.rods, &self.method.contact_surface(&self.body), period, &mut inputs.touches);
         let mut jaws = std::mem::take(&mut inputs.jaws);
         let driven = self.hold(&inputs.site(scene, tick), &inputs.touches, &mut jaws, out)?;
+        let positions = self.method.positions();
+        let ways = driven.iter().map(|of| [positions[of.vertex as usize], of.position_in_body]);
+        inputs.driven_ways.clear();
+        inputs.driven_ways.extend(ways);
         (inputs.driven, inputs.jaws) = (driven, jaws);
-        // Held and anchored vertices have prescribed positions, whatever touches them.
+        self.leave_out(scene, &mut inputs);
+        if let Some(slow_side) = &mut self.slow_side {
+            let mut given = std::mem::take(&mut inputs.given);
+            slow_side.take(&inputs.site(scene, tick), self.method.velocities(), &mut given);
+            inputs.given = given;
+        }
+        self.inputs = inputs;
+        Ok(())
+    }
+
+    /// Leaves out contacts of rods that do not press: held and anchored vertices have prescribed positions, whatever touches
+    /// them.
+    fn leave_out(&self, scene: &Snapshot, inputs: &mut StepInputs) {
         let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
         let Self { grips, strained, .. } = self;
-        let StepInputs { rods, touches, driven, .. } = &mut inputs;
+        let StepInputs { rods, touches, driven, .. } = inputs;
         touches.retain(|touch| {
             let is_led = |node: &u32| driven.binary_search_by_key(node, |driven| driven.vertex).is_ok();
             let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
@@ -501,23 +533,54 @@ impl<M: SoftMethod> Body<M> {
                 && rods.iter().position(|rod| rod.instrument == by) != Some(touch.rod);
             !(stays || is_cut || slips || touch.nodes.iter().any(is_led))
         });
-        let grasps = |grips: &Grips, by: Entity| grips.picks.of(by.to_bits()).is_some();
-        // Jaws close on what has grown together as on one body.
-        let holds = |by: Entity| {
-            let mut others = self.joined_with.iter().filter_map(|other| scene.get::<Grips>(*other));
-            grasps(&self.grips, by) || others.any(|grips| grasps(grips, by))
-        };
+    }
+
+    /// Whether an instrument grasps it: jaws close on what has grown together as on one body.
+    fn is_held_by(&self, scene: &Snapshot, by: Entity) -> bool {
+        let grasps = |grips: &Grips| grips.picks.of(by.to_bits()).is_some();
+        let mut others = self.joined_with.iter().filter_map(|other| scene.get::<Grips>(*other));
+        grasps(&self.grips) || others.any(grasps)
+    }
+
+    /// The longest step that can follow the instruments, up to `within` \[s\].
+    fn step_max(&self, scene: &Snapshot, within: f64) -> f64 {
+        let StepInputs { touches, rods, .. } = &self.inputs;
         let skin = self.method.contact_surface(&self.body);
-        let found = (&inputs.touches[..], &inputs.rods[..]);
-        self.held_back.find(found, &skin, self.method.velocities(), period, holds);
-        inputs.meets_instruments = self.held_back.is_touched();
-        if let Some(slow_side) = &mut self.slow_side {
-            let mut given = std::mem::take(&mut inputs.given);
-            slow_side.take(&inputs.site(scene, tick), self.method.velocities(), &mut given);
-            inputs.given = given;
+        let holds = |by: Entity| self.is_held_by(scene, by);
+        self.held_back.step_max((touches, rods), &skin, self.method.velocities(), within, holds)
+    }
+
+    /// Finds the contacts that stop instruments in the next step, and sets where held vertices are to be at its end,
+    /// `until` \[s\] after the beginning of a tick of `period` \[s\].
+    fn begin_step(&mut self, scene: &Snapshot, until: f64, period: f64) {
+        let mut held_back = std::mem::take(&mut self.held_back);
+        let StepInputs { touches, rods, step_secs, .. } = &self.inputs;
+        let skin = self.method.contact_surface(&self.body);
+        let holds = |by: Entity| self.is_held_by(scene, by);
+        held_back.find((touches, rods), &skin, self.method.velocities(), *step_secs, holds);
+        self.held_back = held_back;
+        self.inputs.meets_instruments = self.held_back.is_touched();
+        if self.inputs.step_secs < period {
+            let StepInputs { driven, driven_ways, .. } = &mut self.inputs;
+            for (driven, [from, to]) in driven.iter_mut().zip(driven_ways) {
+                driven.position_in_body = from.lerp(to, (until / period).min(1.0));
+            }
+        }
+    }
+
+    /// After a step: the instruments go on, and if some of the part of the tick is `left` \[s\], their contacts are found anew.
+    fn move_on(&mut self, scene: &Snapshot, left: Option<f64>, period: f64) {
+        let mut inputs = std::mem::take(&mut self.inputs);
+        self.held_back.lead(&mut inputs.rods, inputs.step_secs);
+        let skin = self.method.contact_surface(&self.body);
+        self.held_back.judge((&inputs.touches, &inputs.rods), &skin, inputs.step_secs);
+        if let Some(left) = left {
+            touches(&inputs.rods, &skin, left, &mut inputs.touches);
+            self.leave_out(scene, &mut inputs);
+        } else {
+            self.held_back.forget_limit(period);
         }
         self.inputs = inputs;
-        Ok(())
     }
 
     /// Makes the contacts that stop instruments part of the next step.
@@ -578,14 +641,15 @@ impl<M: SoftMethod> Body<M> {
 
     /// After a part of a tick: what has slipped in its jaws stays where it is now, relative to them.
     fn slip(&mut self) {
-        let StepInputs { driven, jaws, .. } = &mut self.inputs;
+        let StepInputs { driven, driven_ways, jaws, .. } = &mut self.inputs;
         let (forces, positions) = (self.method.grip_forces(), self.method.positions());
         jaws.take(forces);
-        for driven in driven.iter_mut() {
+        for (driven, way) in driven.iter_mut().zip(driven_ways) {
             if forces.get(driven.grip as usize).is_some_and(|by| by.slipped)
                 && let Some(position) = positions.get(driven.vertex as usize)
             {
                 driven.position_in_body = *position;
+                *way = [*position; 2];
             }
         }
     }

@@ -57,6 +57,9 @@ const SAMPLES: u32 = 5;
 /// rod within a tick it would be detected behind its surface and thrown off, and so on in every other tick. The same
 /// holds for anything that the rod reaches within the tick, and would have passed before the next.
 const AHEAD: f64 = 1.0;
+/// Depth of elements besides the deepest that are touched as well, as a share of the distance from a rod's axis to the
+/// surface.
+const DEEP: f64 = 0.6;
 /// A point nearer to the axis of a rod than this lies on it \[m\].
 const ON: f64 = 1e-12;
 /// How far beyond a sheet the tip of a rod is still tracked, in addition to its motion in this tick \[m\].
@@ -67,12 +70,13 @@ pub fn touches(rods: &[Rod], skin: &ContactSurface<'_>, period: f64, touches: &m
     touches.clear();
     for (index, rod) in rods.iter().enumerate() {
         touch_vertices(index, rod, skin, period, touches);
-        let deepest = deepest_element(index, rod, skin, period);
         let known = touches.iter().filter(|touch| touch.rod == index).map(|touch| touch.depth);
         let deeper = known.fold(f64::NEG_INFINITY, f64::max);
-        let found = deepest.is_some() || deeper > f64::NEG_INFINITY;
-        touches.extend(deepest.filter(|touch| touch.depth > deeper));
-        if skin.closed && !found {
+        let first = touches.len();
+        let found = touch_elements(index, rod, skin, period, touches);
+        let deep = deeper.max(DEEP * (rod.radius + skin.thickness));
+        keep_deepest(touches, first, deeper, deep);
+        if skin.closed && !found && deeper == f64::NEG_INFINITY {
             touches.extend(deepest_within(index, rod, skin).or_else(|| on_surface(index, rod, skin)));
         }
     }
@@ -165,6 +169,29 @@ fn search_box(rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> [Point3<f64>
     [a.inf(&b).inf(&c).inf(&d) - reach, a.sup(&b).sup(&c).sup(&d) + reach]
 }
 
+/// Distance of a rod from the body's surface, if it is within `way` \[m\]; negative where they overlap.
+pub fn gap(rod: &Rod, skin: &ContactSurface<'_>, way: f64) -> Option<f64> {
+    let reach = rod.radius + skin.thickness;
+    let far = Vector3::repeat(reach + way);
+    let [a, b] = rod.ends;
+    let search_box = [a.inf(&b) - far, a.sup(&b) + far];
+    let mut nearest = f64::INFINITY;
+    for nodes in skin.triangles {
+        let corners = nodes.map(|node| skin.positions[node as usize]);
+        if !is_apart(&corners, &search_box) {
+            nearest = nearest.min(closest_segment_triangle(&rod.ends, &corners).distance_squared);
+        }
+    }
+    for nodes in skin.segments {
+        let [a, b] = nodes.map(|node| skin.positions[node as usize]);
+        if !is_apart(&[a, b, b], &search_box) {
+            nearest = nearest.min(closest_segments(&rod.ends, &[a, b]).distance_squared);
+        }
+    }
+    let gap = nearest.sqrt() - reach;
+    (gap <= way).then_some(gap)
+}
+
 /// Whether a triangle lies entirely on one side of a box.
 fn is_apart(corners: &[Point3<f64>; 3], [low, high]: &[Point3<f64>; 2]) -> bool {
     (0..3).any(|k| {
@@ -248,14 +275,41 @@ fn touch_vertices(
     }
 }
 
-fn deepest_element(index: usize, rod: &Rod, skin: &ContactSurface<'_>, period: f64) -> Option<RodContact> {
-    let search_box = search_box(rod, skin, period);
-    let mut deepest: Option<RodContact> = None;
-    let mut keep = |touch: RodContact| {
-        if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
-            deepest = Some(touch);
+/// Of the contacts of a rod with elements, from `first` on, keeps the deepest if it is deeper than `deeper`, that of the
+/// vertices; and of others that are deeper than `deep` those that share no vertex with deeper ones. A rod that is pressed
+/// in between two rows of vertices is borne all along.
+fn keep_deepest(touches: &mut Vec<RodContact>, first: usize, deeper: f64, deep: f64) {
+    let own = &mut touches[first..];
+    // Equal ones as they were found.
+    own.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+    let mut kept = first;
+    for at in first..touches.len() {
+        let touch = touches[at];
+        let is_apart = || {
+            touches[first..kept]
+                .iter()
+                .all(|other| other.nodes.iter().all(|node| !touch.nodes.contains(node)))
+        };
+        let least = if at == first { deeper } else { deep };
+        if touch.depth > least && is_apart() {
+            touches[kept] = touch;
+            kept += 1;
         }
-    };
+    }
+    touches.truncate(kept);
+}
+
+/// Appends all contacts of a rod with triangles and segments; returns whether there are any.
+fn touch_elements(
+    index: usize,
+    rod: &Rod,
+    skin: &ContactSurface<'_>,
+    period: f64,
+    touches: &mut Vec<RodContact>,
+) -> bool {
+    let search_box = search_box(rod, skin, period);
+    let before = touches.len();
+    let mut keep = |touch: RodContact| touches.push(touch);
     for (element, nodes) in skin.triangles.iter().enumerate() {
         let corners = nodes.map(|node| skin.positions[node as usize]);
         if is_apart(&corners, &search_box) {
@@ -289,7 +343,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &ContactSurface<'_>, period: f
             keep(RodContact { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
         }
     }
-    deepest
+    touches.len() > before
 }
 
 /// A rod contact as a row of the collision list: `a` is the instrument, `b` the body.

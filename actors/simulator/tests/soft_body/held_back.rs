@@ -2,7 +2,7 @@
 //! never on its other side.
 
 use nalgebra::Vector3;
-use trocar_dynamics::instrument::deflection::InstrumentDeflection;
+use trocar_dynamics::instrument::deflection::{InstrumentDeflection, InstrumentYields};
 use trocar_scene::{
     BuildContext, Controller, ControllerError, Frozen, InstrumentForce, InstrumentTarget, Pose,
     RestPositions, Velocity, VertexPositions,
@@ -34,6 +34,7 @@ struct Session<C> {
     instruments: Other,
     hz: f64,
     hand: f64,
+    way: f64,
     hardest: f64,
 }
 
@@ -53,11 +54,11 @@ impl<C: Controller> Session<C> {
             let config = InstrumentsConfig { coupling_force_max: bound, ..InstrumentsConfig::default() };
             InstrumentsController::new(config, context)
         });
-        Self { stage, instruments, hz, hand: -0.03, hardest: 0.0 }
+        Self { stage, instruments, hz, hand: -0.03, way: 0.0, hardest: 0.0 }
     }
 
     fn tick(&mut self, way: f64) {
-        self.hand += way;
+        (self.hand, self.way) = (self.hand + way, way);
         let target = InstrumentTarget {
             tip_in_world: Pose::at(0.0, self.hand, 0.03),
             velocity_in_world: Velocity { linear: Vector3::y() * (way * self.hz), angular: Vector3::zeros() },
@@ -70,8 +71,10 @@ impl<C: Controller> Session<C> {
         self.hardest = self.hardest.max(self.stage.measured("body.contact_force_n"));
     }
 
+    /// Where the body's tick has left it along its way: led on from where its hand was, and held back \[m\].
     fn probe(&self) -> f64 {
-        self.stage.get::<Pose>("probe").translation.y
+        let held = self.stage.get::<InstrumentYields>("body");
+        self.hand + self.way + held.list.first().map_or(0.0, |held| held.offset.y)
     }
 
     /// The lowest place of what was in the middle of the body, relative to the shaft's axis, along its way \[m\].
@@ -84,21 +87,27 @@ impl<C: Controller> Session<C> {
     }
 }
 
-/// Led 30 mm beyond where the body is.
+/// Rates of the body's controller and the instruments' \[Hz\].
+const FAST: &[f64] = &[1000.0];
+const MIDDLE: &[f64] = &[1000.0, 200.0];
+const ALL: &[f64] = &[1000.0, 200.0, 50.0];
+
+/// Led 30 mm beyond where the body is, at each of these rates.
 fn is_stopped<C: Controller>(
     body: &str,
     bound: f64,
+    rates: &[f64],
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
 ) {
-    let hz = 1000.0;
-    for speed in [0.05, 0.2, 1.0] {
+    let speeds = [0.05, 0.2, 1.0];
+    for (hz, speed) in rates.iter().flat_map(|hz| speeds.map(|speed| (*hz, speed))) {
         let mut session = Session::new(body, (hz, bound), build);
         session.tick(0.0);
         let mut nearest = f64::INFINITY;
         let mut look = |session: &Session<C>| {
             assert!(
                 !session.stage.has::<Frozen>("body"),
-                "{body} {speed} m/s: {}",
+                "{body} {hz} Hz {speed} m/s: {}",
                 session.stage.get::<Frozen>("body").reason
             );
             nearest = nearest.min(session.before());
@@ -114,18 +123,18 @@ fn is_stopped<C: Controller>(
         }
         let offset = session.stage.get::<InstrumentDeflection>("probe").total().offset.norm();
         let felt = session.stage.get::<InstrumentForce>("probe").force.norm();
-        // What stops it within a tick, and the springs of the body's own contacts, of at most 300 N/m.
-        let impact = MASS * speed * hz;
+        // What stops it within a millisecond, and the springs of the body's own contacts, of at most 300 N/m.
+        let impact = MASS * speed / 1e-3;
         let springs = 300.0 * 0.5 * RADIUS * 20.0;
         println!(
-            "{speed} m/s: nearest {nearest} m, at the end {} m, held back by {offset} m, felt {felt} N, hardest {} N; {body}",
+            "{hz} Hz {speed} m/s: nearest {nearest} m, at the end {} m, held back by {offset} m, felt {felt} N, hardest {} N; {body}",
             session.before(),
             session.hardest
         );
-        assert!(nearest > 0.1 * RADIUS, "{body} {speed} m/s: it is through: {nearest} m");
+        assert!(nearest > 0.1 * RADIUS, "{body} {hz} Hz {speed} m/s: it is through: {nearest} m");
         assert!(
             session.hardest < 1.1 * bound + impact + springs,
-            "{body} {speed} m/s: {} N",
+            "{body} {hz} Hz {speed} m/s: {} N",
             session.hardest
         );
     }
@@ -145,11 +154,11 @@ const ROPE: &str = "axial_stiffness = 500.0, bending_stiffness = 1e-7, density =
 fn springs_stop_a_shaft_at_any_speed() {
     let implicit = "method = \"implicit\", damping = 20.0";
     let line = format!("{LINE}{ENDS}mass_spring = {{ springs = {{ line = {{ {ROPE} }} }}, {implicit} }}");
-    is_stopped(&line, 20.0, springs);
+    is_stopped(&line, 20.0, ALL, springs);
     for mesh in [BAND, SHEET] {
         let body =
             format!("{mesh}{ENDS}mass_spring = {{ springs = {{ surface = {{ {STIFF} }} }}, {implicit} }}");
-        is_stopped(&body, 5.0, springs);
+        is_stopped(&body, 5.0, ALL, springs);
     }
 }
 
@@ -160,12 +169,12 @@ fn explicit_springs_stop_a_shaft_at_any_speed() {
     let line = format!(
         "{LINE}{ENDS}mass_spring = {{ springs = {{ line = {{ {rope} }} }}, lag = 1e-7, damping = 20.0 }}"
     );
-    is_stopped(&line, 20.0, springs);
+    is_stopped(&line, 20.0, FAST, springs);
     for mesh in [BAND, SHEET] {
         let body = format!(
             "{mesh}{ENDS}mass_spring = {{ springs = {{ surface = {{ {stiff} }} }}, lag = 1e-7, damping = 20.0 }}"
         );
-        is_stopped(&body, 5.0, springs);
+        is_stopped(&body, 5.0, FAST, springs);
     }
 }
 
@@ -173,7 +182,7 @@ fn explicit_springs_stop_a_shaft_at_any_speed() {
 fn position_based_rods_stop_a_shaft_at_any_speed() {
     let line =
         format!("{LINE}{ENDS}xpbd = {{ matter = {{ rod = {{ {ROPE} }} }}, parts = 20, damping = 20.0 }}");
-    is_stopped(&line, 20.0, xpbd);
+    is_stopped(&line, 20.0, ALL, xpbd);
 }
 
 #[test]
@@ -182,7 +191,7 @@ fn finite_elements_stop_a_shaft_at_any_speed() {
     let body = format!(
         "{slab}{ENDS}dynamic_fem = {{ young_modulus = 5e6, poisson_ratio = 0.3, density = 1000.0, mass_damping = 20.0 }}"
     );
-    is_stopped(&body, 20.0, fem);
+    is_stopped(&body, 20.0, ALL, fem);
 }
 
 #[test]
@@ -194,7 +203,11 @@ fn position_based_cloths_stop_a_shaft_at_any_speed() {
         let body = format!(
             "{mesh}{ENDS}xpbd = {{ matter = {{ cloth = {{ {stiff}, density = {density} }} }}, parts = {parts}, damping = 20.0 }}"
         );
-        bounds.iter().for_each(|bound| is_stopped(&body, *bound, xpbd));
+        for bound in bounds {
+            // docs/limits.md says what comes through at low rates.
+            let rates = if *bound > 5.0 { FAST } else { MIDDLE };
+            is_stopped(&body, *bound, rates, xpbd);
+        }
     }
 }
 

@@ -136,13 +136,13 @@ impl LedInstruments {
         let list: Vec<InstrumentYield> = self.list.iter().zip(&self.solved).filter_map(told).collect();
         // One more when nothing is held back any longer; then nothing until something is.
         self.is_told &= list.is_empty() && self.yields.list.is_empty();
-        self.yields = InstrumentYields { list, at: now };
+        self.yields = InstrumentYields { list, at: now, ..InstrumentYields::default() };
     }
 
     /// The body moves no more: it holds nothing back.
     pub fn release(&mut self, now: SimTime) {
         self.is_told &= self.yields.list.is_empty();
-        self.yields = InstrumentYields { list: Vec::new(), at: now };
+        self.yields = InstrumentYields { at: now, ..InstrumentYields::default() };
     }
 
     /// Writes what has changed.
