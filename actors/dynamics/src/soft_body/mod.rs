@@ -28,6 +28,7 @@ pub mod method;
 pub mod pinned;
 pub mod rod_contact;
 pub mod rod_paths;
+mod stepped_body;
 mod tick_course;
 
 pub use controller::SoftController;
