@@ -1,5 +1,5 @@
 //! Contact of rods with a deformable body: every vertex within a rod, and for each rod the deepest point on the surface
-//! or the line, so that thin jaws between coarse vertices are felt as well. A rod deeper in a volume than its own
+//! or the line, so that thin jaws between coarse vertices are felt as well, and other deep ones along the rod. A rod deeper in a volume than its own
 //! radius is detected by its samples inside the volume, and pushed out along the shortest way. A rod whose axis crosses
 //! a sheet is pressed farther into it than its radius: the sheet is moved beyond the tip, except at a hole. Open jaws
 //! pass on either side of the sheet that they are to grasp: no look-ahead and no push-out for them.
