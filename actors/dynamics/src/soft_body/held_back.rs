@@ -18,6 +18,7 @@ use trocar_scene::{Access, Commands, Entity, EntitySet, Instrument, SimTime, Sna
 use super::bearing::rigid_response::{PlaneContact, RigidInStep};
 use super::instrument_rods::Rod;
 use super::rod_contact::{ContactSurface, RodContact, gap};
+use super::tick_course::STEP_SHORTEST;
 use crate::instrument::deflection::{InstrumentDeflection, InstrumentYield, InstrumentYields};
 use crate::instrument::hand_coupling::HandCoupling;
 
@@ -37,8 +38,6 @@ const STRIDE: f64 = 0.4;
 const MISSED: f64 = 0.05;
 /// By how much it may change in a step, as such a share: where contacts ring, the steps are too long.
 const JUMPS: f64 = 0.1;
-/// Shortest step that a tick is divided into for instruments \[s\].
-pub const STEP_SHORTEST: f64 = 1.1e-3;
 /// By how much steps grow again.
 const GROWS: f64 = 1.2;
 /// A displacement below this is over \[m\].
@@ -273,13 +272,10 @@ impl HeldBack {
         for (index, led) in self.list.iter_mut().enumerate() {
             (led.pushed, led.began) = (Vector3::zeros(), [led.offset, led.velocity]);
             led.is_stopped = led.offset != Vector3::zeros() || led.velocity != Vector3::zeros();
-            led.yields = led.law(Vector3::zeros(), step);
-            if passes(led.instrument) {
-                continue;
-            }
+            let is_let_through = passes(led.instrument);
             let (first, was_stopped) = (self.stops.len(), led.is_stopped);
             let mut is_pressed = false;
-            for (number, touch) in touches.iter().enumerate() {
+            for (number, touch) in touches.iter().enumerate().filter(|_| !is_let_through) {
                 let rod = &rods[touch.rod];
                 let reach = rod.radius + skin.thickness;
                 // A rod whose axis has crossed a sheet is in its hole, or carries it on its tip.
@@ -314,10 +310,11 @@ impl HeldBack {
                 };
                 self.stops.push(Stop { touch: number, led: index, plane });
             }
-            if !led.is_stopped {
+            if led.is_stopped {
+                led.yields = led.law(if is_pressed { led.pushed_before } else { Vector3::zeros() }, step);
+            } else {
                 self.stops.truncate(first);
             }
-            led.yields = led.law(if is_pressed { led.pushed_before } else { Vector3::zeros() }, step);
             let own = &mut self.stops[first..];
             let presses = |stop: &&Stop| touches[stop.touch].depth > 0.0;
             let softer = (own.iter().filter(presses).count().max(1) as f64).sqrt();

@@ -280,8 +280,7 @@ fn touch_vertices(
 /// in between two rows of vertices is borne all along.
 fn keep_deepest(touches: &mut Vec<RodContact>, first: usize, deeper: f64, deep: f64) {
     let own = &mut touches[first..];
-    // Equal ones as they were found.
-    own.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+    own.sort_unstable_by(|a, b| b.depth.total_cmp(&a.depth).then(a.element.cmp(&b.element)));
     let mut kept = first;
     for at in first..touches.len() {
         let touch = touches[at];

@@ -1,8 +1,8 @@
 //! Division of a soft body's tick into steps: equal parts where it meets rigid bodies, each of them halved as often as
 //! instruments ask for. Methods keep factors for a length of step, so that few lengths are better than the best ones.
 
-use super::held_back::STEP_SHORTEST;
-
+/// Shortest step that a tick is divided into for instruments \[s\].
+pub(super) const STEP_SHORTEST: f64 = 1.1e-3;
 /// Longest tick in which instruments go on as they go at its beginning \[s\]. In a longer one the tremor of a hand alone
 /// would lead them astray by half a millimetre and more: they stay, and the tick is not divided for them.
 const FORESEEN: f64 = 0.025;
