@@ -15,15 +15,23 @@ pub const REACH: f64 = 0.10;
 /// Age of an instrument's contact model above which no force comes from it \[s\].
 pub const MODEL_AGE_MAX: f64 = 1.0;
 
-/// All that can be thrown about: the nodes of bodies that have velocities, and rigid bodies.
-fn places(scene: &Snapshot) -> impl Iterator<Item = Point3<f64>> {
-    let nodes = scene.iter::<VertexVelocities>().flat_map(|(body, _)| {
+/// A box: its lowest and its highest corner \[m\].
+type Bounds = [Vector3<f64>; 2];
+
+fn bounds(places: impl Iterator<Item = Point3<f64>>) -> Option<Bounds> {
+    places.map(|at| [at.coords; 2]).reduce(|[low, high], [at, _]| [low.inf(&at), high.sup(&at)])
+}
+
+/// The box around each body that can be thrown about: around the nodes of one that has velocities, at the middle of a
+/// rigid one.
+fn boxes(scene: &Snapshot) -> impl Iterator<Item = (Entity, Bounds)> {
+    let nodes = scene.iter::<VertexVelocities>().filter_map(|(body, _)| {
         let world_from_body = scene.world_pose(body);
-        let positions = scene.get::<VertexPositions>(body).map(|of| of.positions.clone()).unwrap_or_default();
-        positions.iter().map(|at| world_from_body * at).collect::<Vec<_>>()
+        let positions = &scene.get::<VertexPositions>(body)?.positions;
+        Some((body, bounds(positions.iter().map(|at| world_from_body * at))?))
     });
     let bodies =
-        scene.iter::<RigidBody>().map(|(body, _)| Point3::from(scene.world_pose(body).translation.vector));
+        scene.iter::<RigidBody>().map(|(body, _)| (body, [scene.world_pose(body).translation.vector; 2]));
     nodes.chain(bodies)
 }
 
@@ -37,10 +45,6 @@ fn fastest(scene: &Snapshot) -> Option<(Entity, f64)> {
         .iter::<RigidBody>()
         .filter_map(|(body, _)| Some((body, scene.get::<Velocity>(body)?.linear.norm())));
     nodes.chain(bodies).max_by(|(_, a), (_, b)| a.total_cmp(b))
-}
-
-fn bounds(scene: &Snapshot) -> Option<[Vector3<f64>; 2]> {
-    places(scene).map(|at| [at.coords; 2]).reduce(|[low, high], [at, _]| [low.inf(&at), high.sup(&at)])
 }
 
 /// Bodies that stand still because their solver could not go on.
@@ -60,11 +64,15 @@ pub struct Bounded {
     pub fastest: String,
     /// Farthest distance of a node from the box \[m\].
     pub reach: f64,
+    /// Which body went so far, and when.
+    pub farthest: String,
     /// Farthest such distance that is not wrong \[m\]: [`REACH`], unless bodies fly about on purpose.
     pub reach_max: f64,
     /// What is wrong, in words.
     pub wrong: BTreeSet<String>,
-    around: Option<[Vector3<f64>; 2]>,
+    around: Option<Bounds>,
+    /// Bodies that the box is around. In a live session some come later: with the first ticks of their controllers.
+    known: BTreeSet<Entity>,
     /// What stood still at the beginning.
     stood: BTreeSet<String>,
 }
@@ -72,15 +80,34 @@ pub struct Bounded {
 impl Bounded {
     /// Begins with the box around all bodies of this scene.
     pub fn around(scene: &Snapshot) -> Self {
-        let (around, stood) = (bounds(scene), still(scene));
-        Self {
+        let mut begun = Self {
             speed: 0.0,
             fastest: String::new(),
             reach: 0.0,
+            farthest: String::new(),
             reach_max: REACH,
             wrong: BTreeSet::new(),
-            around,
-            stood,
+            around: None,
+            known: BTreeSet::new(),
+            stood: still(scene),
+        };
+        begun.measure_reach(scene);
+        begun
+    }
+
+    /// How far bodies are from the box, which grows by those that are seen for the first time.
+    fn measure_reach(&mut self, scene: &Snapshot) {
+        for (body, [low, high]) in boxes(scene) {
+            if self.known.insert(body) {
+                let [l, h] = self.around.unwrap_or([low, high]);
+                self.around = Some([l.inf(&low), h.sup(&high)]);
+            }
+            let [l, h] = self.around.expect("a body was seen");
+            let reach = (l - low).max().max((high - h).max());
+            if reach > self.reach {
+                self.reach = reach;
+                self.farthest = format!("{} at {:.3} s", scene.name(body), scene.time().as_secs_f64());
+            }
         }
     }
 
@@ -90,9 +117,7 @@ impl Bounded {
             self.speed = speed;
             self.fastest = format!("{} at {:.3} s", scene.name(body), scene.time().as_secs_f64());
         }
-        if let (Some([low, high]), Some([l, h])) = (self.around, bounds(scene)) {
-            self.reach = self.reach.max((low - l).max()).max((h - high).max());
-        }
+        self.measure_reach(scene);
         self.wrong.extend(still(scene).difference(&self.stood).cloned());
         for (hand, force) in scene.iter::<DeviceForce>() {
             let most = scene.get::<DeviceInfo>(hand).map_or(f64::INFINITY, |info| info.max_force);

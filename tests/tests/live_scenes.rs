@@ -1,8 +1,9 @@
-//! The scenario `two-rates`, live: its results and hand forces equal those in virtual time. Punctuality depends on the
-//! machine, and is measured by `trocar bench simulator`.
+//! Shipped scenarios live, at their own rates. Punctuality depends on the machine, and is measured by
+//! `trocar bench simulator`.
 
+use trocar::app::SCENARIOS;
 use trocar::prelude::*;
-use trocar_test_support::alone;
+use trocar_test_support::{alone, thorough};
 use trocar_tests::{app, edited, finish, lockstep};
 
 #[test]
@@ -45,4 +46,29 @@ fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
             "{measure}: {found} live, {expected:?} otherwise"
         );
     }
+}
+
+/// Every shipped exercise in a thorough run, the shortest one by default.
+#[test]
+fn each_exercise_is_completed_live_unless_the_machine_was_too_slow() {
+    let _alone = alone();
+    let app = app();
+    let shortest = |name: &str| name == "instruments";
+    let mut wrong = Vec::new();
+    let exercises = SCENARIOS.iter().filter(|(_, text)| text.contains("\n[task]"));
+    for (name, _) in exercises.filter(|(name, _)| thorough() || shortest(name)) {
+        let scenario = edited(&app, name, &[]);
+        let outcome = finish(&app, &scenario, &RunOptions::default());
+        let (task, told) = (&outcome.summary.task, outcome.summary.too_slow());
+        println!("{name}: completed {}; {told:?}", task.completed);
+        assert_eq!(task.disturbed, told.is_some(), "{name}");
+        // Who was too slow is to blame; everybody else has no excuse.
+        if !task.completed && told.is_none() {
+            wrong.push(format!("{name}: {task:?} {:?}", outcome.summary.error));
+        }
+        if outcome.kernel.model.restarts > 0 {
+            wrong.push(format!("{name}: the Model starved: {:?}", outcome.kernel.incidents));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }

@@ -42,10 +42,11 @@ fn under_load_bodies_stay_bounded_and_who_was_too_slow_is_told() {
         let seen = seen.expect("it was looked at");
         let told = summary.too_slow();
         println!(
-            "{name}: {:.2} m/s ({}), {:.1} mm; {told:?} {:?}",
+            "{name}: {:.2} m/s ({}), {:.1} mm ({}); {told:?} {:?}",
             seen.speed,
             seen.fastest,
             seen.reach * 1e3,
+            seen.farthest,
             seen.wrong
         );
         wrong.extend(seen.wrong.iter().map(|wrong| format!("{name}: {wrong}")));
