@@ -364,25 +364,36 @@ mod tests {
         assert_eq!((first.number, first.missed), (130, 30));
     }
 
+    /// How many of 50 ticks run; none before it is due.
+    async fn how_many_run(clock: &Clock, spins: bool) -> u64 {
+        let schedule = Schedule::new(SimTime::ZERO, MS, clock.now().0 / MS.0 + 1);
+        let mut ticker = Ticker::new(schedule, clock.clone()).expect("a timer");
+        ticker.set_spinning(spins);
+        let (mut ran, mut missed) = (0, 0);
+        while ran + missed < 50 {
+            let due = ticker.next().await.expect("a timer").expect("a tick");
+            assert!(clock.now() >= due.at);
+            ran += 1;
+            missed += due.missed;
+        }
+        ran
+    }
+
     #[test]
     fn the_ticker_wakes_at_its_ticks_and_not_before() {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         let clock = Clock::start();
         runtime.block_on(async {
             for spins in [true, false] {
-                let next = clock.now().0 / MS.0 + 1;
-                let mut ticker =
-                    Ticker::new(Schedule::new(SimTime::ZERO, MS, next), clock.clone()).expect("a timer");
-                ticker.set_spinning(spins);
-                let (mut ran, mut missed) = (0, 0);
-                while ran + missed < 50 {
-                    let due = ticker.next().await.expect("a timer").expect("a tick");
-                    assert!(clock.now() >= due.at);
-                    ran += 1;
-                    missed += due.missed;
+                // The best of some tries: while a machine starves this thread, most ticks are skipped.
+                let mut most = 0;
+                for _ in 0..40 {
+                    most = how_many_run(&clock, spins).await.max(most);
+                    if most >= 25 {
+                        break;
+                    }
                 }
-                // A generous limit: a loaded machine skips some ticks, but not most.
-                assert!(ran >= 10, "only {ran} of 50 ran");
+                assert!(most >= 25, "at most {most} of 50 ran");
             }
         });
     }
