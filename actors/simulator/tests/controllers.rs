@@ -10,7 +10,7 @@ use trocar_scene::{
     InstrumentTarget, JawState, LocalContactModel, OutOfValidity, Pose, RestPositions, SurfaceMesh,
     Temperature, VertexPositions,
 };
-use trocar_simulator::controller::xpbd::Matter;
+use trocar_simulator::controller::xpbd::component::Matter;
 use trocar_simulator::controller::{
     CauterisedBody, DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig,
     InstrumentsController, LinearFemBody, MassSpringController, XpbdBody, XpbdController,

@@ -35,8 +35,9 @@ pub use fluid::liquid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use fluid::smoke::{SmokeCloud, SmokeCloudState, SmokeController};
 pub use fluid::vital_signs::{Patient, PatientState, VitalSignsController};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
+pub use linear_fem::LinearFemController;
+pub use linear_fem::component::LinearFemBody;
 pub use linear_fem::embedded_points::PinPlaces;
-pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::MassSpringController;
 pub use mass_spring::component::MassSpringBody;
 pub use mass_spring::factor_job::{SpringFactor, WantedSheetFactor};
@@ -50,7 +51,8 @@ pub use suture_thread::knot::{KnotState, knot_code};
 pub use suture_thread::saved_state::ThreadMemory;
 pub use suture_thread::suture::{Suture, SutureOf};
 pub use thermal_damage::{CoagulatedElement, CoagulatedElements, RemovedElements};
-pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
+pub use xpbd::XpbdController;
+pub use xpbd::component::{XpbdBody, XpbdGroups};
 
 /// Registers the components of this crate, and those of `trocar-dynamics`.
 ///

@@ -7,7 +7,7 @@
 //! | Boiling: the enthalpy method | `enthalpy.rs` |
 //! | Thermal damage | `arrhenius.rs` |
 //! | Electrode, its contact with tissue, heat deposition | `electrode.rs`, `electrode_contact.rs`, `heat_source.rs` |
-//! | Fine lattice near the tip | `enthalpy_lattice.rs`, `lattice_block.rs` |
+//! | Fine lattice near the tip | `enthalpy_lattice.rs`, `lattice_block.rs`, `lattice_conduction.rs` |
 //! | Bioheat equation on the organ's mesh | `bioheat_fem.rs` |
 //! | Damage of the elements | `damage.rs` |
 //! | Cuts as barriers to heat | `cut_barrier.rs` |
@@ -25,6 +25,7 @@ pub(crate) mod enthalpy_lattice;
 mod error;
 pub(crate) mod heat_source;
 pub(crate) mod lattice_block;
+mod lattice_conduction;
 mod lattice_geometry;
 mod material;
 mod state;
@@ -39,8 +40,8 @@ pub use cut_barrier::CutTissue;
 pub use electrode::{Electrode, Mode};
 pub use electrode_contact::{Contact, shares};
 pub use energy_balance::{HeatLedger, HeatReport};
-pub use enthalpy_lattice::HeldPlane;
 pub use error::{ElectrosurgeryError, HeatStepError};
+pub use lattice_conduction::HeldPlane;
 pub use material::{BODY, ThermalMaterial};
 pub use state::{BlockState, ElectrosurgeryState};
 pub use voxelisation::Tissue;

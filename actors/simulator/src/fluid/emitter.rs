@@ -5,7 +5,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{FluidError, parameter};
-use super::sph::Fluid;
+use super::liquid::Fluid;
 
 /// Largest jet velocity, in spacings per step: particles are wider than the jet of a small vessel.
 const SPACINGS_PER_STEP: f64 = 1.0;

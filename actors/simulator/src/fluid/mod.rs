@@ -2,7 +2,7 @@
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Liquid: incompressible SPH | `sph.rs`, `viscosity.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
+//! | Liquid: incompressible SPH | `liquid.rs`, `sph.rs`, `viscosity.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
 //! | Smoke puffs | `smoke.rs` |
 //! | Bleeding vessels | `bleeding.rs` |
 //! | Clamping and cutting of vessels | `clamp.rs`, `vessel_cut.rs` |
@@ -18,6 +18,7 @@ mod config;
 pub(crate) mod emitter;
 mod error;
 mod kernel;
+mod liquid;
 mod mirror_walls;
 pub(crate) mod neighbour_clusters;
 pub(crate) mod neighbour_lists;
@@ -34,7 +35,7 @@ use nalgebra::Vector3;
 pub use config::{Ends, FluidConfig, FluidReport, FluidState};
 pub use emitter::{Emitter, Hole};
 pub use error::{FluidError, FluidStepError};
-pub use sph::Fluid;
+pub use liquid::Fluid;
 
 /// Two unit vectors perpendicular to a unit direction and to each other.
 fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {

@@ -7,6 +7,7 @@ use trocar_dynamics::elasticity::{Alteration, Elastic};
 use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_scene::{Job, SimTime, Tick};
 
+use super::Body;
 use crate::linear_fem::{Cache, Limits, LinearFem, LinearFemError};
 
 /// Duration of a job in lock-step, however long it takes \[s\].
@@ -98,4 +99,26 @@ fn job(
         Box::new(built) as trocar_scene::JobOutput
     };
     Job { key, takes: SimTime::from_secs_f64(JOB), work: Box::new(work) }
+}
+
+impl Body {
+    /// Submits the job for the inverse, once, and takes the result.
+    pub(super) fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<(), String> {
+        if self.solver.is_some() {
+            return Ok(());
+        }
+        if let Some(built) = built(tick, key)? {
+            self.solver = Some(Box::new(built));
+        } else if !self.submitted {
+            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
+            let (pinned, progress) = (&self.body.pinned, &self.progress);
+            let mesh_change = self.divisible.as_ref().and_then(|(_, altered)| altered.mesh_change());
+            let job = match mesh_change {
+                Some(mesh_change) => altered_as_job(key, &self.mesh, material, pinned, mesh_change, progress),
+                None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
+            };
+            self.submitted = tick.jobs.submit(job);
+        }
+        Ok(())
+    }
 }

@@ -8,6 +8,7 @@
 
 mod bearing;
 pub(crate) mod blend;
+pub mod component;
 pub(crate) mod contacts;
 pub(crate) mod embedded_points;
 mod held_back;
@@ -22,9 +23,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::bearing::rigid_response::RigidPresses;
 use trocar_dynamics::soft_body::bearing::{Bearings, access as bearing_access};
 use trocar_dynamics::soft_body::contact::SoftContacts;
@@ -39,19 +37,18 @@ use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, RodContact, collis
 use trocar_dynamics::soft_body::{Deformable, PinnedBody};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
-    Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
-    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Measured, OutOfValidity,
-    Pose, Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
+    Access, BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
+    EntitySet, Frozen, Instrument, JawState, Measured, OutOfValidity, Pose, Primitive, SimTime, Snapshot,
+    Tick, Velocity,
 };
 
 use super::cutting::divisible_volume::DivisibleVolume;
-use super::cutting::volume::FailureCriteria;
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
 use blend::InverseBlend;
+use component::LinearFemBody;
 use contacts::{ConstraintReaction, ConstraintSource, Contacts};
 use embedded_points::{PinPlaces, Pins};
-use inverse_job::{altered_as_job, built, built_as_job};
-use topology_change::{MeshChanges, OrganElements};
+use topology_change::MeshChanges;
 use warm_start::HeldConstraints;
 
 /// Stands for the mobility of a free vertex \[1/kg\]: an organ without mass does not move by itself.
@@ -60,58 +57,6 @@ const MOBILITY: f64 = 1e-9;
 const ROUNDS_MAX: usize = 8;
 /// Ticks between two evaluations of the interior: rotations and strains of all elements.
 const INSIDE_EVERY: u64 = 10;
-/// An organ with immediate response to contact, for small displacements. It needs a tetrahedral mesh, and `anchors`
-/// where it is fixed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(
-    name = "linear_fem", check = Self::ranges, schema,
-    soft_body = SoftAbilities { bears: true, is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE },
-)]
-#[serde(default, deny_unknown_fields)]
-pub struct LinearFemBody {
-    /// Young's modulus \[Pa\].
-    pub young_modulus: f64,
-    /// Poisson's ratio, 0 to 0.45.
-    pub poisson_ratio: f64,
-    /// Radius of the contact patch \[m\]. From about one and a half surface edges on, forces are independent of the
-    /// mesh; 0: contact with single vertices, which feel stiffer the coarser the mesh is.
-    pub contact_radius: f64,
-    /// Whether blades cut it, along the faces between its elements; then they do not push it.
-    pub cut: bool,
-    /// Tensile strength \[Pa\]; absent: it never tears.
-    pub strength: Option<f64>,
-}
-
-impl Default for LinearFemBody {
-    /// Liver, in round numbers; for measured values of each organ see [`trocar_scene::tissue`].
-    fn default() -> Self {
-        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006, cut: false, strength: None }
-    }
-}
-
-impl LinearFemBody {
-    fn failure_criteria(&self) -> Result<FailureCriteria, String> {
-        let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
-        let lame = [elastic.lambda(), elastic.mu()];
-        let tears = self.strength.map(|strength| (strength, lame));
-        let young_modulus = self.young_modulus;
-        Ok(FailureCriteria {
-            cut: self.cut,
-            halves: false,
-            hangs_on: true,
-            tears,
-            is_linear: true,
-            young_modulus,
-        })
-    }
-
-    fn ranges(&self) -> Result<(), ComponentError> {
-        ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
-        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
-        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")?;
-        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
-    }
-}
 
 pub(super) struct Body {
     pub(super) body: Deformable,
@@ -425,58 +370,6 @@ impl Body {
         // As in the scene.
         self.positions = self.body.positions.to_vec();
         self.body.freeze(&why, tick, out);
-    }
-
-    /// Applies thermal damage, cuts and tears to its elements.
-    fn alter(&mut self, key: u64, site: &StepContext<'_>, out: &mut Commands) -> Result<(), String> {
-        let Some((divisible, altered)) = &mut self.divisible else { return Ok(()) };
-        let blend = self.blend.as_ref();
-        let waits = |solver: &LinearFem| altered.waiting(blend) + altered.nodes_waiting(solver, blend);
-        let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
-        let (positions, mesh) = (&mut self.positions, &mut self.mesh);
-        let mut elements = OrganElements { altered, positions, mesh, has_followed };
-        if let Some(reshaped) = divisible.reshape(&mut elements, &mut self.body, site, out)? {
-            self.is_pinned = self.body.stays();
-            self.mobility.clear();
-            self.mobility.extend(self.is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }));
-            self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
-            self.contacts = Contacts::default();
-        }
-        let Some(solver) = &mut self.solver else { return Ok(()) };
-        if !altered.is_up_to_date(&self.mesh, solver) {
-            // Held constraints would be re-entered with every change.
-            let nothing = std::iter::empty::<&Attachment>;
-            let release = |blend: &mut InverseBlend| blend.keep(nothing());
-            self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
-            self.blend.as_mut().map_or(Ok(()), release).map_err(|error| error.to_string())?;
-        }
-        if let Some(mesh_change) = altered.follow(key, &self.mesh, solver, &mut self.blend, site.tick)? {
-            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
-            let job =
-                altered_as_job(key, &self.mesh, material, &self.body.pinned, mesh_change, &self.progress);
-            altered.begun(site.tick.jobs.submit(job));
-        }
-        Ok(())
-    }
-
-    /// Submits the job for the inverse, once, and takes the result.
-    fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<(), String> {
-        if self.solver.is_some() {
-            return Ok(());
-        }
-        if let Some(built) = built(tick, key)? {
-            self.solver = Some(Box::new(built));
-        } else if !self.submitted {
-            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
-            let (pinned, progress) = (&self.body.pinned, &self.progress);
-            let mesh_change = self.divisible.as_ref().and_then(|(_, altered)| altered.mesh_change());
-            let job = match mesh_change {
-                Some(mesh_change) => altered_as_job(key, &self.mesh, material, pinned, mesh_change, progress),
-                None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
-            };
-            self.submitted = tick.jobs.submit(job);
-        }
-        Ok(())
     }
 
     /// Releases everything that is not kept from the last tick.

@@ -8,14 +8,17 @@ use std::collections::BTreeSet;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::StepContext;
 use trocar_dynamics::tet_mesh::{NodeOrigin, TetMesh};
-use trocar_scene::Tick;
+use trocar_scene::{Commands, Tick};
 
 use super::blend::{InverseBlend, catch_up};
-use super::inverse_job::{MeshChange, built};
+use super::contacts::Contacts;
+use super::inverse_job::{MeshChange, altered_as_job, built};
+use super::{Body, MOBILITY};
 use crate::controller::cutting::volume::{Elements, Split};
 use crate::controller::thermal_damage::{CoagulatedElement, ThermalDamage};
-use crate::linear_fem::{LinearFem, LinearFemError};
+use crate::linear_fem::{Attachment, LinearFem, LinearFemError};
 
 /// Maximum number of factor entries read per tick for corrections: some 40 ms; at least one element or node is
 /// processed.
@@ -277,6 +280,45 @@ impl Elements for OrganElements<'_> {
         self.altered.stale = true;
         // Shrinkage forces depend on the elements' nodes.
         self.altered.shrinks |= self.altered.alterations.iter().any(|of| of.length != 1.0);
+        Ok(())
+    }
+}
+
+impl Body {
+    /// Applies thermal damage, cuts and tears to its elements.
+    pub(super) fn alter(
+        &mut self,
+        key: u64,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<(), String> {
+        let Some((divisible, altered)) = &mut self.divisible else { return Ok(()) };
+        let blend = self.blend.as_ref();
+        let waits = |solver: &LinearFem| altered.waiting(blend) + altered.nodes_waiting(solver, blend);
+        let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
+        let (positions, mesh) = (&mut self.positions, &mut self.mesh);
+        let mut elements = OrganElements { altered, positions, mesh, has_followed };
+        if let Some(reshaped) = divisible.reshape(&mut elements, &mut self.body, site, out)? {
+            self.is_pinned = self.body.stays();
+            self.mobility.clear();
+            self.mobility.extend(self.is_pinned.iter().map(|pinned| if *pinned { 0.0 } else { MOBILITY }));
+            self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
+            self.contacts = Contacts::default();
+        }
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        if !altered.is_up_to_date(&self.mesh, solver) {
+            // Held constraints would be re-entered with every change.
+            let nothing = std::iter::empty::<&Attachment>;
+            let release = |blend: &mut InverseBlend| blend.keep(nothing());
+            self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
+            self.blend.as_mut().map_or(Ok(()), release).map_err(|error| error.to_string())?;
+        }
+        if let Some(mesh_change) = altered.follow(key, &self.mesh, solver, &mut self.blend, site.tick)? {
+            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
+            let job =
+                altered_as_job(key, &self.mesh, material, &self.body.pinned, mesh_change, &self.progress);
+            altered.begun(site.tick.jobs.submit(job));
+        }
         Ok(())
     }
 }
