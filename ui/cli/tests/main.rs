@@ -4,6 +4,10 @@
 
 mod cli;
 mod docs_commands;
+mod mesh_files;
+mod own_programs;
 mod pictures;
+mod refusals;
+mod runs;
 mod support;
 mod templates;
