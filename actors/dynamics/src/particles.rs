@@ -71,9 +71,8 @@ pub enum StepError {
     },
     /// A node is faster than anything in the scene can be: the step was too large for the stiffness.
     #[error(
-        "node {node} would move at {}, above the limit of {}: take shorter steps (a higher 'rate_hz'), or make it softer \
-         or more damped",
-        quantity(*speed, "m/s"),
+        "node {node} would move faster than {}, the limit: take shorter steps (a higher 'rate_hz'), or make it softer or \
+         more damped",
         quantity(*limit, "m/s")
     )]
     Runaway {
