@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use console::{Term, style};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trocar::run::{Progress, RunOptions};
-use trocar::session::doubts;
+use trocar::session::{doubts, frozen_now};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{DeviceState, Hand, Measured, Snapshot, TaskState};
@@ -161,7 +161,8 @@ fn table(
             100.0 * share
         )
     }));
-    let losses = progress.session.losses().into_iter().chain(doubts(progress.scene));
+    let losses =
+        progress.session.losses().into_iter().chain(frozen_now(progress.scene)).chain(doubts(progress.scene));
     lines.extend(losses.map(|loss| {
         let line = printable(&loss);
         style(line).yellow().for_stderr().to_string()

@@ -6,7 +6,7 @@ mod pause;
 pub(crate) mod plan;
 
 pub use forecast::forecast;
-pub use losses::doubts;
+pub use losses::{doubts, frozen_now};
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -124,16 +124,18 @@ fn tiles(out: &mut String, report: &Report) {
     out.push_str("</div>");
 }
 
+/// A card with a list, unless it is empty.
+fn notice(out: &mut String, title: &str, lines: impl Iterator<Item = String>) {
+    let items: String = lines.map(|line| format!("<li>{}</li>", escape(&line))).collect();
+    if !items.is_empty() {
+        let _ = write!(out, "<section class=\"notice\"><h2>{title}</h2><ul>{items}</ul></section>");
+    }
+}
+
 fn failures(out: &mut String, report: &Report) {
-    let lines = report.failures.iter().chain(&report.summary.error);
-    let mut list = String::new();
-    for line in lines {
-        let _ = write!(list, "<li>{}</li>", escape(line));
-    }
-    if !list.is_empty() {
-        let _ = write!(out, "<section class=\"notice\"><h2>What went wrong</h2><ul>{list}</ul></section>");
-    }
-    if let Some(slow) = report.summary.too_slow() {
+    let summary = report.summary;
+    notice(out, "What went wrong", report.failures.iter().chain(&summary.error).cloned());
+    if let Some(slow) = summary.too_slow() {
         let _ = write!(
             out,
             "<section class=\"notice\"><h2>Disturbed</h2><p>{}. What the trainee did was disturbed by it: the score and \
@@ -141,36 +143,12 @@ fn failures(out: &mut String, report: &Report) {
             escape(&slow)
         );
     }
-    let mut list = String::new();
-    for contact in &report.summary.unkept_contacts {
-        let _ = write!(list, "<li>{}</li>", escape(&contact.to_string()));
-    }
-    if !list.is_empty() {
-        let count = report.summary.contacts_not_kept;
-        let _ = write!(
-            out,
-            "<section class=\"notice\"><h2>Contacts that were not kept: {count}</h2><ul>{list}</ul></section>"
-        );
-    }
-    let mut list = String::new();
-    for body in &report.summary.frozen_bodies {
-        let _ = write!(list, "<li>{}</li>", escape(&body.to_string()));
-    }
-    if !list.is_empty() {
-        let count = report.summary.bodies_frozen;
-        let _ =
-            write!(out, "<section class=\"notice\"><h2>Frozen bodies: {count}</h2><ul>{list}</ul></section>");
-    }
-    let mut list = String::new();
-    for line in &report.summary.losses {
-        let _ = write!(list, "<li>{}</li>", escape(line));
-    }
-    if !list.is_empty() {
-        let _ = write!(
-            out,
-            "<section class=\"notice\"><h2>What it had to do without</h2><ul>{list}</ul></section>"
-        );
-    }
+    let title = format!("Contacts that were not kept: {}", summary.contacts_not_kept);
+    notice(out, &title, summary.unkept_contacts.iter().map(ToString::to_string));
+    let title = format!("Frozen bodies: {}", summary.bodies_frozen);
+    notice(out, &title, summary.frozen_bodies.iter().map(ToString::to_string));
+    notice(out, "What was doubtful before the start", summary.warnings.iter().cloned());
+    notice(out, "What it had to do without", summary.losses.iter().cloned());
 }
 
 fn hands_and_errors(out: &mut String, report: &Report) {

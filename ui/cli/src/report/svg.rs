@@ -29,7 +29,7 @@ pub struct Margins {
 }
 
 /// Room for labels on both axes.
-pub const MARGINS: Margins = Margins { left: 60.0, right: 14.0, top: 12.0, bottom: 38.0 };
+pub const MARGINS: Margins = Margins { left: 68.0, right: 14.0, top: 12.0, bottom: 38.0 };
 
 impl Chart {
     /// An empty chart of a size \[px\]; `describe` is its text alternative for screen readers.

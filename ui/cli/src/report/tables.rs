@@ -127,9 +127,10 @@ pub fn metrics(report: &Report) -> String {
     table(&head, rows, "")
 }
 
-/// `path_length_m` → `path length [m]`.
+/// `path_length_m` → `path length [m]`, `organ.contact_force_n.largest` → `organ.contact force [N], largest`.
 fn metric_label(name: &str) -> String {
-    const UNITS: [(&str, &str); 6] = [
+    const UNITS: [(&str, &str); 7] = [
+        ("_n_per_m", " [N/m]"),
         ("_m_per_s", " [m/s]"),
         ("_secs", " [s]"),
         ("_rad", " [rad]"),
@@ -137,18 +138,20 @@ fn metric_label(name: &str) -> String {
         ("_j", " [J]"),
         ("_m", " [m]"),
     ];
+    let which = name.rsplit_once('.').filter(|(_, which)| ["largest", "smallest", "mean"].contains(which));
+    let (name, which) = which.map_or((name, String::new()), |(name, which)| (name, format!(", {which}")));
     let (stem, unit) = UNITS
         .iter()
         .find_map(|(suffix, unit)| Some((name.strip_suffix(suffix)?, *unit)))
         .unwrap_or((name, ""));
-    format!("{}{unit}", stem.replace('_', " "))
+    format!("{}{unit}{which}", stem.replace('_', " "))
 }
 
 /// Errors of the trainee.
 pub fn errors(report: &Report) -> String {
     let rows =
         report.summary.task.errors.iter().map(|error| {
-            vec![Cell::text(&in_words(&error.kind)), Cell::plain(format!("{:.2}", error.at_secs))]
+            vec![Cell::words(&in_words(&error.kind)), Cell::plain(format!("{:.2}", error.at_secs))]
         });
     table(&["error", "at [s]"], rows, "")
 }
@@ -166,8 +169,8 @@ pub fn health(report: &Report) -> String {
             vec![
                 Cell::plain(format!("{:.3}", incident.secs)),
                 Cell::text(&incident.child),
-                Cell::text(&incident.what),
-                Cell::text(&incident.outcome),
+                Cell::words(&incident.what),
+                Cell::words(&incident.outcome),
             ]
         });
         out.push_str(&table(&["at [s]", "child", "what happened", "what was done"], rows, ""));
@@ -184,6 +187,10 @@ struct Cell {
 impl Cell {
     fn text(text: &str) -> Self {
         Self { html: escape(text), class: "" }
+    }
+    /// A sentence, which is wrapped.
+    fn words(text: &str) -> Self {
+        Self { html: escape(text), class: "words" }
     }
     fn plain(text: String) -> Self {
         Self { html: escape(&text), class: "num" }
@@ -230,5 +237,7 @@ mod tests {
         assert_eq!(metric_label("mean_speed_m_per_s"), "mean speed [m/s]");
         assert_eq!(metric_label("idle_secs"), "idle [s]");
         assert_eq!(metric_label("economy"), "economy");
+        assert_eq!(metric_label("organ.contact_force_n.largest"), "organ.contact force [N], largest");
+        assert_eq!(metric_label("hand.felt_stiffness_n_per_m.mean"), "hand.felt stiffness [N/m], mean");
     }
 }

@@ -5,21 +5,27 @@ use trocar_scene::{Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity,
 
 use super::{Running, Session};
 
-/// One sentence for each body that stands still because its solver could not go on, that moves outside its method's
-/// range of validity, or whose mesh had to be repaired or gives reason to doubt.
+/// One sentence for each body that stands still, in all or in its heat, because its solver could not go on.
 #[must_use]
-pub fn doubts(scene: &Snapshot) -> Vec<String> {
-    let frozen = scene.iter::<Frozen>().map(|(body, frozen)| {
+pub fn frozen_now(scene: &Snapshot) -> Vec<String> {
+    let whole = scene.iter::<Frozen>().map(|(body, frozen)| {
         let since = frozen.since.as_secs_f64();
         format!("{}: it stands still since {since:.2} s: {}", scene.name(body), frozen.reason)
-    });
-    let doubtful = scene.iter::<OutOfValidity>().map(|(body, doubtful)| {
-        let since = doubtful.since.as_secs_f64();
-        format!("{}: since {since:.2} s {}", scene.name(body), doubtful.reason)
     });
     let heat = scene.iter::<HeatFrozen>().map(|(body, frozen)| {
         let since = frozen.since.as_secs_f64();
         format!("{}: its heat stands still since {since:.2} s: {}", scene.name(body), frozen.reason)
+    });
+    whole.chain(heat).collect()
+}
+
+/// One sentence for each body that moves outside its method's range of validity, or whose mesh had to be repaired or gives
+/// reason to doubt.
+#[must_use]
+pub fn doubts(scene: &Snapshot) -> Vec<String> {
+    let doubtful = scene.iter::<OutOfValidity>().map(|(body, doubtful)| {
+        let since = doubtful.since.as_secs_f64();
+        format!("{}: since {since:.2} s {}", scene.name(body), doubtful.reason)
     });
     let repaired = scene
         .iter::<MeshRepaired>()
@@ -27,7 +33,7 @@ pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let remarks = scene.iter::<MeshRemarks>().flat_map(|(body, told)| {
         told.remarks.iter().map(move |remark| format!("{}: its mesh: {remark}", scene.name(body)))
     });
-    frozen.chain(heat).chain(doubtful).chain(repaired).chain(remarks).collect()
+    doubtful.chain(repaired).chain(remarks).collect()
 }
 
 impl Session {
