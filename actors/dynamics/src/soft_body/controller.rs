@@ -10,7 +10,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Component, Controller, ControllerError, Entity, EntitySet,
-    Instrument, JawState, Measured, Pose, Registry, Snapshot, Tick, Velocity,
+    Instrument, JawState, Measured, OutOfValidity, Pose, Registry, Snapshot, Tick, Velocity,
 };
 
 use super::bearing::rigid_response::PlaneContact;
@@ -216,6 +216,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .reads::<Grips>()
             .writes::<StrainedGrips>(EntitySet::Of(bodies.clone()))
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
+            .writes::<OutOfValidity>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
         let access = RodPaths::access(HeldBack::access(access, &bodies), &bodies);
@@ -270,6 +271,8 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                 }
             }
             self.bear(pressed, &mut borne, tick, course.is_over());
+            let going = self.bodies.iter_mut().filter(|of| !of.frozen);
+            going.for_each(|of| of.look_for_passing(scene, period));
             if foresees(period) {
                 let going = self.bodies.iter_mut().filter(|of| !of.frozen);
                 going.for_each(|of| of.move_on(scene, (!course.is_over()).then(|| course.left()), period));

@@ -7,6 +7,7 @@ use trocar_scene::{Access, Commands, Component, Entity, Snapshot, Tick};
 
 use super::Deformable;
 use super::bearing::rigid_response::RigidPresses;
+use super::instrument_limits::InstrumentLimit;
 use super::instrument_rods::Rod;
 use super::jaw_friction::{GripForce, JawFriction};
 use super::rod_contact::{ContactSurface, RodContact};
@@ -101,6 +102,11 @@ pub trait SoftMethod: Send + Sized + 'static {
     /// Parameters for contacts that detectors find; `None`: it does not answer them.
     fn terms(&self) -> Option<ContactParams<'_>> {
         None
+    }
+
+    /// Up to what it stops instruments that hands lead, in ticks of this period \[s\].
+    fn instrument_limit(&self, _period: f64) -> InstrumentLimit {
+        InstrumentLimit::NONE
     }
 
     /// Whether blades cut it; then they do not push it.

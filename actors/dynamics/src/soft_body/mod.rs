@@ -8,7 +8,7 @@
 //! | instruments as rods, their contacts, grasps | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
 //! | their way in the time of a body that missed steps | `rod_paths.rs` |
 //! | what jaws hold by friction, and crush | `jaw_friction.rs` |
-//! | instruments that hands lead, held back | `held_back.rs` |
+//! | instruments that hands lead, held back, and which may pass | `held_back.rs`, `instrument_limits.rs` |
 //! | contacts that detectors find | `contact/` |
 //! | contact with the rigid bodies that move | `bearing/` |
 //! | the slower side of a coupling | `coupling/` |
@@ -21,6 +21,7 @@ pub mod deformable;
 pub mod frozen;
 pub mod grasp;
 pub mod held_back;
+pub mod instrument_limits;
 pub mod instrument_rods;
 pub mod jaw_friction;
 pub mod jaws;

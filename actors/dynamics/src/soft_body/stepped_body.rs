@@ -2,7 +2,8 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{
-    Collision, Commands, Component, ControllerError, Detection, Entity, Frozen, Primitive, Snapshot, Tick,
+    Collision, Commands, Component, ControllerError, Detection, Entity, Frozen, OutOfValidity, Primitive,
+    Snapshot, Tick,
 };
 
 use super::bearing::Bearer;
@@ -41,6 +42,8 @@ pub(super) struct Body<M> {
     pub(super) contacts: SoftContacts,
     pub(super) contacts_changed: bool,
     pub(super) pressed: (f64, usize),
+    /// Why an instrument may pass through it, once that was found.
+    pub(super) may_pass: Option<String>,
 }
 
 /// Input of a body's step in the current tick.
@@ -164,6 +167,7 @@ impl<M: SoftMethod> Body<M> {
             contacts,
             contacts_changed,
             pressed,
+            may_pass: None,
         })
     }
 
@@ -303,6 +307,16 @@ impl<M: SoftMethod> Body<M> {
         Step { method, body, site: inputs.site(scene, tick), forces, done: Ok(()) }
     }
 
+    /// After a step: looks whether it stops the instruments that it meets.
+    pub(super) fn look_for_passing(&mut self, scene: &Snapshot, period: f64) {
+        if self.inputs.touches.is_empty() || self.may_pass.is_some() {
+            return;
+        }
+        let StepInputs { touches, rods, forces, .. } = &self.inputs;
+        let limit = self.method.instrument_limit(period);
+        self.may_pass = limit.passed(&self.held_back, (touches, rods), forces, period, scene);
+    }
+
     pub(super) fn freeze(&mut self, reason: &str, tick: &Tick<'_>, out: &mut Commands) {
         self.frozen = true;
         self.body.freeze(&reason, tick, out);
@@ -320,6 +334,10 @@ impl<M: SoftMethod> Body<M> {
         self.body.write(self.method.positions(), self.method.velocities(), out);
         self.held_back.end(entity, &self.inputs.world_from_body, tick.time, out);
         self.rod_paths.end(scene, entity, !self.inputs.touches.is_empty(), out);
+        if let Some(reason) = self.may_pass.as_ref().filter(|_| scene.get::<OutOfValidity>(entity).is_none())
+        {
+            out.put(entity, OutOfValidity { reason: reason.clone(), since: tick.time });
+        }
         let site = self.inputs.site(scene, tick);
         self.method.publish(&self.body, &site, out);
         for (touch, force) in site.touches.iter().zip(&self.inputs.forces) {

@@ -4,8 +4,8 @@
 use nalgebra::Vector3;
 use trocar_dynamics::instrument::deflection::{InstrumentDeflection, InstrumentYields};
 use trocar_scene::{
-    BuildContext, Controller, ControllerError, Frozen, InstrumentForce, InstrumentTarget, Pose,
-    RestPositions, Velocity, VertexPositions,
+    BuildContext, Controller, ControllerError, Frozen, InstrumentForce, InstrumentTarget, OutOfValidity,
+    Pose, RestPositions, Velocity, VertexPositions,
 };
 use trocar_simulator::controller::{
     DynamicFemController, InstrumentsConfig, InstrumentsController, MassSpringController, XpbdController,
@@ -149,6 +149,50 @@ const BAND: &str = "pose = { rotation = [0.7071067811865476, 0.0, 0.0, 0.7071067
 const SHEET: &str = "mesh = { sheet = { size = [0.04, 0.02], cells = [20, 10] } }\n";
 const STIFF: &str = "membrane_stiffness = 20000.0, bending_stiffness = 2e-5, density = 0.5";
 const ROPE: &str = "axial_stiffness = 500.0, bending_stiffness = 1e-7, density = 2e-3";
+
+/// What is told of a body against which a shaft is led at this speed \[m/s\] with at most `bound` \[N\].
+fn told<C: Controller>(
+    body: &str,
+    (hz, bound): (f64, f64),
+    speed: f64,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError>,
+) -> Option<String> {
+    let mut session = Session::new(body, (hz, bound), build);
+    session.tick(0.0);
+    while session.hand < 0.03 - 1e-9 {
+        let step = (speed / hz).min(0.03 - session.hand);
+        session.tick(step);
+    }
+    session.stage.has::<OutOfValidity>("body").then(|| session.stage.get::<OutOfValidity>("body").reason)
+}
+
+#[test]
+fn what_goes_too_far_in_a_step_to_be_stopped_is_told() {
+    let slab = "mesh = { block = { size = [0.04, 0.004, 0.008], cells = [20, 2, 4] } }\n";
+    let body = format!(
+        "{slab}{ENDS}dynamic_fem = {{ young_modulus = 5e6, poisson_ratio = 0.3, density = 1000.0, mass_damping = 20.0 }}"
+    );
+    let why = told(&body, (20.0, 20.0), 0.6, fem).expect("30 mm in a step");
+    assert!(why.contains("probe goes by 30 mm in each of its steps of 50 ms"), "{why}");
+    assert!(why.contains("take a 'rate_hz' of 40 or more"), "{why}");
+    // It goes by a diameter, and it is followed within the step.
+    assert_eq!(told(&body, (20.0, 20.0), 0.09, fem), None);
+    assert_eq!(told(&body, (50.0, 20.0), 1.0, fem), None);
+}
+
+#[test]
+fn what_is_too_fast_or_too_strong_for_a_position_based_cloth_is_told() {
+    let stiff = STIFF.split(", density").next().unwrap_or_default();
+    let body = format!(
+        "{BAND}{ENDS}xpbd = {{ matter = {{ cloth = {{ {stiff}, density = 0.1 }} }}, parts = 4, damping = 20.0 }}"
+    );
+    let fast = told(&body, (100.0, 1.0), 1.0, xpbd).expect("1 m/s");
+    assert!(fast.contains("probe meets it at") && fast.contains("'rate_hz' of 500 or more"), "{fast}");
+    let strong = told(&body, (200.0, 12.0), 0.05, xpbd).expect("12 N");
+    assert!(strong.contains("probe presses it with") && strong.contains("'mass_spring'"), "{strong}");
+    assert_eq!(told(&body, (100.0, 1.0), 0.2, xpbd), None);
+    assert_eq!(told(&body, (1000.0, 12.0), 1.0, xpbd), None);
+}
 
 #[test]
 fn springs_stop_a_shaft_at_any_speed() {

@@ -259,9 +259,7 @@ impl SoftMethod for DynamicFemMethod {
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        DivisibleVolume::access(access, bodies)
-            .writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
-            .writes::<OutOfValidity>(EntitySet::Of(bodies.to_vec()))
+        DivisibleVolume::access(access, bodies).writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
     }
 
     fn is_cut_by_blades(&self) -> bool {

@@ -13,6 +13,7 @@ use nalgebra::{Point3, Vector3};
 use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::instrument_limits::InstrumentLimit;
 use trocar_dynamics::soft_body::jaw_friction::GripForce;
 use trocar_dynamics::soft_body::method::{
     ContactParams, Measures, Step, StepContext, SurfaceChange, bearing_stiffness,
@@ -258,6 +259,21 @@ impl SoftMethod for XpbdMethod {
         let (masses_inverse, bearing_stiffness) = (self.of.solver.mobility(), self.bearing_stiffness);
         let young_modulus = self.of.kind.volume().map_or(0.0, |[young_modulus, _]| young_modulus);
         Some(ContactParams { masses_inverse, stiffness, bearing_stiffness, young_modulus, friction })
+    }
+
+    /// Measured with light cloths: stronger and faster ones pass, or are thrown aside.
+    fn instrument_limit(&self, period: f64) -> InstrumentLimit {
+        const MIDDLE: f64 = 1.0 / 500.0;
+        const SLOW: f64 = 1.0 / 200.0;
+        let is_cloth = matches!(self.of.kind.matter, Matter::Cloth { .. });
+        if !is_cloth || period <= MIDDLE * (1.0 + 1e-6) {
+            return InstrumentLimit::NONE;
+        }
+        InstrumentLimit {
+            force_max: 10.0,
+            speed_max: if period <= SLOW * (1.0 + 1e-6) { f64::INFINITY } else { 0.5 },
+            remedy: "take a 'rate_hz' of 500 or more, or 'mass_spring' with method = \"implicit\"",
+        }
     }
 
     fn is_cut_by_blades(&self) -> bool {
