@@ -111,7 +111,7 @@ pub struct RunSummary {
     /// Files of pictures and films.
     pub pictures: Vec<String>,
     /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
-    /// taken away on the way; what bodies moved beyond what their method is right for; meshes that were mended.
+    /// taken away on the way; bodies that went beyond what their method is right for; meshes that were mended.
     pub losses: Vec<String>,
     /// What was told before the start, one sentence each: what the scenario's methods cannot bear.
     pub warnings: Vec<String>,

@@ -8,10 +8,7 @@ use trocar_scene::readable::quantity;
 use super::held_back::HeldBack;
 use super::instrument_rods::Rod;
 use super::rod_contact::RodContact;
-use super::tick_course::foresees;
-
-/// Rate from which on instruments are followed within a tick \[Hz\].
-const FOLLOWED_HZ: f64 = 40.0;
+use super::tick_course::{FORESEEN, foresees};
 
 /// Up to what a body stops instruments that hands lead.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,10 +42,11 @@ impl InstrumentLimit {
             let (speed, radius) = towards.max_by(|a, b| a.0.total_cmp(&b.0))?;
             let why = if !foresees(period) && speed * period > 2.0 * radius {
                 format!(
-                    "goes by {} in each of its steps of {}, and may pass through it: take a 'rate_hz' of {FOLLOWED_HZ} \
+                    "goes by {} in each of its steps of {}, and may pass through it: take a 'rate_hz' of {:.0} \
                      or more",
                     quantity(speed * period, "m"),
-                    quantity(period, "s")
+                    quantity(period, "s"),
+                    1.0 / FORESEEN
                 )
             } else if speed > self.speed_max {
                 format!("meets it at {}, and may pass through it: {}", quantity(speed, "m/s"), self.remedy)

@@ -5,7 +5,7 @@
 pub(super) const STEP_SHORTEST: f64 = 1.1e-3;
 /// Longest tick in which instruments go on as they go at its beginning \[s\]. In a longer one the tremor of a hand alone
 /// would lead them astray by half a millimetre and more: they stay, and the tick is not divided for them.
-const FORESEEN: f64 = 0.025;
+pub(super) const FORESEEN: f64 = 0.025;
 
 /// Whether instruments go on in a tick of this period \[s\].
 pub(super) fn foresees(period: f64) -> bool {
