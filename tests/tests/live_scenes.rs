@@ -62,7 +62,7 @@ fn each_exercise_is_completed_live_unless_the_machine_was_too_slow() {
         let (task, told) = (&outcome.summary.task, outcome.summary.too_slow());
         println!("{name}: completed {}; {told:?}", task.completed);
         assert_eq!(task.disturbed, told.is_some(), "{name}");
-        // Who was too slow is to blame; everybody else has no excuse.
+        // An exercise may fail only when an actor is named that was too slow.
         if !task.completed && told.is_none() {
             wrong.push(format!("{name}: {task:?} {:?}", outcome.summary.error));
         }

@@ -228,6 +228,7 @@ mod tests {
         let mut summary = RunSummary::new(hostile, Mode::Live, 7);
         summary.controllers = vec![ControllerSummary { name: hostile.into(), ..Default::default() }];
         summary.task.errors = vec![TaskErrorSummary { kind: hostile.into(), at_secs: 1.0 }];
+        summary.warnings = vec!["pad: it would sink in by about 9 mm".into()];
         summary.bodies_frozen = 1;
         summary.frozen_bodies = vec![FrozenBody {
             name: hostile.into(),
@@ -257,6 +258,7 @@ mod tests {
             assert!(!found.contains(outside), "{outside}");
         }
         assert!(html.contains("not clinically validated"));
+        assert!(html.contains("<h2>What was doubtful before the start</h2><ul><li>pad: it would sink in"));
         assert!(html.contains("Frozen bodies: 1") && html.contains("stands still since 0.50 s"));
         assert!(!html.contains("not kept"));
     }
