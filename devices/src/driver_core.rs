@@ -378,6 +378,8 @@ impl DriverCore {
             self.statistics.readings_refused += 1;
             return;
         }
+        // Whoever uses the state, the passivity controller as well, uses what is recorded of it.
+        let state = state.rounded();
         self.delay_line.push(now_ns, state);
         if self.faults.held(now_ns) {
             return;
@@ -525,7 +527,7 @@ impl DriverCore {
         self.statistics.ramps = self.guard.ramps();
         self.end.publish(&DeviceSample {
             state: self.state,
-            applied: *self.guard.applied(),
+            applied: self.guard.applied().rounded(),
             energy: *self.passivity.port(),
             sampled_at_ns: self.sampled_at_ns,
             published_at_ns: now_ns,

@@ -14,6 +14,7 @@ use std::sync::Arc;
 
 use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
+use crate::leaves::Leaves;
 use crate::time::Revision;
 
 const BITS: u32 = 6;
@@ -367,6 +368,13 @@ pub trait ErasedColumn: Send + Sync {
     fn remove(&mut self, entity: Entity, revision: Revision) -> bool;
     /// Visits the entities that have a row, in order.
     fn for_each_entity(&self, visit: &mut dyn FnMut(Entity));
+    /// Visits the entities whose rows changed after `since`, in order.
+    fn for_each_changed(&self, since: Revision, visit: &mut dyn FnMut(Entity));
+    /// The leaves of one row; `Ok(false)` when there is none.
+    ///
+    /// # Errors
+    /// When the value cannot be recorded.
+    fn leaves(&self, entity: Entity, leaves: &mut Leaves) -> Result<bool, ComponentError>;
     /// Appends the postcard encoding of one row; `Ok(false)` when there is none.
     ///
     /// # Errors
@@ -403,6 +411,15 @@ impl<T: Component> ErasedColumn for Column<T> {
     }
     fn for_each_entity(&self, visit: &mut dyn FnMut(Entity)) {
         self.iter().for_each(|(entity, _)| visit(entity));
+    }
+    fn for_each_changed(&self, since: Revision, visit: &mut dyn FnMut(Entity)) {
+        self.iter_changed(since).for_each(|(entity, _)| visit(entity));
+    }
+    fn leaves(&self, entity: Entity, leaves: &mut Leaves) -> Result<bool, ComponentError> {
+        match self.get(entity) {
+            Some(value) => leaves.of(value).map(|()| true),
+            None => Ok(false),
+        }
     }
     fn encode_row(&self, entity: Entity, out: &mut Vec<u8>) -> Result<bool, ComponentError> {
         match self.get(entity) {

@@ -56,6 +56,30 @@ pub struct Transfer {
     pub to: WriterId,
 }
 
+/// Where the puts of one component lie in encoded commands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PutSection {
+    /// The component.
+    pub component: ComponentId,
+    /// Its first byte.
+    pub start: u32,
+    /// The byte after it.
+    pub end: u32,
+}
+
+/// Where the sections of encoded commands lie, so that some can be taken without decoding the others.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct SectionMap {
+    /// Whether the commands create entities.
+    pub spawns: bool,
+    /// Where the puts begin, with their count; spawns, despawns and removes lie before.
+    pub puts_at: u32,
+    /// The byte after the puts; transfers and events lie behind.
+    pub puts_end: u32,
+    /// The puts of each component.
+    pub puts: Vec<PutSection>,
+}
+
 /// An invalid command; the whole batch is refused.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum CommandError {
@@ -127,6 +151,11 @@ impl Commands {
     #[must_use]
     pub fn another(&self) -> Self {
         Self::new(self.registry.clone(), self.allocator.clone())
+    }
+
+    /// The components of the session.
+    pub fn registry(&self) -> &Arc<Registry> {
+        &self.registry
     }
 
     /// The writer's own entity, which carries its contributions and its resume state.
@@ -343,19 +372,35 @@ impl Commands {
     /// # Errors
     /// When a value cannot be encoded.
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
+        self.encode_mapped(out, &mut SectionMap::default())
+    }
+
+    /// [`Self::encode`], and where the sections lie in what was appended.
+    ///
+    /// # Errors
+    /// When a value cannot be encoded.
+    pub fn encode_mapped(&self, out: &mut Vec<u8>, map: &mut SectionMap) -> Result<(), ComponentError> {
+        let begin = out.len();
+        let place = |out: &Vec<u8>| (out.len() - begin) as u32;
+        map.puts.clear();
+        map.spawns = !self.spawns.is_empty();
         let key = |id: ComponentId| self.registry.entry(id).key;
         encode(&self.spawns, out)?;
         encode(&self.despawns, out)?;
-        let kept = |id: &ComponentId| self.registry.entry(*id).record == RecordPolicy::Full;
+        let kept = |id: &ComponentId| self.registry.entry(*id).record != RecordPolicy::Derived;
         encode(&(self.removes.iter().filter(|(id, _)| kept(id)).count() as u32), out)?;
         for (id, entity) in self.removes.iter().filter(|(id, _)| kept(id)) {
             encode(&(key(*id), entity), out)?;
         }
+        map.puts_at = place(out);
         encode(&(self.touched.iter().filter(|id| kept(id)).count() as u32), out)?;
         for (id, puts) in self.puts().filter(|(id, _)| kept(id)) {
+            let start = place(out);
             encode(&(key(id), puts.len() as u32), out)?;
             puts.encode(out)?;
+            map.puts.push(PutSection { component: id, start, end: place(out) });
         }
+        map.puts_end = place(out);
         encode(&(self.transfers.len() as u32), out)?;
         for transfer in &self.transfers {
             encode(&(key(transfer.component), transfer.entity, transfer.to), out)?;

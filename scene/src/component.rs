@@ -10,13 +10,41 @@ use crate::entity_mesh::EntityMesh;
 use crate::finite;
 use crate::soft_body::SoftAbilities;
 
-/// How the recorder treats a component.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How a recording keeps the values of a component.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RecordPolicy {
-    /// Every change is recorded.
-    Full,
-    /// Derived from recorded state: neither recorded nor part of the state hash.
+    /// Every value, to the last bit.
+    Exact,
+    /// The values at regular times, rounded.
+    Sampled(Sampling),
+    /// Derived from recorded state: not part of the state hash, and recorded only in the whole scenes of a recording.
     Derived,
+}
+
+/// When a recording takes the values of a component, and how it rounds them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sampling {
+    /// How often the values that have changed are taken \[Hz\].
+    pub hz: f64,
+    /// Largest error of each number with a fraction, in the unit of that number.
+    pub tolerance: f64,
+}
+
+impl RecordPolicy {
+    /// Values that are taken `hz` times a second, each number with a fraction within `tolerance`.
+    pub const fn sampled(hz: f64, tolerance: f64) -> Self {
+        Self::Sampled(Sampling { hz, tolerance })
+    }
+}
+
+impl Sampling {
+    /// The largest power of two to whose multiples numbers may be rounded, within the tolerance: sums and differences of
+    /// its multiples are exact, so that they are stored as whole numbers.
+    pub fn step(&self) -> f64 {
+        let step = 2.0 * self.tolerance;
+        // The exponent's bits alone: the largest power of two that is not above it.
+        f64::from_bits(step.to_bits() & (0x7ff << 52))
+    }
 }
 
 /// A type of data attached to entities.
@@ -64,8 +92,8 @@ pub enum RecordPolicy {
 pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'static {
     /// Stable name in files, hashes and messages: lower case with underscores.
     const NAME: &'static str;
-    /// Whether changes are recorded.
-    const RECORD: RecordPolicy = RecordPolicy::Full;
+    /// How a recording keeps its values.
+    const RECORD: RecordPolicy = RecordPolicy::Exact;
     /// Abilities of a soft body that carries it, if it is the component of a soft-body method.
     const SOFT_BODY: Option<SoftAbilities> = None;
     /// For components that declare couplings: names of the bodies of other controllers to which its body gives

@@ -26,6 +26,7 @@ pub mod entity_mesh;
 pub mod event;
 pub mod finite;
 pub mod kinematics;
+pub mod leaves;
 pub mod mesh;
 pub mod organs;
 mod polygon;
@@ -43,14 +44,17 @@ pub mod tissue;
 
 pub use access::{Access, AccessOverlap, EntitySet, WriterRules};
 pub use column::{Column, ErasedColumn, Rows};
-pub use commands::{Batch, CommandError, Commands, Condition, Provenance, Transfer, WriterId};
-pub use component::{Component, ComponentError, RecordPolicy};
+pub use commands::{
+    Batch, CommandError, Commands, Condition, Provenance, PutSection, SectionMap, Transfer, WriterId,
+};
+pub use component::{Component, ComponentError, RecordPolicy, Sampling};
 pub use components::*;
 pub use controller::{BuildContext, Controller, ControllerError, Job, JobOutput, JobWork, Jobs, Tick};
 pub use document_value::{DocumentError, DocumentValue};
 pub use entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 pub use entity_mesh::EntityMesh;
 pub use event::{Event, EventLog, Events};
+pub use leaves::{LeafKind, LeafRun, Leaves};
 pub use puts::{ErasedPuts, Puts};
 pub use registry::{ComponentEntry, ComponentId, Registry, RegistryBuilder, RegistryError};
 pub use scenario::{ControllerEntry, HandEntry, Params, Scenario, ScenarioError};

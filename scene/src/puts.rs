@@ -8,6 +8,7 @@ use std::any::Any;
 use crate::column::{Column, ErasedColumn, encode};
 use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
+use crate::leaves::Leaves;
 use crate::time::Revision;
 
 /// The puts of one component.
@@ -59,6 +60,11 @@ pub trait ErasedPuts: Send {
     /// # Errors
     /// When a value cannot be encoded.
     fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError>;
+    /// The leaves of row `index`.
+    ///
+    /// # Errors
+    /// When the value cannot be recorded.
+    fn leaves(&self, index: usize, leaves: &mut Leaves) -> Result<(), ComponentError>;
     /// Moves the rows into a column of the same type.
     fn apply(&mut self, column: &mut dyn ErasedColumn, revision: Revision);
 }
@@ -106,6 +112,9 @@ impl<T: Component> ErasedPuts for Puts<T> {
             encode(row, out)?;
         }
         Ok(())
+    }
+    fn leaves(&self, index: usize, leaves: &mut Leaves) -> Result<(), ComponentError> {
+        leaves.of(&self.rows[index].1)
     }
     fn apply(&mut self, column: &mut dyn ErasedColumn, revision: Revision) {
         if let Some(column) = column.as_any_mut().downcast_mut::<Column<T>>() {

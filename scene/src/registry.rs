@@ -45,7 +45,7 @@ pub struct ComponentEntry {
     pub name: &'static str,
     /// Short stable key for files and hashes: the first 32 bits of BLAKE3(name).
     pub key: u32,
-    /// Whether its changes are recorded.
+    /// How a recording keeps its values.
     pub record: RecordPolicy,
     /// JSON schema of the value in a scenario file, if it is allowed there.
     pub schema: fn() -> Option<serde_json::Value>,

@@ -165,10 +165,7 @@ impl Snapshot {
     /// # Errors
     /// When a value cannot be encoded.
     pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
-        encode(&(self.revision, self.time, self.alive.len() as u32), out)?;
-        for entity in self.entities() {
-            encode(&entity, out)?;
-        }
+        self.encode_entities(out)?;
         let filled: Vec<_> =
             self.registry.iter().filter(|(id, _)| !self.erased_column(*id).is_empty()).collect();
         encode(&(filled.len() as u32), out)?;
@@ -183,6 +180,23 @@ impl Snapshot {
             });
             result?;
         }
+        self.encode_events(out)
+    }
+
+    /// The part of [`Self::encode`] before the components: revision, time and entities.
+    ///
+    /// # Errors
+    /// When memory is short.
+    pub fn encode_entities(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
+        encode(&(self.revision, self.time, self.alive.len() as u32), out)?;
+        self.entities().try_for_each(|entity| encode(&entity, out))
+    }
+
+    /// The part of [`Self::encode`] behind the components: the recent events.
+    ///
+    /// # Errors
+    /// When an event cannot be encoded.
+    pub fn encode_events(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
         let events: Vec<_> = self.events.since(0).map(|(_, event)| event.clone()).collect();
         encode(&(self.events.first(), events), out)
     }

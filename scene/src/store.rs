@@ -157,7 +157,12 @@ impl Store {
     /// Applies commands without access checks: those of the scenario, a replay, or a batch that [`Store::validate`]
     /// accepted. The values move out of the buffers.
     pub fn apply(&mut self, commands: &mut Commands, time: SimTime) -> Revision {
-        let revision = self.current.revision.next();
+        self.apply_as(commands, time, Revision::ZERO)
+    }
+
+    /// [`Self::apply`] as a revision of that number, or as the next one where that is higher: revisions always grow.
+    pub fn apply_as(&mut self, commands: &mut Commands, time: SimTime, number: Revision) -> Revision {
+        let revision = self.current.revision.next().max(number);
         self.current.revision = revision;
         self.current.time = self.current.time.max(time);
         for entity in commands.spawns() {

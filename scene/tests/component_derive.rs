@@ -76,7 +76,7 @@ fn a_derived_component_has_what_its_attribute_says() {
 
 #[test]
 fn what_the_attribute_does_not_say_stays_as_the_trait_has_it() {
-    assert_eq!((Plain::NAME, Plain::RECORD), ("plain", RecordPolicy::Full));
+    assert_eq!((Plain::NAME, Plain::RECORD), ("plain", RecordPolicy::Exact));
     assert!(Plain::SOFT_BODY.is_none() && Plain::PARTNERS.is_none() && Plain::schema().is_none());
     assert!(Plain::FITS.is_none() && Plain::LAYS.is_none());
     assert_eq!((Plain(1.0).check(), Plain(1.0).listed()), (Ok(()), None));

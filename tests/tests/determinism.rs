@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use trocar::run::RunOptions;
 use trocar_kernel::faults::{FaultPlan, secs};
-use trocar_kernel::recorder::{Recording, Replay};
+use trocar_kernel::recorder::{RecorderOptions, Recording, Replay};
 use trocar_tests::{app, finish, lockstep, peg_transfer};
 
 fn hash_of(options: &RunOptions, replacements: &[(&str, &str)]) -> String {
@@ -47,7 +47,8 @@ fn a_replay_of_the_batches_and_a_rerun_of_the_recorded_hands_end_in_the_same_has
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("run.mcap");
     let app = app();
-    let options = RunOptions { record: Some(file.clone()), ..short(21) };
+    let recorder = RecorderOptions::exact();
+    let options = RunOptions { record: Some(file.clone()), recorder, ..short(21) };
     let recorded = finish(&app, &peg_transfer(&app, &[]), &options);
     assert!(recorded.summary.recording_complete);
     let hash = recorded.summary.state_hash.expect("a hash");

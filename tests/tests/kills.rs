@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 
 use trocar::run::{RunOptions, RunOutcome};
 use trocar_kernel::faults::{FaultPlan, secs};
-use trocar_kernel::recorder::{Recording, Replay};
+use trocar_kernel::recorder::{RecorderOptions, Recording, Replay};
 use trocar_kernel::runtime::ticker;
 use trocar_scene::SimTime;
 use trocar_scene::random::SplitMix64;
@@ -59,7 +59,12 @@ fn play(options: RunOptions) -> RunOutcome {
     let folder = tempfile::tempdir().expect("a folder for temporary files");
     let file = folder.path().join("killed.mcap");
     let app = app();
-    let options = RunOptions { faults: Some(plan.clone()), record: Some(file.clone()), ..options };
+    let options = RunOptions {
+        faults: Some(plan.clone()),
+        record: Some(file.clone()),
+        recorder: RecorderOptions::exact(),
+        ..options
+    };
     let outcome = finish(&app, &peg_transfer(&app, &[]), &options);
     let summary = &outcome.summary;
     if summary.error.is_some() || summary.task.cut_off {

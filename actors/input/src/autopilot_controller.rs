@@ -5,7 +5,7 @@ use trocar_scene::kinematics::coupling::InstrumentCoupling;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, Entity, EntitySet, Grasp,
-    HandTarget, Instrument, JawState, Parent, Pose, Side, Snapshot, Tick, Velocity,
+    HandTarget, Instrument, JawState, Parent, Pose, RecordPolicy, Side, Snapshot, Tick, Velocity,
 };
 use trocar_tasks::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand, find_rings};
 
@@ -30,7 +30,7 @@ pub struct AutopilotConfig {
 
 /// Restart state of the trainee, on the controller's own entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "autopilot_state")]
+#[component(name = "autopilot_state", record = RecordPolicy::sampled(20.0, 2.5e-7))]
 pub struct AutopilotState {
     /// The board on which the rings started, counted in entity order.
     pub first_board: u32,

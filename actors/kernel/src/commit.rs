@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trocar_scene::{Provenance, Revision};
+use trocar_scene::{Provenance, PutSection, Revision, SectionMap};
 
 use crate::state_hash::{CommitKind, StateHash};
 
@@ -23,6 +23,19 @@ pub struct Commit<'a> {
     pub payload: &'a [u8],
 }
 
+/// Where the sections of a commit's payload lie; see [`SectionMap`].
+#[derive(Clone, Copy, Debug)]
+pub struct Sections<'a> {
+    /// Whether the commit creates entities.
+    pub spawns: bool,
+    /// Where the puts begin, with their count.
+    pub puts_at: usize,
+    /// The byte after the puts.
+    pub puts_end: usize,
+    /// The puts of each component.
+    pub puts: &'a [PutSection],
+}
+
 #[derive(Clone, Debug)]
 struct Entry {
     kind: CommitKind,
@@ -31,6 +44,10 @@ struct Entry {
     provenance: Provenance,
     hash: StateHash,
     end: usize,
+    spawns: bool,
+    puts_at: u32,
+    puts_end: u32,
+    sections_end: usize,
 }
 
 /// Consecutive commits, in reused buffers.
@@ -38,6 +55,7 @@ struct Entry {
 pub struct CommitBuffer {
     entries: Vec<Entry>,
     bytes: Vec<u8>,
+    sections: Vec<PutSection>,
 }
 
 impl CommitBuffer {
@@ -82,23 +100,39 @@ impl CommitBuffer {
         })
     }
 
-    pub(crate) fn push(
-        &mut self,
-        kind: CommitKind,
-        revision: Revision,
-        writer: &Arc<str>,
-        provenance: Provenance,
-        hash: StateHash,
-        payload: &[u8],
-    ) {
+    /// The commits with the sections of their payloads, oldest first.
+    pub(crate) fn with_sections(&self) -> impl Iterator<Item = (Commit<'_>, Sections<'_>)> {
+        let mut start = 0;
+        self.iter().zip(&self.entries).map(move |(commit, entry)| {
+            let puts = &self.sections[start..entry.sections_end];
+            start = entry.sections_end;
+            let Entry { spawns, puts_at, puts_end, .. } = *entry;
+            (commit, Sections { spawns, puts_at: puts_at as usize, puts_end: puts_end as usize, puts })
+        })
+    }
+
+    pub(crate) fn push(&mut self, commit: &Commit<'_>, writer: &Arc<str>, map: &SectionMap) {
+        let Commit { kind, revision, provenance, hash, payload, .. } = *commit;
         self.bytes.extend_from_slice(payload);
-        let (writer, end) = (writer.clone(), self.bytes.len());
-        self.entries.push(Entry { kind, revision, writer, provenance, hash, end });
+        self.sections.extend_from_slice(&map.puts);
+        self.entries.push(Entry {
+            kind,
+            revision,
+            writer: writer.clone(),
+            provenance,
+            hash,
+            end: self.bytes.len(),
+            spawns: map.spawns,
+            puts_at: map.puts_at,
+            puts_end: map.puts_end,
+            sections_end: self.sections.len(),
+        });
     }
 
     /// Keeps only the first `len` commits.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.entries.truncate(len);
         self.bytes.truncate(self.entries.last().map_or(0, |entry| entry.end));
+        self.sections.truncate(self.entries.last().map_or(0, |entry| entry.sections_end));
     }
 }

@@ -8,12 +8,12 @@ use std::sync::Arc;
 
 use trocar_scene::{
     Access, AccessOverlap, Batch, Commands, ComponentError, ComponentId, Entity, Provenance, RecordPolicy,
-    Registry, Revision, SimTime, Snapshot, Store, WriterId, WriterRules,
+    Registry, Revision, SectionMap, SimTime, Snapshot, Store, WriterId, WriterRules,
 };
 
 use crate::admission::TRANSFERS_MAX;
 pub use crate::admission::{DeclareError, Outcome, Rejection, WriterCounts};
-use crate::commit::CommitBuffer;
+use crate::commit::{Commit, CommitBuffer};
 use crate::operator::{OPERATOR, OPERATOR_EPOCH, OPERATOR_NAME, OPERATOR_WRITES_MAX};
 use crate::publish::{PublishClock, PublishRule};
 use crate::state_hash::{Chain, CommitKind, StateHash};
@@ -61,6 +61,8 @@ pub struct ModelCore {
     commits: CommitBuffer,
     keep_commits: bool,
     scratch: Vec<u8>,
+    /// Where the sections of `scratch` lie.
+    sections: SectionMap,
     committed: Committed,
     unseen_fences: Vec<UnseenFence>,
     /// Whether a batch is being moved into the scene; still set after a panic during the move.
@@ -109,6 +111,7 @@ impl ModelCore {
             commits: CommitBuffer::new(),
             keep_commits: false,
             scratch: Vec::new(),
+            sections: SectionMap::default(),
             committed,
             unseen_fences: Vec::new(),
             half_applied: false,
@@ -125,9 +128,13 @@ impl ModelCore {
     /// Continues a hash chain instead of starting one from the scene, for a replay from a keyframe.
     #[must_use]
     pub fn with_chain(mut self, head: StateHash) -> Self {
+        self.continue_chain(head);
+        self
+    }
+    /// Continues another hash chain, for a replay behind a part of a recording that cannot be read.
+    pub(crate) fn continue_chain(&mut self, head: StateHash) {
         self.chain = Chain::resume(head);
         self.committed.chain = self.chain;
-        self
     }
 
     /// Whether commits are kept for [`Self::swap_commits`]; off, commits do not pile up unread.
@@ -233,14 +240,15 @@ impl ModelCore {
         self.chain.append(CommitKind::Batch, &writer.name, tick, time, &self.scratch);
         if self.keep_commits {
             let head = self.chain.head();
-            self.commits.push(
-                CommitKind::Batch,
+            let commit = Commit {
+                kind: CommitKind::Batch,
                 revision,
-                &writer.name,
-                batch.provenance,
-                head,
-                &self.scratch,
-            );
+                writer: &writer.name,
+                provenance: batch.provenance,
+                hash: head,
+                payload: &self.scratch,
+            };
+            self.commits.push(&commit, &writer.name, &self.sections);
         }
         self.clock.applied(now);
         Outcome::Applied { revision }
@@ -270,7 +278,7 @@ impl ModelCore {
             return Err(Rejection::TooManyTransfers);
         }
         self.scratch.clear();
-        batch.commands.encode(&mut self.scratch).map_err(Rejection::Unencodable)
+        batch.commands.encode_mapped(&mut self.scratch, &mut self.sections).map_err(Rejection::Unencodable)
     }
 
     fn move_ownership(&mut self, batch: &Batch) {
@@ -326,23 +334,32 @@ impl ModelCore {
         let provenance =
             Provenance { writer: writer.id, epoch, tick: u64::from(epoch), time: now, based_on: revision };
         self.scratch.clear();
-        encode_fence(self.store.view().registry(), rules, &mut self.scratch);
+        encode_fence(self.store.view().registry(), rules, &mut self.scratch, &mut self.sections);
         self.chain.append(CommitKind::Fence, &writer.name, provenance.tick, now, &self.scratch);
         if self.keep_commits {
             let head = self.chain.head();
-            self.commits.push(CommitKind::Fence, revision, &writer.name, provenance, head, &self.scratch);
+            let commit = Commit {
+                kind: CommitKind::Fence,
+                revision,
+                writer: &writer.name,
+                provenance,
+                hash: head,
+                payload: &self.scratch,
+            };
+            self.commits.push(&commit, &writer.name, &self.sections);
         }
         self.clock.applied(now);
     }
 
     /// Applies a recorded commit again, without access checks, which passed when it was recorded. The resulting hash is
-    /// computed from the commands as encoded now.
+    /// computed from the commands as encoded now. `revision` is that of the recorded commit; a recording leaves some out.
     ///
     /// # Errors
     /// When the commands cannot be encoded, or the scene has no room for their rows; nothing is applied then.
     pub fn replay(
         &mut self,
         kind: CommitKind,
+        revision: Revision,
         writer: &str,
         provenance: Provenance,
         commands: &mut Commands,
@@ -354,7 +371,7 @@ impl ModelCore {
         // A fence does not advance the scene's time.
         let time = if kind == CommitKind::Fence { SimTime::ZERO } else { provenance.time };
         self.clock.applied(provenance.time);
-        Ok(self.store.apply(commands, time))
+        Ok(self.store.apply_as(commands, time, revision))
     }
 
     /// Whether it is time to [`Self::publish`]; `drained` says that no batch waits.
@@ -483,10 +500,10 @@ fn restore_transfers(transfers: &Transfers, id: WriterId, rules: &mut WriterRule
 
 /// Encodes a fence as commands, in the format of [`Commands::encode`]: the removal of the writer's contributions. A
 /// replay then needs no knowledge of the writer.
-fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>) {
+fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>, map: &mut SectionMap) {
     let kept = || {
         let keys = rules.contributes().iter().map(|id| registry.entry(*id));
-        keys.filter(|entry| entry.record == RecordPolicy::Full)
+        keys.filter(|entry| entry.record != RecordPolicy::Derived)
     };
     let mut put = |value: u64| write_varint(value, out);
     // Spawns, despawns.
@@ -497,10 +514,13 @@ fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>) {
         put(u64::from(entry.key));
         put(rules.me().to_bits());
     }
-    // Puts, transfers, events.
-    put(0);
-    put(0);
-    put(0);
+    // No puts, transfers or events.
+    map.spawns = false;
+    map.puts.clear();
+    map.puts_at = out.len() as u32;
+    out.push(0);
+    map.puts_end = out.len() as u32;
+    out.extend([0, 0]);
 }
 
 /// Postcard's unsigned integers: seven bits a byte, least significant first.

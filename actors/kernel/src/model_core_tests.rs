@@ -270,8 +270,9 @@ fn commits_replayed_into_a_fresh_core_give_the_same_scene_and_hash() {
     for commit in commits.iter() {
         let mut commands = Commands::new(again.view().registry().clone(), EntityAllocator::new(0, 0));
         assert!(commands.decode(commit.payload).expect("own bytes").is_empty());
-        let revision =
-            again.replay(commit.kind, commit.writer, commit.provenance, &mut commands).expect("encodes");
+        let revision = again
+            .replay(commit.kind, commit.revision, commit.writer, commit.provenance, &mut commands)
+            .expect("encodes");
         assert_eq!((revision, again.hash()), (commit.revision, commit.hash));
     }
     assert_eq!(commits.iter().filter(|commit| commit.kind == CommitKind::Fence).count(), 3);

@@ -185,7 +185,7 @@ fn what_it_writes_is_recorded_and_a_replay_and_a_rerun_end_in_the_same_hash() {
     let run = |file: Option<&std::path::Path>, value: f64| {
         let mut spec = spec();
         if let Some(file) = file {
-            let recorder = Recorder::create(file, &head(), spec.scene.view(), RecorderOptions::default());
+            let recorder = Recorder::create(file, &head(), spec.scene.view(), RecorderOptions::exact());
             recorder.expect("begins").install(&mut spec);
         }
         let mut session = LockstepSession::new(spec).expect("starts");

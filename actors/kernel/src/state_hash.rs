@@ -4,7 +4,7 @@
 //! hash₀     = BLAKE3("trocar-chain-1" ‖ initial scene)
 //! hashₙ₊₁   = BLAKE3(hashₙ ‖ kind ‖ len(name) ‖ name ‖ tick ‖ time ‖ payload)
 //! ```
-//! *kind* is one byte (0 a batch, 1 a fence), the lengths and numbers are little-endian 64-bit words, *name*
+//! *kind* is one byte (0 a batch, 1 a fence, 2 a sample of a recording), the lengths and numbers are little-endian 64-bit words, *name*
 //! is the writer's, *time* is in nanoseconds. The payload of a batch is [`Commands::encode`]: spawns,
 //! despawns, removals, then every put that is not derived in order of component NAME and entity, transfers,
 //! events. The payload of a fence is the removal of the writer's contributions in the same encoding.
@@ -43,6 +43,8 @@ pub enum CommitKind {
     Batch,
     /// A writer was fenced and its contributions removed.
     Fence,
+    /// Only in recordings: the values of sampled components at one time.
+    Sample,
 }
 
 /// The running hash chain.

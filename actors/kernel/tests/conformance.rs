@@ -121,7 +121,7 @@ fn a_live_recording_replays_to_the_hash_of_the_session() {
     let file = folder.path().join("live.mcap");
     let mut spec = two_toys();
     let head = RecordingHead { scenario: "toys".into(), mode: "live".into(), ..RecordingHead::default() };
-    let recorder = Recorder::create(&file, &head, spec.scene.view(), RecorderOptions::default());
+    let recorder = Recorder::create(&file, &head, spec.scene.view(), RecorderOptions::exact());
     recorder.expect("begins").install(&mut spec);
     let outcome = run_live(spec);
     assert_eq!(outcome.recording_complete, Some(true));
@@ -159,7 +159,7 @@ fn a_recording_goes_on_when_a_model_that_hangs_is_replaced() {
     let (spec, wish) = toy("fast", 1, 1_000.0);
     let mut spec = session(vec![spec]);
     let head = RecordingHead::default();
-    let recorder = Recorder::create(&file, &head, spec.scene.view(), RecorderOptions::default());
+    let recorder = Recorder::create(&file, &head, spec.scene.view(), RecorderOptions::exact());
     recorder.expect("begins").install(&mut spec);
     let session = LiveSession::start(spec).expect("starts");
     eventually("it counts", || count(&session.snapshot(), 1) > 50);

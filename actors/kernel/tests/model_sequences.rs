@@ -265,7 +265,7 @@ impl Bench {
                 based_on: Revision::ZERO,
             };
             let revision = again
-                .replay(kind, name(entry.writer), provenance, &mut commands)
+                .replay(kind, Revision::ZERO, name(entry.writer), provenance, &mut commands)
                 .map_err(|error| format!("replay: {error}"))?;
             same("replayed", &(revision.0, again.hash()), &(entry.revision, *hash))?;
         }

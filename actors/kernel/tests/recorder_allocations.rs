@@ -24,7 +24,7 @@ fn a_warmed_publication_reaches_the_recorder_without_touching_the_heap() {
     builder.register::<Count>().expect("new");
     let store = Store::new(builder.build());
     let mut spec = SessionSpec::new("toy", 1, Store::from_snapshot(store.view()), Vec::new());
-    let options = RecorderOptions::default();
+    let options = RecorderOptions::exact();
     let recorder = Recorder::create(&file, &RecordingHead::default(), store.view(), options);
     recorder.expect("begins").install(&mut spec);
     let mut sink = spec.commit_sink.take().expect("installed");

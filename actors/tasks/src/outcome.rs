@@ -7,7 +7,7 @@ use trocar_scene::components::OUTCOME;
 use trocar_scene::readable::{given, number};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HapticStatus,
-    HeatFrozen, Measured, Parent, Pose, Snapshot, TaskError, TaskState, Tick,
+    HeatFrozen, Measured, Parent, Pose, RecordPolicy, Snapshot, TaskError, TaskState, Tick,
 };
 
 /// Most expectations of a scenario.
@@ -128,7 +128,7 @@ impl OutcomeConfig {
 
 /// The statistics so far, in the order of the expectations.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "outcome_state")]
+#[component(name = "outcome_state", record = RecordPolicy::sampled(10.0, 1e-6))]
 pub struct OutcomeState {
     /// `None` until it has been measured.
     pub values: Vec<Option<f64>>,

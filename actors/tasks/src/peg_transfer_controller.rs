@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::components::PEG_TRANSFER;
 use trocar_scene::{
     Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
-    EntitySet, Grasp, Parent, Pose, Side, Snapshot, TaskError, TaskState, Tick, Velocity,
+    EntitySet, Grasp, Parent, Pose, RecordPolicy, Side, Snapshot, TaskError, TaskState, Tick, Velocity,
 };
 
 use crate::fls_score::FlsWeights;
@@ -35,7 +35,7 @@ pub struct PegTransferConfig {
 
 /// Restart state of the exercise, on the controller's own entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "peg_transfer_state")]
+#[component(name = "peg_transfer_state", record = RecordPolicy::sampled(10.0, 1e-6))]
 pub struct PegTransferState {
     /// The board on which the rings started, counted in entity order.
     pub first_board: u32,

@@ -4,9 +4,9 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Component;
 use crate::entity::Entity;
 use crate::time::SimTime;
+use crate::{Component, RecordPolicy};
 
 /// The part of an entity that takes part in a collision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -100,7 +100,7 @@ impl Collision {
 
 /// Contacts of one detector's last tick; a contribution, so that lists of several detectors coexist.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "collision_list", listed = Self::count, schema)]
+#[component(name = "collision_list", record = RecordPolicy::sampled(20.0, 1e-5), listed = Self::count, schema)]
 #[serde(deny_unknown_fields)]
 pub struct CollisionList {
     /// The contacts.

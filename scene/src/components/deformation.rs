@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::entity_mesh::EntityMesh;
 use crate::time::SimTime;
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// Most regions of [`Anchors`].
 const REGIONS_MAX: usize = 64;
 
 /// Velocity of each vertex, in the entity's frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "vertex_velocities", schema)]
+#[component(name = "vertex_velocities", record = RecordPolicy::sampled(5.0, 0.001), schema)]
 #[serde(deny_unknown_fields)]
 pub struct VertexVelocities {
     /// One velocity per vertex \[m/s\].

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::components::graph::{Pose, Velocity};
 use crate::entity::Entity;
 use crate::time::SimTime;
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// Left or right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
@@ -117,7 +117,7 @@ impl DeviceState {
 
 /// The wrench commanded by haptics, in the device's axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "device_force", schema)]
+#[component(name = "device_force", record = RecordPolicy::sampled(100.0, 0.0001), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DeviceForce {
     /// Force \[N\].
@@ -149,7 +149,7 @@ impl HandTarget {
 
 /// Restart state and status of a haptics controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "haptic_status", schema)]
+#[component(name = "haptic_status", record = RecordPolicy::sampled(10.0, 1e-7), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticStatus {
     /// Energy that the driver observed at the device's port since the start \[J\]; passive while not negative.

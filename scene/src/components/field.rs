@@ -6,7 +6,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// Fields that one entity can have.
 const FIELDS_MAX: usize = 16;
@@ -30,7 +30,7 @@ pub struct ScalarField {
 
 /// The fields of an entity with [`VertexPositions`](super::VertexPositions), each under a name of its own.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "scalar_fields", check = Self::validate, schema)]
+#[component(name = "scalar_fields", record = RecordPolicy::sampled(5.0, 0.001), check = Self::validate, schema)]
 #[serde(deny_unknown_fields)]
 pub struct ScalarFields {
     /// All of them; at most 16.

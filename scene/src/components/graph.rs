@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::entity::Entity;
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// Name of an entity in files and messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
@@ -21,7 +21,7 @@ pub struct Parent(#[schemars(with = "String")] pub Entity);
 
 /// Position \[m\] and rotation: `parent_from_entity`, or `world_from_entity` without a [`Parent`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "pose", check = Self::validate, schema)]
+#[component(name = "pose", record = RecordPolicy::sampled(60.0, 2.5e-7), check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pose {
     /// Origin of the entity's frame in the parent's \[m\].
@@ -66,7 +66,7 @@ pub(crate) fn check_rotation(rotation: &UnitQuaternion<f64>) -> Result<(), Compo
 
 /// Linear \[m/s\] and angular \[rad/s\] velocity of the entity's origin, in world axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "velocity", schema)]
+#[component(name = "velocity", record = RecordPolicy::sampled(30.0, 0.0001), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Velocity {
     /// Velocity of the origin \[m/s\].

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::components::graph::{Pose, Velocity};
 use crate::entity::Entity;
 use crate::time::SimTime;
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// What kind of instrument it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -168,7 +168,7 @@ impl Default for Port {
 
 /// Target of an instrument, from its hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "instrument_target", check = Self::validate, schema)]
+#[component(name = "instrument_target", record = RecordPolicy::sampled(60.0, 2.5e-7), check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentTarget {
     /// Target of `world_from_instrument`.
@@ -189,7 +189,7 @@ impl InstrumentTarget {
 
 /// State of the jaws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "jaw_state", schema)]
+#[component(name = "jaw_state", record = RecordPolicy::sampled(60.0, 1e-6), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct JawState {
     /// Actual full opening \[rad\].
@@ -231,7 +231,7 @@ impl Activation {
 
 /// The wrench that the instrument exerts on the hand, at the tip, in world axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "instrument_force", schema)]
+#[component(name = "instrument_force", record = RecordPolicy::sampled(100.0, 0.0001), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentForce {
     /// Force \[N\].
@@ -280,7 +280,7 @@ pub struct ContactPlane {
 
 /// Time-stamped local contact model of an instrument, which haptics evaluates at its own rate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "local_contact_model", schema)]
+#[component(name = "local_contact_model", record = RecordPolicy::sampled(30.0, 1e-5), schema)]
 #[serde(deny_unknown_fields)]
 pub struct LocalContactModel {
     /// Pose of the simulated tip at `at`, in world.

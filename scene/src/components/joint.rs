@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Pose;
 use crate::entity::Entity;
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// Most joints that one entity lists.
 pub const JOINTS_MAX: usize = 64;
@@ -191,7 +191,7 @@ pub struct JointLoad {
 
 /// What an entity's joints bear, as the controller of rigid bodies measures it in the last step of each tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "joint_state")]
+#[component(name = "joint_state", record = RecordPolicy::sampled(60.0, 1e-6))]
 #[serde(deny_unknown_fields)]
 pub struct JointState {
     /// One for each joint, in their order.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// How a rigid body moves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -129,7 +129,7 @@ impl Tissue {
 
 /// Temperature per vertex \[°C\].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "temperature", schema)]
+#[component(name = "temperature", record = RecordPolicy::sampled(10.0, 0.05), schema)]
 #[serde(deny_unknown_fields)]
 pub struct Temperature {
     /// One value per vertex \[°C\].
@@ -138,7 +138,7 @@ pub struct Temperature {
 
 /// Burn damage per vertex: the Arrhenius integral Ω (Henriques, Moritz 1947).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "burn", schema)]
+#[component(name = "burn", record = RecordPolicy::sampled(10.0, 0.001), schema)]
 #[serde(deny_unknown_fields)]
 pub struct Burn {
     /// One Ω per vertex; 1 means that 63 % of the protein is denatured.

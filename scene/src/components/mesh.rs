@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Component;
+use crate::{Component, RecordPolicy};
 
 /// Triangles of a surface, as indices into [`VertexPositions`].
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
@@ -50,7 +50,7 @@ pub struct LineMesh {
 
 /// Vertices in the entity's frame \[m\].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "vertex_positions", schema)]
+#[component(name = "vertex_positions", record = RecordPolicy::sampled(30.0, 4e-6), schema)]
 #[serde(deny_unknown_fields)]
 pub struct VertexPositions {
     /// One point per vertex \[m\].

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Component, ComponentError};
+use crate::{Component, ComponentError, RecordPolicy};
 
 /// Particles that one entity can have.
 pub const PARTICLES_MAX: usize = 65_536;
@@ -24,7 +24,7 @@ pub enum ParticleKind {
 
 /// Particles in the entity's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "particles", check = Self::validate, schema)]
+#[component(name = "particles", record = RecordPolicy::sampled(20.0, 0.0001), check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Particles {
     /// Kind of matter.

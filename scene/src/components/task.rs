@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Component;
 use crate::entity::Entity;
+use crate::{Component, RecordPolicy};
 
 /// An error of the trainee.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -96,7 +96,7 @@ impl TaskState {
 
 /// Measurements of a controller about its simulation: areas, volumes, energies, slips; on the controller's own entity.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "measured", schema)]
+#[component(name = "measured", record = RecordPolicy::sampled(30.0, 1e-6), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Measured {
     /// Name → value, SI units, the unit at the end of the name: `cut_area_m2`.
@@ -105,7 +105,7 @@ pub struct Measured {
 
 /// Vital signs of the patient.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "vital_signs", schema)]
+#[component(name = "vital_signs", record = RecordPolicy::sampled(5.0, 0.001), schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VitalSigns {
     /// Heart rate \[1/min\].

@@ -50,6 +50,12 @@ pub enum Command {
     List(ListArgs),
     /// Play a recording back, commit by commit, and compare the state hash
     Replay(ReplayArgs),
+    /// Recordings: count what they hold
+    Recording {
+        /// What to do
+        #[command(subcommand)]
+        command: crate::recording::RecordingCommand,
+    },
     /// Draw who acts in a scenario, at which rates, and what flows between them
     Graph(GraphArgs),
     /// Measure figures beside the floors of this machine
@@ -159,6 +165,9 @@ pub struct RunArgs {
     /// Recording (MCAP) [default: SCENARIO.mcap]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub record: Option<PathBuf>,
+    /// Record every commit to the last bit; otherwise some components are sampled and rounded
+    #[arg(long, conflicts_with = "no_record", help_heading = "Output")]
+    pub record_exact: bool,
     /// Do not record
     #[arg(long, conflicts_with = "record", help_heading = "Output")]
     pub no_record: bool,

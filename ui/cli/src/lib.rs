@@ -26,6 +26,7 @@ mod mesh;
 mod new;
 mod output;
 mod pictures;
+mod recording;
 mod replay;
 mod report;
 mod run;
@@ -92,6 +93,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Run(args) => run::run(app, &args),
         Command::List(args) => list::list(app, &args),
         Command::Replay(args) => replay::replay(app, &args),
+        Command::Recording { command } => recording::recording(&command),
         Command::Graph(args) => graph::graph(app, &args),
         Command::Bench(args) => bench::bench(&args),
         Command::Tune(args) => tune::tune(&args),

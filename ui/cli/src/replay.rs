@@ -128,7 +128,8 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
         photographer.finish(replay.view(), summary);
     }
     summary.sim_secs = replay.time().as_secs_f64();
-    summary.state_hash = Some(replay.hash().to_string());
+    summary.stored_hash = Some(replay.hash().to_string());
+    summary.state_hash = recording.end().map(|end| end.state_hash.clone());
     summary.task = task_summary(replay.view());
     summary.force_newtons_max = force_newtons_max;
     summary.penetration_max =
@@ -141,15 +142,16 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
         .iter()
         .map(|gap| format!("the recording has a gap at {:.3} s", gap.time.as_secs_f64()))
         .collect();
+    failures.extend(replay.damage().iter().map(|what| format!("the recording is damaged {what}")));
     failures.extend(recording.truncation().map(|what| {
         format!("the recording is cut short: {what}; its first {:.2} s are whole", summary.sim_secs)
     }));
     failures.extend(diverged.map(|error| error.to_string()));
     if let Some(end) = recording.end()
         && end.complete
-        && Some(&end.hash) != summary.state_hash.as_ref()
+        && Some(&end.hash) != summary.stored_hash.as_ref()
     {
-        failures.push(format!("the replay ends in another state hash; recorded was {}", end.hash));
+        failures.push(format!("the replay ends in another hash; recorded was {}", end.hash));
     }
     if let Some(file) = &args.report {
         summary.report = Some(file.display().to_string());

@@ -113,6 +113,7 @@ fn attempt(
     options.seconds = args.seconds;
     options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = files.record.clone();
+    options.recorder.exact = args.record_exact;
     options.play = args.play;
 
     if options.lockstep && app.actors().next().is_some() {

@@ -7,7 +7,7 @@ use std::path::Path;
 use rand_pcg::Pcg32;
 use rand_pcg::rand_core::RngCore;
 use trocar_kernel::faults::{During, FaultKind, FaultPlan, TargetClass, secs};
-use trocar_kernel::recorder::{Recording, Replay};
+use trocar_kernel::recorder::{RecorderOptions, Recording, Replay};
 use trocar_kernel::spec::{MODEL, RECORDER};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{CollisionList, DeviceForce, Pose, SimTime, Snapshot, TaskState, Velocity};
@@ -92,6 +92,8 @@ pub fn soak(
         seed,
         faults: Some(plan),
         record: Some(file.to_owned()),
+        // What is checked is that no batch is lost.
+        recorder: RecorderOptions::exact(),
         ..RunOptions::default()
     };
     let mut violations = Vec::new();

@@ -102,9 +102,11 @@ pub struct RunSummary {
     pub bodies_frozen: u64,
     /// The first 64 of them, in order.
     pub frozen_bodies: Vec<FrozenBody>,
+    /// Of a replay: the hash over what the recording stores, as the replay found it.
+    pub stored_hash: Option<String>,
     /// File of the recording.
     pub recording: Option<String>,
-    /// Whether the recording holds every commit; false without a recording.
+    /// Whether the recording has no gaps; false without a recording.
     pub recording_complete: bool,
     /// File of the report.
     pub report: Option<String>,
@@ -144,6 +146,7 @@ impl RunSummary {
             unkept_contacts: Vec::new(),
             bodies_frozen: 0,
             frozen_bodies: Vec::new(),
+            stored_hash: None,
             recording: None,
             recording_complete: false,
             report: None,

@@ -9,7 +9,8 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::components::{Detection, LineMesh, Primitive};
 use trocar_scene::{
-    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Snapshot, Tick,
+    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, RecordPolicy,
+    Snapshot, Tick,
 };
 
 use super::bodies::{self, Body, Change, RequiredGeometry};
@@ -49,7 +50,7 @@ pub struct HeldImpact {
 
 /// Held impacts of a controller of continuous detection; on its own entity.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "held_impacts")]
+#[component(name = "held_impacts", record = RecordPolicy::sampled(10.0, 1e-5))]
 pub struct HeldImpacts {
     /// In the order in which they met.
     pub held: Vec<HeldImpact>,

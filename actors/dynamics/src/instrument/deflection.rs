@@ -7,7 +7,7 @@
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, Entity, SimTime};
+use trocar_scene::{Component, Entity, RecordPolicy, SimTime};
 
 /// How one body holds an instrument back. All vectors in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,7 +27,7 @@ pub struct InstrumentYield {
 
 /// How a body's simulator holds instruments back; on the body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "instrument_yields")]
+#[component(name = "instrument_yields", record = RecordPolicy::sampled(30.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentYields {
     /// Those that it displaces.
@@ -59,7 +59,7 @@ pub struct Displacement {
 /// How far an instrument's pose is displaced from where its hand leads it; on the instrument. An instrument without it does
 /// not give way to bodies that hold it back in this way.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "instrument_deflection")]
+#[component(name = "instrument_deflection", record = RecordPolicy::sampled(30.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentDeflection {
     /// The bodies that displace it, and by how much.

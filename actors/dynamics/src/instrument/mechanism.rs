@@ -3,12 +3,12 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::Component;
 use trocar_scene::components::InstrumentTarget;
+use trocar_scene::{Component, RecordPolicy};
 
 /// Internal state of an instrument's jaws and coupling.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
-#[component(name = "mechanism_state")]
+#[component(name = "mechanism_state", record = RecordPolicy::sampled(20.0, 2.5e-7))]
 #[serde(default, deny_unknown_fields)]
 pub struct MechanismState {
     /// Angle between the jaws' bisector and the shaft's axis, about +y \[rad\].

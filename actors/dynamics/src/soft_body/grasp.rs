@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, Instrument};
+use trocar_scene::{Component, Instrument, RecordPolicy};
 
 use super::jaws::{AT_REST, holds, is_closed, opening};
 use super::method::{StepContext, SurfaceChange};
@@ -11,7 +11,7 @@ use crate::picking::{Jaws, Picks};
 
 /// The grasps on a body: saved in the scene, so that they survive a restart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "grips")]
+#[component(name = "grips", record = RecordPolicy::sampled(10.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct Grips {
     /// By instrument.

@@ -6,7 +6,9 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Commands, Component, ComponentError, Entity, Instrument, SimTime, Snapshot, Tick};
+use trocar_scene::{
+    Commands, Component, ComponentError, Entity, Instrument, RecordPolicy, SimTime, Snapshot, Tick,
+};
 
 use super::Deformable;
 use crate::picking::{Pick, Picks};
@@ -81,7 +83,7 @@ pub struct StrainedGrip {
 
 /// The grips on a body whose jaws hold hardly enough: saved in the scene, so that a restart goes on with them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "strained_grips")]
+#[component(name = "strained_grips", record = RecordPolicy::sampled(10.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct StrainedGrips {
     /// By instrument.

@@ -6,7 +6,7 @@
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, Entity, EntitySet, Snapshot, Tick};
+use trocar_scene::{Access, Commands, Component, Entity, EntitySet, RecordPolicy, Snapshot, Tick};
 
 use super::held_back::HeldBack;
 use super::instrument_rods::Rod;
@@ -19,7 +19,7 @@ const PUT: f64 = 0.2;
 /// Where the last step of a body left the rods; on the body, while rods are near it, so that another life of its controller
 /// goes on from there.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "rod_paths")]
+#[component(name = "rod_paths", record = RecordPolicy::sampled(10.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct RodPaths {
     /// Number of that step.

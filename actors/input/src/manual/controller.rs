@@ -6,7 +6,7 @@ use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
     Access, Activation, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo,
     DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, Name, Parent, PersonInput, PersonView,
-    Port, Pose, Side, SimTime, Snapshot, Tick,
+    Port, Pose, RecordPolicy, Side, SimTime, Snapshot, Tick,
 };
 
 use nalgebra::{Isometry3, Vector3};
@@ -28,7 +28,7 @@ pub struct NoHands;
 
 /// Restart state, on the controller's own entity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "manual_state")]
+#[component(name = "manual_state", record = RecordPolicy::sampled(20.0, 2.5e-7))]
 pub struct ManualState {
     /// Source of the totals seen last: [`PersonInput::source`].
     pub source: u32,

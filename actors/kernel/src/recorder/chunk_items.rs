@@ -1,20 +1,26 @@
 //! Items of a recording, and their decoding from the chunks of an MCAP file.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use trocar_scene::{ComponentError, Registry, SimTime, Store};
 
+use super::block;
 use super::bytes::Bytes;
-use super::format::{COMMITS, GAPS, Gap, Group, KEYFRAMES, decode_keyframe_header};
+use super::columns::History;
+use super::format::{Gap, Group, channel};
 use super::mcap_records::op;
 use crate::state_hash::StateHash;
+
+/// Longest unpacked chunk of messages for tools.
+const UNPACKED_MAX: u64 = 256 << 20;
 
 /// The whole scene at one revision.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
-    /// The state hash of that revision.
+    /// The hash of what is stored, at that revision.
     pub hash: StateHash,
+    /// The Model's hash of that revision.
+    pub state_hash: StateHash,
     /// The time at which it was written.
     pub time: SimTime,
     scene: Vec<u8>,
@@ -34,6 +40,10 @@ impl Keyframe {
             Err(ComponentError::Malformed(format!("{} bytes too many in a keyframe", rest.len())))
         }
     }
+    /// The scene as [`Snapshot::encode`](trocar_scene::Snapshot::encode) wrote it.
+    pub fn scene(&self) -> &[u8] {
+        &self.scene
+    }
     /// Its offset in the file.
     pub fn offset(&self) -> u64 {
         self.offset
@@ -43,87 +53,123 @@ impl Keyframe {
 /// An item of a recording, in order.
 #[derive(Clone, Debug)]
 pub enum Item {
-    /// The commits of one publication.
+    /// What is kept of the commits of one block.
     Commits(Group),
     /// The whole scene.
     Keyframe(Keyframe),
     /// A gap; a keyframe follows.
     Gap(Gap),
+    /// A damaged part of the file; what follows is whole, but up to the next keyframe it lacks what was lost here.
+    Damage(String),
 }
 
-/// The records of a chunk, after its checksum.
-fn records(body: &[u8]) -> Result<&[u8], String> {
+/// The records of a chunk, unpacked and checked.
+pub(super) fn records(body: &[u8]) -> Result<Vec<u8>, String> {
     let mut body = Bytes(body);
     body.take(16)?;
-    let _uncompressed = body.u64()?;
+    let unpacked = body.u64()?;
     let crc = body.u32()?;
     let compression = body.text()?;
-    if !compression.is_empty() {
-        return Err(format!("compressed with '{compression}'; recordings of trocar are not compressed"));
-    }
     let length = body.u64()?;
-    let records = body.take(length)?;
-    if crc != 0 && crc32fast::hash(records) != crc {
+    let packed = body.take(length)?;
+    let records = match compression.as_str() {
+        "" => packed.to_vec(),
+        "lz4" => {
+            // LZ4 makes at most 255 bytes of one.
+            if unpacked > UNPACKED_MAX || unpacked > 255 * (packed.len() as u64 + 1) {
+                return Err(format!("a chunk of {unpacked} bytes in {} packed ones", packed.len()));
+            }
+            let mut records = Vec::new();
+            let decoder = lz4_flex::frame::FrameDecoder::new(packed);
+            std::io::Read::read_to_end(&mut std::io::Read::take(decoder, unpacked + 1), &mut records)
+                .map_err(|error| format!("the chunk does not unpack: {error}"))?;
+            records
+        }
+        other => return Err(format!("a chunk is compressed with '{other}'; valid: lz4, or not at all")),
+    };
+    // A checksum of zero is none.
+    if crc != 0 && crc32fast::hash(&records) != crc {
         return Err("the checksum of the chunk is wrong".to_owned());
     }
     Ok(records)
 }
 
-/// Map of channels to topics, read from the first chunk.
-pub(super) fn parse_topics(body: &[u8]) -> Result<BTreeMap<u16, String>, String> {
-    let mut records = Bytes(records(body)?);
-    let mut topics = BTreeMap::new();
-    while !records.0.is_empty() {
-        let opcode = records.u8()?;
-        let length = records.u64()?;
-        let mut record = Bytes(records.take(length)?);
-        if opcode == op::CHANNEL {
-            let id = record.u16()?;
-            let _schema = record.u16()?;
-            topics.insert(id, record.text()?);
-        }
-    }
-    Ok(topics)
+/// A message of a chunk.
+pub(super) struct Message<'a> {
+    pub(super) channel: u16,
+    pub(super) time: SimTime,
+    pub(super) data: &'a [u8],
 }
 
-/// The items of a chunk that begins at `offset` of its file.
-pub(super) fn parse_chunk(
-    body: &[u8],
-    topics: &BTreeMap<u16, String>,
-    offset: u64,
-) -> Result<Vec<Item>, String> {
-    let mut records = Bytes(records(body)?);
-    let mut items = Vec::new();
-    while !records.0.is_empty() {
-        let opcode = records.u8()?;
-        let length = records.u64()?;
-        let mut record = Bytes(records.take(length)?);
-        if opcode == op::MESSAGE {
-            let channel = record.u16()?;
-            let _sequence = record.u32()?;
-            let time = SimTime(record.u64()?);
-            let _published = record.u64()?;
-            let topic = topics.get(&channel).map(String::as_str);
-            items.extend(parse_message(topic, time, record.0, offset)?);
+/// The messages among the records of a chunk.
+pub(super) fn messages(records: &[u8]) -> impl Iterator<Item = Result<Message<'_>, String>> {
+    let mut records = Bytes(records);
+    std::iter::from_fn(move || {
+        while !records.0.is_empty() {
+            match message(&mut records) {
+                Ok(None) => {}
+                Ok(Some(message)) => return Some(Ok(message)),
+                Err(error) => {
+                    records.0 = &[];
+                    return Some(Err(error));
+                }
+            }
         }
-    }
-    Ok(items)
+        None
+    })
 }
 
-/// Parses a message of our own topics; other topics are for other tools.
-fn parse_message(
-    topic: Option<&str>,
-    time: SimTime,
-    data: &[u8],
-    offset: u64,
-) -> Result<Option<Item>, String> {
-    Ok(Some(match topic {
-        Some(COMMITS) => Item::Commits(Group::decode(data)?),
-        Some(KEYFRAMES) => {
-            let (hash, scene) = decode_keyframe_header(data)?;
-            Item::Keyframe(Keyframe { hash, time, scene: scene.to_vec(), offset })
+fn message<'a>(records: &mut Bytes<'a>) -> Result<Option<Message<'a>>, String> {
+    let opcode = records.u8()?;
+    let length = records.u64()?;
+    let mut record = Bytes(records.take(length)?);
+    if opcode != op::MESSAGE {
+        return Ok(None);
+    }
+    let channel = record.u16()?;
+    let _sequence = record.u32()?;
+    let time = SimTime(record.u64()?);
+    let _published = record.u64()?;
+    Ok(Some(Message { channel, time, data: record.0 }))
+}
+
+/// The items of a chunk that begins at `offset` of its file. What is behind a damaged message is read as far as it can be.
+pub(super) fn parse_chunk(body: &[u8], offset: u64) -> Vec<Item> {
+    let records = match records(body) {
+        Ok(records) => records,
+        Err(error) => return vec![damage(offset, &error)],
+    };
+    let (mut items, mut history) = (Vec::new(), History::default());
+    for message in messages(&records) {
+        let item = message.and_then(|message| parse_message(&message, &mut history, offset));
+        match item {
+            Ok(item) => items.extend(item),
+            Err(error) => {
+                items.push(damage(offset, &error));
+                break;
+            }
         }
-        Some(GAPS) => Item::Gap(serde_json::from_slice(data).map_err(|error| format!("a gap: {error}"))?),
+    }
+    items
+}
+
+pub(super) fn damage(offset: u64, what: &str) -> Item {
+    Item::Damage(format!("at byte {offset}: {what}"))
+}
+
+/// Parses a message of our own channels; the others are for other tools.
+fn parse_message(message: &Message<'_>, history: &mut History, offset: u64) -> Result<Option<Item>, String> {
+    Ok(Some(match message.channel {
+        channel::COMMITS => Item::Commits(Group::new(block::decode(message.data, history)?)),
+        channel::KEYFRAMES => {
+            let block = block::decode(message.data, history)?;
+            let (hash, state_hash, time) = (block.stored, block.state, message.time);
+            let scene = block.commits.into_iter().next().ok_or("a keyframe without a scene")?.payload;
+            Item::Keyframe(Keyframe { hash, state_hash, time, scene, offset })
+        }
+        channel::GAPS => {
+            Item::Gap(serde_json::from_slice(message.data).map_err(|error| format!("a gap: {error}"))?)
+        }
         _ => return Ok(None),
     }))
 }

@@ -4,7 +4,8 @@
 use std::collections::BTreeMap;
 
 use super::mcap_records::{
-    self as records, AttachmentEntry, Channel, ChunkEntry, MAGIC, MetadataEntry, Schema, Statistics, op,
+    self as records, AttachmentEntry, Channel, ChunkEntry, Compression, MAGIC, MetadataEntry, Schema,
+    Statistics, op,
 };
 
 /// An open chunk: messages as records, with the data for the chunk's index.
@@ -29,6 +30,10 @@ impl OpenChunk {
     }
     pub(super) fn len(&self) -> usize {
         self.records.len()
+    }
+    /// Whether it holds a declared gap and nothing else, or nothing.
+    pub(super) fn holds_only_a_gap(&self) -> bool {
+        self.messages.iter().all(|(channel, ..)| *channel == super::format::channel::GAPS)
     }
     pub(super) fn mark(&self) -> Mark {
         Mark { bytes: self.records.len(), messages: self.messages.len() }
@@ -109,7 +114,7 @@ impl Container {
     }
 
     /// Closes a chunk: appends it with its message indexes to `out` and leaves it empty.
-    pub(super) fn seal(&mut self, chunk: &mut OpenChunk, out: &mut Vec<u8>) {
+    pub(super) fn seal(&mut self, chunk: &mut OpenChunk, compression: Compression, out: &mut Vec<u8>) {
         if chunk.records.is_empty() {
             return;
         }
@@ -119,7 +124,9 @@ impl Container {
         for (channel, time, offset) in &chunk.messages {
             by_channel.entry(*channel).or_default().push((*time, *offset));
         }
-        let (offset, length) = self.append(out, |out| records::chunk(bounds, &chunk.records, out));
+        let mut packed = 0;
+        let (offset, length) =
+            self.append(out, |out| packed = records::chunk(bounds, &chunk.records, compression, out));
         let mut indexes = BTreeMap::new();
         for (channel, entries) in &by_channel {
             let (at, _) = self.append(out, |out| records::message_index(*channel, entries, out));
@@ -137,7 +144,9 @@ impl Container {
             length,
             indexes_length: self.position - offset - length,
             indexes,
+            compression,
             size: chunk.records.len() as u64,
+            packed,
         });
         chunk.roll_back(Mark::default());
     }

@@ -9,7 +9,8 @@ use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snaps
 use super::commit_sink::RecorderSink;
 use super::gate::Gate;
 use super::handover::Handover;
-use super::journal::{Journal, LifeBuffers};
+use super::journal::Journal;
+use super::life_buffers::LifeBuffers;
 use super::options::{RecorderError, RecorderOptions, RecordingHead};
 use super::write_buffer::WriteBuffer;
 use crate::spec::{ControllerSpec, RECORDER, SessionSpec};
@@ -75,12 +76,8 @@ impl Recorder {
         let handover = self.handover.clone();
         let mut spec =
             ControllerSpec::new(RECORDER, WRITER, RuntimeClass::Recorder, RATE_HZ, move |context| {
-                handover.take_over(context.epoch)?;
-                let life = RecorderController {
-                    handover: handover.clone(),
-                    epoch: context.epoch,
-                    buffers: LifeBuffers::default(),
-                };
+                let buffers = handover.take_over(context.epoch)?;
+                let life = RecorderController { handover: handover.clone(), epoch: context.epoch, buffers };
                 Ok(Box::new(life) as Box<dyn Controller>)
             });
         spec.child = spec.child.with_heartbeat_limit(HEARTBEAT_LIMIT);

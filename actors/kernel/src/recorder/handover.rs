@@ -8,7 +8,8 @@ use rtrb::{Consumer, Producer};
 use trocar_scene::{ControllerError, SimTime, Snapshot};
 
 use super::gate::{Gate, WritePermit};
-use super::journal::{Journal, LifeBuffers};
+use super::journal::Journal;
+use super::life_buffers::LifeBuffers;
 use crate::commit::CommitBuffer;
 use crate::spec::{FaultKind, FaultOrder, FaultSink, Fence};
 use crate::state_hash::StateHash;
@@ -74,20 +75,22 @@ impl Handover {
         }
     }
 
-    /// Begins a life: from now on only it may write.
+    /// Begins a life: from now on only it may write. Returns its buffers.
     ///
     /// # Errors
     /// When an earlier life hangs in a write to the disk, or the file cannot be truncated to its known state.
-    pub(super) fn take_over(&self, epoch: u32) -> Result<(), ControllerError> {
+    pub(super) fn take_over(&self, epoch: u32) -> Result<LifeBuffers, ControllerError> {
         self.gate.raise(epoch);
         let Some(mut state) = self.state() else {
             let reason = "an earlier life of the recorder still waits for the disk to take a write";
             return Err(ControllerError::Device(reason.to_owned()));
         };
-        match state.journal.as_mut().map(Journal::resume) {
-            Some(Ok(())) => Ok(()),
-            Some(Err(error)) => Err(ControllerError::Device(format!("the recording: {error}"))),
-            None => Err(ControllerError::Failed("the recording is closed".to_owned())),
+        let Some(journal) = &mut state.journal else {
+            return Err(ControllerError::Failed("the recording is closed".to_owned()));
+        };
+        match journal.resume() {
+            Ok(()) => Ok(journal.buffers()),
+            Err(error) => Err(ControllerError::Device(format!("the recording: {error}"))),
         }
     }
 
@@ -112,7 +115,7 @@ impl Handover {
         }
         state.take_publications(buffers, permit);
         if let Some(journal) = &mut state.journal {
-            journal.passed(now, permit);
+            journal.passed(buffers, now, permit);
             self.gate.set_sound(journal.is_sound());
         }
         Ok(())
@@ -131,11 +134,12 @@ impl Handover {
                 None => return false,
             }
         };
-        let resumed = state.journal.as_mut().is_some_and(|journal| journal.resume().is_ok());
-        if !resumed {
-            return false;
-        }
-        state.take_publications(&mut LifeBuffers::default(), permit);
+        let buffers = state.journal.as_mut().and_then(|journal| {
+            journal.resume().ok()?;
+            Some(journal.buffers())
+        });
+        let Some(mut buffers) = buffers else { return false };
+        state.take_publications(&mut buffers, permit);
         let Some(mut journal) = state.journal.take() else { return false };
         journal.wait(SimTime::from(limit), permit);
         let mut last = state.last.take();
@@ -143,7 +147,7 @@ impl Handover {
             journal.begin_gap(reason.to_owned());
             last = Some((snapshot, hash));
         }
-        journal.close(last.as_ref().map(|(snapshot, hash)| (&**snapshot, *hash)), permit)
+        journal.close(&mut buffers, last.as_ref().map(|(snapshot, hash)| (&**snapshot, *hash)), permit)
     }
 }
 

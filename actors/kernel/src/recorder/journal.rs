@@ -1,60 +1,80 @@
 //! Journal of a recording: the plain data that survives a restart of the recorder and from which its next life
 //! continues.
 //!
-//! Messages wait in an open chunk, closed chunks wait in the write buffer, and written chunks are only counted. A life
-//! that dies between two publications therefore loses nothing; one that dies during a publication loses that
-//! publication, which becomes a declared gap.
+//! ```text
+//! commits ─▶ open block ─▶ open chunk ─▶ write buffer ─▶ disk
+//!            100 ms        500 ms
+//! ```
+//! What has been written is only counted. A life that dies between two publications therefore loses nothing; one that
+//! dies during a publication loses that publication, and one that dies while a block is encoded loses the block; what is
+//! lost becomes a declared gap.
 
 use std::collections::BTreeMap;
 use std::io;
 
 use serde_json::Value;
-use trocar_scene::{ComponentError, RecordPolicy, Revision, SimTime, Snapshot};
+use trocar_scene::{ComponentError, Provenance, Revision, SimTime, Snapshot, WriterId};
 
+use super::block::CommitHead;
+use super::byte_counts::ByteCounts;
+use super::columns::History;
 use super::container::{Container, Mark, OpenChunk};
-use super::format::{
-    COMMITS, COMPONENT, EVENTS, GAPS, Gap, KEYFRAMES, META, META_DEVICES, META_END, PROFILE, SCENARIO,
-    SCHEMA, TF, encode_group, encode_keyframe_header,
-};
+use super::format::{Gap, META_BYTES, META_END, PROFILE, channel};
 use super::gate::WritePermit;
-use super::json_channels::{self, EVENT_SCHEMA, Frames, TF_SCHEMA};
-use super::mcap_records::{Channel, Schema};
+use super::head::{channels, schemas, write_head};
+use super::json_channels;
+use super::life_buffers::LifeBuffers;
+use super::mcap_records::Compression;
+use super::open_block::{BlockMark, OpenBlock};
 use super::options::{RecorderOptions, RecordingHead};
 use super::write_buffer::WriteBuffer;
 use crate::commit::CommitBuffer;
-use crate::state_hash::StateHash;
+use crate::spec::RECORDER;
+use crate::state_hash::{Chain, CommitKind, StateHash};
 
-/// An open chunk of this size is closed.
+/// An open chunk or block of this size is closed.
 const CHUNK_BYTES: usize = 1 << 20;
+/// Payloads of this size close a block before its time.
+const BLOCK_BYTES: usize = 8 << 20;
 /// Reason for the gap after a life that ended during a publication.
 const TORN: &str = "the recorder panicked while it took a publication";
 
-mod channel {
-    pub(super) const COMMITS: u16 = 1;
-    pub(super) const KEYFRAMES: u16 = 2;
-    pub(super) const GAPS: u16 = 3;
-    pub(super) const TF: u16 = 4;
-    pub(super) const EVENTS: u16 = 5;
-}
-
-/// State of one life: buffers and cached names. The next life does not reuse them.
-#[derive(Default)]
-pub(super) struct LifeBuffers {
-    scratch: Vec<u8>,
-    frames: Frames,
+/// What a life was doing, to be undone if it did not finish.
+#[derive(Clone, Copy, Debug)]
+struct Taking {
+    log: Mark,
+    tools: Mark,
+    block: BlockMark,
+    revision: Revision,
+    hash: StateHash,
+    stored: Chain,
 }
 
 /// A recording in the making.
 pub(super) struct Journal {
     container: Container,
-    chunk: OpenChunk,
+    /// Blocks, keyframes and gaps.
+    log: OpenChunk,
+    /// Messages for standard tools.
+    tools: OpenChunk,
+    block: OpenBlock,
+    /// What the next block of the open chunk is predicted from.
+    history: History,
     write_buffer: WriteBuffer,
     /// Scratch buffer in which a chunk is assembled.
     sealed: Vec<u8>,
     sequence: u32,
+    samples: u64,
     options: RecorderOptions,
     revision: Revision,
+    /// The revision up to which blocks are closed.
+    closed: Revision,
+    /// The Model's hash.
     hash: StateHash,
+    /// The hash of what is stored.
+    stored: Chain,
+    /// The hash of what is stored in closed blocks.
+    stored_closed: Chain,
     time: SimTime,
     event_cursor: u64,
     tf_revision: Revision,
@@ -66,8 +86,13 @@ pub(super) struct Journal {
     /// An open gap: nothing was recorded since `revision`, with the reason.
     gap: Option<String>,
     complete: bool,
-    /// Start of the publication being recorded; still set after a panic during it.
-    taking: Option<Mark>,
+    /// Where to go back to when a publication cannot be recorded; still set after a panic.
+    taking: Option<Taking>,
+    /// The open block is being encoded; still set after a panic, of which the block may be the cause.
+    closing: bool,
+    /// The revision of the last keyframe.
+    keyframe: Revision,
+    counts: ByteCounts,
 }
 
 impl Journal {
@@ -80,20 +105,27 @@ impl Journal {
         options: RecorderOptions,
         permit: WritePermit<'_>,
     ) -> Result<Self, String> {
-        let (mut chunk, mut bytes) = (OpenChunk::default(), Vec::new());
+        let (mut tools, mut bytes) = (OpenChunk::default(), Vec::new());
         let library = concat!("trocar ", env!("CARGO_PKG_VERSION"));
         let mut container =
-            Container::begin((PROFILE, library), schemas(), channels(), &mut chunk, &mut bytes);
-        write_head(&mut container, head, scene, &mut bytes);
+            Container::begin((PROFILE, library), schemas(), channels(), &mut tools, &mut bytes);
+        write_head(&mut container, head, scene, options.exact, &mut bytes);
         let mut journal = Self {
             container,
-            chunk,
+            log: OpenChunk::default(),
+            tools,
+            block: OpenBlock::default(),
+            history: History::default(),
             write_buffer,
             sealed: Vec::new(),
             sequence: 0,
+            samples: 0,
             options,
             revision: scene.revision(),
+            closed: scene.revision(),
             hash,
+            stored: Chain::resume(hash),
+            stored_closed: Chain::resume(hash),
             time: SimTime::ZERO,
             event_cursor: scene.events().next(),
             tf_revision: Revision::ZERO,
@@ -104,11 +136,23 @@ impl Journal {
             gap: None,
             complete: true,
             taking: None,
+            closing: false,
+            keyframe: Revision::ZERO,
+            counts: ByteCounts::new(scene.registry()),
         };
         journal.write_buffer.append(&bytes);
-        journal.keyframe(&mut LifeBuffers::default(), scene, hash).map_err(|error| error.to_string())?;
+        // Schemas and channels stand before all messages.
+        journal.seal_tools();
+        let mut buffers = journal.buffers();
+        journal.keyframe(&mut buffers, scene).map_err(|error| error.to_string())?;
         journal.flush(permit);
         journal.write_buffer.refusal.take().map_or(Ok(journal), |error| Err(error.to_string()))
+    }
+
+    /// The buffers of a new life.
+    pub(super) fn buffers(&self) -> LifeBuffers {
+        // What has not changed since the last keyframe is stored in it.
+        LifeBuffers::new(self.counts.registry(), self.options.exact, self.keyframe)
     }
 
     /// Takes over from a failed life, at whatever point it failed.
@@ -116,11 +160,47 @@ impl Journal {
     /// # Errors
     /// When the file cannot be truncated to its known state.
     pub(super) fn resume(&mut self) -> io::Result<()> {
-        if let Some(mark) = self.taking.take() {
-            self.chunk.roll_back(mark);
+        if let Some(taking) = self.taking.take() {
+            self.go_back(taking);
+            self.begin_gap(TORN.to_owned());
+        }
+        if std::mem::take(&mut self.closing) {
+            self.drop_block();
             self.begin_gap(TORN.to_owned());
         }
         self.write_buffer.resume()
+    }
+
+    fn go_back(&mut self, taking: Taking) {
+        self.log.roll_back(taking.log);
+        self.tools.roll_back(taking.tools);
+        self.block.roll_back(taking.block);
+        (self.revision, self.hash, self.stored) = (taking.revision, taking.hash, taking.stored);
+    }
+
+    fn place(&self) -> Taking {
+        Taking {
+            log: self.log.mark(),
+            tools: self.tools.mark(),
+            block: self.block.mark(),
+            revision: self.revision,
+            hash: self.hash,
+            stored: self.stored,
+        }
+    }
+
+    /// What has been recorded so far stays, whatever becomes of the rest of a publication.
+    fn keep_so_far(&mut self) {
+        if self.taking.is_some() {
+            self.taking = Some(self.place());
+        }
+    }
+
+    /// Gives up the open block, with the predictions that have been made from it.
+    fn drop_block(&mut self) {
+        self.block.clear();
+        (self.revision, self.stored) = (self.closed, self.stored_closed);
+        self.seal_log();
     }
 
     /// Records one publication; one that cannot be recorded becomes part of a gap.
@@ -143,33 +223,39 @@ impl Journal {
                 self.end_gap(buffers, snapshot, hash);
             }
         } else if !commits.is_empty() {
-            self.take(snapshot, hash, |journal| journal.write_commits(buffers, snapshot, commits, hash));
+            self.take(|journal| journal.write_commits(buffers, snapshot, commits, hash));
+            let begun = self.block.begun().unwrap_or(self.time);
+            if self.time.since(begun) >= self.options.block_period || self.block.len() >= BLOCK_BYTES {
+                self.close_block(buffers);
+            }
         }
-        if self.chunk.len() >= CHUNK_BYTES {
-            self.seal();
+        // By the time of what was published, so that the file does not depend on when the recorder had time for it.
+        if self.time >= self.next_flush {
+            self.seal_both(self.time);
+        }
+        if self.log.len() >= CHUNK_BYTES {
+            self.seal_log();
+        }
+        if self.tools.len() >= CHUNK_BYTES {
+            self.seal_tools();
         }
     }
 
-    /// Lets `write` write the records of one revision atomically: if it fails or panics, none of them stays.
-    fn take(
-        &mut self,
-        snapshot: &Snapshot,
-        hash: StateHash,
-        write: impl FnOnce(&mut Self) -> Result<(), ComponentError>,
-    ) {
-        let mark = self.chunk.mark();
-        self.taking = Some(mark);
+    fn seal_both(&mut self, now: SimTime) {
+        let next = self.next_flush + self.options.flush_period;
+        self.next_flush = if next <= now { now + self.options.flush_period } else { next };
+        self.seal_log();
+        self.seal_tools();
+    }
+
+    /// Lets `write` write atomically: if it fails or panics, nothing of it stays.
+    fn take(&mut self, write: impl FnOnce(&mut Self) -> Result<(), ComponentError>) {
+        self.taking = Some(self.place());
         let written = write(self);
-        self.taking = None;
-        match written {
-            Ok(()) => {
-                self.revision = snapshot.revision();
-                self.hash = hash;
-            }
-            Err(error) => {
-                self.chunk.roll_back(mark);
-                self.begin_gap(error.to_string());
-            }
+        let taking = self.taking.take();
+        if let (Err(error), Some(taking)) = (written, taking) {
+            self.go_back(taking);
+            self.begin_gap(error.to_string());
         }
     }
 
@@ -180,11 +266,93 @@ impl Journal {
         commits: &CommitBuffer,
         hash: StateHash,
     ) -> Result<(), ComponentError> {
-        buffers.scratch.clear();
-        encode_group(commits, hash, &mut buffers.scratch);
-        self.message(channel::COMMITS, &buffers.scratch);
-        self.side_channels(buffers, snapshot);
-        if self.time >= self.next_keyframe { self.keyframe(buffers, snapshot, hash) } else { Ok(()) }
+        for (commit, sections) in commits.with_sections() {
+            self.counts.add(&commit, &sections);
+            let mut payload = std::mem::take(&mut buffers.payload);
+            let kept = buffers.keeper.keep(&commit, &sections, &mut payload);
+            if let Ok(Some(kept)) = &kept {
+                if kept.removes {
+                    buffers.sampler.forget();
+                }
+                let (kind, revision, provenance) = (commit.kind, commit.revision, commit.provenance);
+                let head = CommitHead { kind, revision, writer: commit.writer, provenance };
+                self.store(&head, &payload, kept.puts);
+            }
+            buffers.payload = payload;
+            kept?;
+        }
+        let is_keyframe_due = self.time >= self.next_keyframe;
+        self.sample(buffers, snapshot, is_keyframe_due)?;
+        self.messages_for_tools(buffers, snapshot);
+        (self.revision, self.hash) = (snapshot.revision(), hash);
+        if is_keyframe_due { self.keyframe(buffers, snapshot) } else { Ok(()) }
+    }
+
+    /// Adds a commit to the open block, and to the hash of what is stored.
+    fn store(&mut self, head: &CommitHead<'_>, payload: &[u8], puts: (usize, usize)) {
+        let Provenance { tick, time, .. } = head.provenance;
+        self.stored.append(head.kind, head.writer, tick, time, payload);
+        self.block.push(head, payload, puts);
+    }
+
+    /// Stores the values of sampled components that are due, or all of them.
+    fn sample(
+        &mut self,
+        buffers: &mut LifeBuffers,
+        scene: &Snapshot,
+        everything: bool,
+    ) -> Result<(), ComponentError> {
+        let mut payload = std::mem::take(&mut buffers.payload);
+        let sampled = buffers.sampler.sample(scene, self.time, everything, &mut payload);
+        if let Ok(true) = sampled {
+            self.samples += 1;
+            let provenance = Provenance {
+                writer: WriterId(u16::MAX),
+                epoch: 1,
+                tick: self.samples,
+                time: self.time,
+                based_on: scene.revision(),
+            };
+            let revision = scene.revision();
+            let head = CommitHead { kind: CommitKind::Sample, revision, writer: RECORDER, provenance };
+            // Three counts of zero before the puts, two behind them.
+            self.store(&head, &payload, (3, payload.len() - 2));
+        }
+        buffers.payload = payload;
+        sampled.map(drop)
+    }
+
+    /// Encodes the open block into a message; a block that cannot be encoded becomes a gap.
+    fn close_block(&mut self, buffers: &mut LifeBuffers) {
+        if !self.block.is_empty() {
+            let mark = self.log.mark();
+            self.closing = true;
+            let encoded = self.encode_block(buffers);
+            self.closing = false;
+            if let Err(error) = encoded {
+                self.log.roll_back(mark);
+                self.drop_block();
+                buffers.forget();
+                self.begin_gap(error.to_string());
+                return;
+            }
+            self.block.clear();
+        }
+        (self.closed, self.stored_closed) = (self.revision, self.stored);
+        self.keep_so_far();
+    }
+
+    fn encode_block(&mut self, buffers: &mut LifeBuffers) -> Result<(), ComponentError> {
+        let base = self.closed;
+        buffers.encoder.begin(base);
+        for (head, payload, puts) in self.block.commits() {
+            buffers.encoder.commit(&head, payload, puts)?;
+        }
+        buffers.message.clear();
+        let hashes = (self.stored.head(), self.hash);
+        buffers.encoder.finish(hashes, base, &mut self.history, &mut buffers.message);
+        self.log_message(channel::COMMITS, &buffers.message);
+        Ok(())
     }
 
     /// Begins a gap, in which commits are missing until [`Self::end_gap`].
@@ -195,31 +363,46 @@ impl Journal {
 
     fn end_gap(&mut self, buffers: &mut LifeBuffers, snapshot: &Snapshot, hash: StateHash) {
         let Some(reason) = self.gap.take() else { return };
+        // What was taken before the gap is whole.
+        self.close_block(buffers);
         let gap = Gap { after: self.revision, until: snapshot.revision(), time: self.time, reason };
-        self.take(snapshot, hash, |journal| {
-            journal.message(channel::GAPS, &serde_json::to_vec(&gap).unwrap_or_default());
+        // What the keyframe holds is the first thing that is known again.
+        self.seal_log();
+        self.take(|journal| {
+            journal.log_message(channel::GAPS, &serde_json::to_vec(&gap).unwrap_or_default());
             journal.event_cursor = snapshot.events().next();
-            journal.keyframe(buffers, snapshot, hash)
+            (journal.revision, journal.closed, journal.hash) =
+                (snapshot.revision(), snapshot.revision(), hash);
+            journal.stored = Chain::resume(hash);
+            journal.stored_closed = journal.stored;
+            journal.keyframe(buffers, snapshot)
         });
     }
 
-    fn keyframe(
-        &mut self,
-        buffers: &mut LifeBuffers,
-        scene: &Snapshot,
-        hash: StateHash,
-    ) -> Result<(), ComponentError> {
-        buffers.scratch.clear();
-        encode_keyframe_header(hash, &mut buffers.scratch);
-        scene.encode(&mut buffers.scratch)?;
-        self.message(channel::KEYFRAMES, &buffers.scratch);
+    /// Writes the scene as it is stored: every sampled value rounded, which is what the commits before lead to.
+    fn keyframe(&mut self, buffers: &mut LifeBuffers, scene: &Snapshot) -> Result<(), ComponentError> {
+        self.close_block(buffers);
+        if self.gap.is_some() {
+            return Ok(());
+        }
+        if !self.log.holds_only_a_gap() {
+            self.seal_log();
+        }
+        buffers.keyframe(scene, (self.stored.head(), self.hash), &mut self.history)?;
+        // From here on samples are what has changed since.
+        let mut payload = std::mem::take(&mut buffers.payload);
+        let sampled = buffers.sampler.sample(scene, self.time, true, &mut payload);
+        buffers.payload = payload;
+        sampled?;
+        self.log_message(channel::KEYFRAMES, &buffers.message);
+        self.keyframe = scene.revision();
         self.next_keyframe = self.time + self.options.keyframe_period;
         // A viewer that starts here gets all frames.
         self.tf_revision = Revision::ZERO;
         Ok(())
     }
 
-    fn side_channels(&mut self, buffers: &mut LifeBuffers, scene: &Snapshot) {
+    fn messages_for_tools(&mut self, buffers: &mut LifeBuffers, scene: &Snapshot) {
         let events: Vec<Value> = scene
             .events()
             .since(self.event_cursor)
@@ -227,22 +410,27 @@ impl Journal {
             .collect();
         self.event_cursor = scene.events().next();
         for event in events {
-            self.message(channel::EVENTS, event.to_string().as_bytes());
+            self.tool_message(channel::EVENTS, &event);
         }
         if self.time >= self.next_tf {
             // Counted from the due time, so that irregular publications do not lower the rate.
             let next = self.next_tf + self.options.tf_period;
             self.next_tf = if next < self.time { self.time + self.options.tf_period } else { next };
             if let Some(transforms) = buffers.frames.transforms(scene, self.tf_revision, self.time) {
-                self.message(channel::TF, transforms.to_string().as_bytes());
+                self.tool_message(channel::TF, &transforms);
             }
             self.tf_revision = scene.revision();
         }
     }
 
-    fn message(&mut self, channel: u16, data: &[u8]) {
+    fn log_message(&mut self, channel: u16, data: &[u8]) {
         self.sequence = self.sequence.wrapping_add(1);
-        self.chunk.message(channel, self.sequence, self.time.as_nanos(), data);
+        self.log.message(channel, self.sequence, self.time.as_nanos(), data);
+    }
+
+    fn tool_message(&mut self, channel: u16, value: &Value) {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.tools.message(channel, self.sequence, self.time.as_nanos(), value.to_string().as_bytes());
     }
 
     /// Called when a life returns to the journal at `now`: a slow disk has progressed since.
@@ -257,12 +445,11 @@ impl Journal {
         self.write_buffer.ration(permit.disk_rate().map(|rate| rate * span.as_secs_f64()));
     }
 
-    /// Advances to `now`: closes the chunk when it is old enough, and writes as much as the disk takes.
-    pub(super) fn passed(&mut self, now: SimTime, permit: WritePermit<'_>) {
-        if now >= self.next_flush {
-            let next = self.next_flush + self.options.flush_period;
-            self.next_flush = if next <= now { now + self.options.flush_period } else { next };
-            self.seal();
+    /// Advances to `now`: writes as much as the disk takes, also of what is old while nothing is published.
+    pub(super) fn passed(&mut self, buffers: &mut LifeBuffers, now: SimTime, permit: WritePermit<'_>) {
+        if now >= self.next_flush + self.options.block_period {
+            self.close_block(buffers);
+            self.seal_both(now);
         }
         if self.write_buffer.backlog() > 0 {
             self.write_buffer.drain(permit);
@@ -270,14 +457,23 @@ impl Journal {
     }
 
     fn flush(&mut self, permit: WritePermit<'_>) {
-        self.seal();
+        self.seal_log();
+        self.seal_tools();
         self.write_buffer.drain(permit);
     }
 
-    /// Moves the open chunk to the write buffer.
-    fn seal(&mut self) {
+    /// Moves the open chunk of blocks to the write buffer. The next one is read without it.
+    fn seal_log(&mut self) {
+        self.history = History::default();
         self.sealed.clear();
-        self.container.seal(&mut self.chunk, &mut self.sealed);
+        self.container.seal(&mut self.log, Compression::None, &mut self.sealed);
+        self.write_buffer.append(&self.sealed);
+        self.keep_so_far();
+    }
+
+    fn seal_tools(&mut self) {
+        self.sealed.clear();
+        self.container.seal(&mut self.tools, Compression::Lz4, &mut self.sealed);
         self.write_buffer.append(&self.sealed);
     }
 
@@ -286,73 +482,37 @@ impl Journal {
         self.gap.is_none() && self.write_buffer.refusal.is_none()
     }
 
-    /// Writes the end of the file; `last` is the last publication, for a gap that is still open. `true` when the file
-    /// is complete.
-    pub(super) fn close(mut self, last: Option<(&Snapshot, StateHash)>, permit: WritePermit<'_>) -> bool {
-        if self.gap.is_some()
-            && let Some((snapshot, hash)) = last
-        {
-            self.committed(&mut LifeBuffers::default(), snapshot, &CommitBuffer::new(), hash, permit);
+    /// Writes the end of the file; `last` is the last publication. `true` when the file is complete.
+    pub(super) fn close(
+        mut self,
+        buffers: &mut LifeBuffers,
+        last: Option<(&Snapshot, StateHash)>,
+        permit: WritePermit<'_>,
+    ) -> bool {
+        if let Some((snapshot, hash)) = last {
+            if self.gap.is_some() {
+                self.committed(buffers, snapshot, &CommitBuffer::new(), hash, permit);
+            } else {
+                // The last values of sampled components.
+                self.take(|journal| journal.sample(buffers, snapshot, true));
+            }
         }
+        self.close_block(buffers);
         let complete = self.complete && self.gap.is_none();
         let end = BTreeMap::from([
             ("revision".to_owned(), self.revision.0.to_string()),
-            ("hash".to_owned(), self.hash.to_string()),
+            ("hash".to_owned(), self.stored.head().to_string()),
+            ("state_hash".to_owned(), self.hash.to_string()),
             ("time_ns".to_owned(), self.time.as_nanos().to_string()),
             ("complete".to_owned(), complete.to_string()),
         ]);
-        self.seal();
+        self.seal_log();
+        self.seal_tools();
         self.sealed.clear();
+        self.container.metadata(META_BYTES, &self.counts.metadata(), &mut self.sealed);
         self.container.metadata(META_END, &end, &mut self.sealed);
         self.container.finish(&mut self.sealed);
         self.write_buffer.append(&self.sealed);
         self.write_buffer.drain(permit) && self.write_buffer.sync().is_ok() && complete
     }
-}
-
-fn write_head(container: &mut Container, head: &RecordingHead, scene: &Snapshot, out: &mut Vec<u8>) {
-    let mut meta = head.extra.clone();
-    meta.extend([
-        ("schema".to_owned(), SCHEMA.to_owned()),
-        ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
-        ("scenario".to_owned(), head.scenario.clone()),
-        ("seed".to_owned(), head.seed.to_string()),
-        ("station".to_owned(), head.station.to_string()),
-        ("mode".to_owned(), head.mode.clone()),
-    ]);
-    for (_, entry) in scene.registry().iter() {
-        let policy = match entry.record {
-            RecordPolicy::Full => "full",
-            RecordPolicy::Derived => "derived",
-        };
-        meta.insert(format!("{COMPONENT}{}", entry.name), format!("{:08x} {policy}", entry.key));
-    }
-    container.metadata(META, &meta, out);
-    let devices = head.devices.iter().map(|(name, device)| (name.clone(), device.to_string())).collect();
-    container.metadata(META_DEVICES, &devices, out);
-    container.attachment(SCENARIO, "application/toml", head.scenario_text.as_bytes(), out);
-}
-
-fn schemas() -> Vec<Schema> {
-    let schema = |id, name, text: Value| Schema {
-        id,
-        name,
-        encoding: "jsonschema",
-        data: text.to_string().into_bytes(),
-    };
-    vec![
-        schema(1, TF_SCHEMA, json_channels::tf_schema()),
-        schema(2, EVENT_SCHEMA, json_channels::event_schema()),
-    ]
-}
-
-fn channels() -> Vec<Channel> {
-    let channel = |id, schema, topic, encoding| Channel { id, schema, topic, encoding };
-    vec![
-        channel(channel::COMMITS, 0, COMMITS, "trocar-postcard"),
-        channel(channel::KEYFRAMES, 0, KEYFRAMES, "trocar-postcard"),
-        channel(channel::GAPS, 0, GAPS, "json"),
-        channel(channel::TF, 1, TF, "json"),
-        channel(channel::EVENTS, 2, EVENTS, "json"),
-    ]
 }

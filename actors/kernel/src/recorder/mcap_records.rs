@@ -1,10 +1,12 @@
-//! Encoder of MCAP records (<https://mcap.dev/spec>), uncompressed, for an append-only file.
+//! Encoder of MCAP records (<https://mcap.dev/spec>) for an append-only file.
 //!
 //! The `mcap` crate's writer keeps the file's index private and finishes the file when it is dropped, so a failed
 //! recorder could not be continued. Here each record is a function of plain data. The tests check the result with the
 //! crate's reader.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io::Write;
 
 /// First and last bytes of every file.
 pub(super) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
@@ -53,7 +55,28 @@ pub(super) struct ChunkEntry {
     /// Bytes of the message indexes behind it, and the offset of each channel's index.
     pub(super) indexes_length: u64,
     pub(super) indexes: BTreeMap<u16, u64>,
+    pub(super) compression: Compression,
+    /// Bytes of its records, and in the file.
     pub(super) size: u64,
+    pub(super) packed: u64,
+}
+
+/// How the records of a chunk are compressed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Compression {
+    /// Not at all: messages of blocks are compressed themselves.
+    None,
+    /// As an LZ4 frame.
+    Lz4,
+}
+
+impl Compression {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::None => "",
+            Self::Lz4 => "lz4",
+        }
+    }
 }
 
 /// Position of an attachment.
@@ -167,17 +190,35 @@ pub(super) fn attachment(name: &str, media_type: &str, data: &[u8], out: &mut Ve
     });
 }
 
-/// A chunk with these records in it, the times of whose messages \[ns\] lie between `start` and `end`.
-pub(super) fn chunk((start, end): (u64, u64), records: &[u8], out: &mut Vec<u8>) {
+/// A chunk with these records in it, the times of whose messages \[ns\] lie between `start` and `end`. Returns how many
+/// bytes the records take.
+pub(super) fn chunk(
+    (start, end): (u64, u64),
+    records: &[u8],
+    compression: Compression,
+    out: &mut Vec<u8>,
+) -> u64 {
+    let packed = match compression {
+        Compression::None => Cow::Borrowed(records),
+        Compression::Lz4 => Cow::Owned(lz4(records)),
+    };
     record(op::CHUNK, out, |out| {
         u64(start, out);
         u64(end, out);
         u64(records.len() as u64, out);
         u32(crc32fast::hash(records), out);
-        text("", out);
-        u64(records.len() as u64, out);
-        out.extend_from_slice(records);
+        text(compression.name(), out);
+        u64(packed.len() as u64, out);
+        out.extend_from_slice(&packed);
     });
+    packed.len() as u64
+}
+
+fn lz4(records: &[u8]) -> Vec<u8> {
+    let mut encoder = lz4_flex::frame::FrameEncoder::new(Vec::new());
+    // Writing into memory does not fail.
+    let _ = encoder.write_all(records);
+    encoder.finish().unwrap_or_default()
 }
 
 /// Time \[ns\] and offset in its chunk of each message of a channel.
@@ -206,8 +247,8 @@ pub(super) fn chunk_index(entry: &ChunkEntry, out: &mut Vec<u8>) {
             }
         });
         u64(entry.indexes_length, out);
-        text("", out);
-        u64(entry.size, out);
+        text(entry.compression.name(), out);
+        u64(entry.packed, out);
         u64(entry.size, out);
     });
 }

@@ -29,6 +29,10 @@ pub struct RecordingHead {
 /// How a recording is written.
 #[derive(Clone, Copy, Debug)]
 pub struct RecorderOptions {
+    /// Keeps every commit to the last bit, also of sampled components.
+    pub exact: bool,
+    /// Time that one message of commits spans.
+    pub block_period: SimTime,
     /// Time from one keyframe to the next.
     pub keyframe_period: SimTime,
     /// Time from one set of poses on `/tf` to the next.
@@ -41,10 +45,19 @@ pub struct RecorderOptions {
     pub queue_max: usize,
 }
 
+impl RecorderOptions {
+    /// Every commit is kept to the last bit.
+    pub fn exact() -> Self {
+        Self { exact: true, ..Self::default() }
+    }
+}
+
 impl Default for RecorderOptions {
     fn default() -> Self {
         Self {
-            keyframe_period: SimTime::from_millis(5_000),
+            exact: false,
+            block_period: SimTime::from_millis(100),
+            keyframe_period: SimTime::from_millis(10_000),
             tf_period: SimTime(33_333_333),
             flush_period: SimTime::from_millis(500),
             backlog_max: 64 << 20,

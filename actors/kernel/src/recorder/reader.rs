@@ -1,7 +1,5 @@
-//! Reader of recordings, including truncated ones, chunk by chunk.
-//!
-//! The top-level records are scanned once to find the chunks; each chunk is read when needed. Bytes behind the last
-//! complete record are left from a crash: they are reported, and the rest is used.
+//! Reader of recordings, also of truncated and damaged ones: its parts are listed once, and each chunk is read when it
+//! is needed. What is not whole is reported, and the rest is used.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,15 +11,11 @@ use thiserror::Error;
 use trocar_scene::{Component, ComponentError, Entity, EntityAllocator, Registry, SimTime, Snapshot};
 
 use super::bytes::Bytes;
-use super::chunk_items::{Item, parse_chunk, parse_topics};
-use super::format::{COMPONENT, META, META_DEVICES, META_END, SCENARIO, SCHEMA};
+use super::chunk_items::{self, Item, parse_chunk};
+use super::chunk_list::{ChunkPlace, Contents, contents};
+use super::format::{COMPONENT, META, META_BYTES, META_DEVICES, META_END, SCENARIO, SCHEMA};
 use super::mcap_records::{MAGIC, op};
 use crate::state_hash::StateHash;
-
-/// Longest chunk that is read into memory; ours are about 1 MiB unless one keyframe is larger.
-const CHUNK_MAX: u64 = 1 << 30;
-/// Longest other record that is parsed.
-const RECORD_MAX: u64 = 64 << 20;
 
 /// A file that cannot be used as a recording.
 #[derive(Debug, Error)]
@@ -119,113 +113,84 @@ pub struct RecordingMetadata {
 pub struct RecordingEnd {
     /// The last revision.
     pub revision: u64,
-    /// The state hash at the end.
+    /// The hash of what is stored, at the end.
     pub hash: String,
+    /// The Model's hash at the end.
+    pub state_hash: String,
     /// The time at the end.
     pub time: SimTime,
     /// Whether the recording has no gaps.
     pub complete: bool,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Chunk {
-    offset: u64,
-    length: u64,
-    start: SimTime,
-    end: SimTime,
-}
-
 /// An opened recording.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
+    size: u64,
     metadata: RecordingMetadata,
+    bytes: BTreeMap<String, String>,
     end: Option<RecordingEnd>,
-    topics: BTreeMap<u16, String>,
-    chunks: Vec<Chunk>,
+    /// Chunks with blocks, keyframes and gaps.
+    chunks: Vec<ChunkPlace>,
+    /// Chunks with messages for tools.
+    tool_chunks: Vec<ChunkPlace>,
     truncation: Option<String>,
+    /// Damaged places between the chunks.
+    damage: Vec<(u64, String)>,
 }
 
 impl Recording {
-    /// Opens a file and indexes its parts.
+    /// Opens a file and lists its parts; its chunks are read when they are needed.
     ///
     /// # Errors
-    /// [`RecordingError`]; a truncated file still opens, see [`Self::truncation`].
+    /// [`RecordingError`]; a truncated or damaged file still opens, see [`Self::truncation`] and [`Self::damage`].
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let io_error = |source| RecordingError::Io { file: path.to_owned(), source };
+        let not_a_recording =
+            |what: &str| RecordingError::NotARecording { file: path.to_owned(), what: what.to_owned() };
         let mut file = File::open(path).map_err(io_error)?;
         let size = file.metadata().map_err(io_error)?.len();
+        let mut magic = [0; 8];
+        file.read_exact(&mut magic).map_err(|_| not_a_recording("it is shorter than a header"))?;
+        if magic != *MAGIC {
+            return Err(not_a_recording("it is no MCAP file"));
+        }
+        let Contents { chunks, records, truncation, damage } = contents(&mut file, size).map_err(io_error)?;
+        let (chunks, tool_chunks) = chunks.into_iter().partition(|chunk| chunk.is_log);
         let mut recording = Self {
             path: path.to_owned(),
+            size,
             metadata: RecordingMetadata::default(),
+            bytes: BTreeMap::new(),
             end: None,
-            topics: BTreeMap::new(),
-            chunks: Vec::new(),
-            truncation: None,
+            chunks,
+            tool_chunks,
+            truncation,
+            damage,
         };
-        let mut magic = [0; 8];
-        file.read_exact(&mut magic).map_err(|_| recording.not_a_recording("it is shorter than a header"))?;
-        if magic != *MAGIC {
-            return Err(recording.not_a_recording("it is no MCAP file"));
-        }
         let mut schema = None;
-        let mut offset = 8;
-        let mut footer = false;
-        while !footer {
-            let mut head = [0; 9];
-            if offset + 9 > size {
-                recording.truncation = Some(format!("the file ends at byte {size} without a footer"));
-                break;
+        for (opcode, offset, body) in records {
+            let noted = match opcode {
+                op::METADATA => recording.note_metadata(&body, &mut schema),
+                _ => recording.note_attachment(&body),
+            };
+            if let Err(message) = noted {
+                recording.damage.push((offset, message));
             }
-            file.seek(SeekFrom::Start(offset)).map_err(io_error)?;
-            file.read_exact(&mut head).map_err(io_error)?;
-            let mut fields = Bytes(&head[1..]);
-            let length = fields.u64().unwrap_or(0);
-            if length > size - offset - 9 {
-                recording.truncation =
-                    Some(format!("the file ends at byte {size} in the middle of the record at {offset}"));
-                break;
-            }
-            match head[0] {
-                op::FOOTER => footer = true,
-                op::CHUNK => recording.note_chunk(&mut file, offset, length)?,
-                op::METADATA | op::ATTACHMENT if length <= RECORD_MAX => {
-                    let mut body = vec![0; length as usize];
-                    file.read_exact(&mut body).map_err(io_error)?;
-                    let noted = if head[0] == op::METADATA {
-                        recording.note_metadata(&body, &mut schema)
-                    } else {
-                        recording.note_attachment(&body)
-                    };
-                    noted.map_err(|message| recording.damaged(offset, message))?;
-                }
-                _ => {}
-            }
-            offset += 9 + length;
-        }
-        if footer && offset + MAGIC.len() as u64 > size {
-            recording.truncation = Some(format!("the file ends at byte {size} behind the footer"));
         }
         match schema {
-            None => Err(recording.not_a_recording("it has no metadata 'trocar'")),
             Some(found) if found != SCHEMA => Err(RecordingError::Schema {
                 file: path.to_owned(),
                 found,
                 version: recording.metadata.version,
             }),
-            Some(_) => {
-                recording.find_topics()?;
-                Ok(recording)
+            // Where the head is damaged, the chunks can be read all the same.
+            None if recording.damage.is_empty() || recording.chunks.is_empty() => {
+                Err(not_a_recording("it has no metadata 'trocar'"))
             }
+            _ => Ok(recording),
         }
-    }
-
-    fn find_topics(&mut self) -> Result<(), RecordingError> {
-        if let Some(chunk) = self.chunks.first().copied() {
-            let body = self.chunk_body(chunk)?;
-            self.topics = parse_topics(&body).map_err(|message| self.damaged(chunk.offset, message))?;
-        }
-        Ok(())
     }
 
     /// The file.
@@ -240,17 +205,33 @@ impl Recording {
     pub fn end(&self) -> Option<&RecordingEnd> {
         self.end.as_ref()
     }
+    /// Bytes in the file.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+    /// After a clean close: bytes of all commits before anything was left out, as `component.NAME`, `writer.NAME` and
+    /// `rest`, each with the number of puts or commits and their bytes.
+    pub fn committed_bytes(&self) -> &BTreeMap<String, String> {
+        &self.bytes
+    }
+    /// Damaged places outside the chunks; damage within them is found as they are read.
+    pub fn damage(&self) -> impl Iterator<Item = String> + '_ {
+        self.damage.iter().map(|(offset, what)| format!("at byte {offset}: {what}"))
+    }
     /// Where and how the file was truncated, if it was; everything before that is usable.
     pub fn truncation(&self) -> Option<&str> {
         self.truncation.as_deref()
     }
     /// Whether it was closed cleanly with nothing missing.
     pub fn is_complete(&self) -> bool {
-        self.truncation.is_none() && self.end.as_ref().is_some_and(|end| end.complete)
+        self.truncation.is_none()
+            && self.damage.is_empty()
+            && self.end.as_ref().is_some_and(|end| end.complete)
     }
     /// The latest time in the recording.
     pub fn duration(&self) -> SimTime {
-        self.chunks.iter().map(|chunk| chunk.end).max().unwrap_or_default()
+        let chunks = self.chunks.iter().chain(&self.tool_chunks);
+        chunks.map(|chunk| chunk.end).max().unwrap_or_default()
     }
 
     /// The items in order, from the beginning.
@@ -267,14 +248,13 @@ impl Recording {
         &self,
         time: SimTime,
     ) -> Result<impl Iterator<Item = Result<Item, RecordingError>> + '_, RecordingError> {
+        let before = |chunk: &ChunkPlace| chunk.start <= time;
+        // In file order, so that only chunks near the wanted one are looked into.
+        let candidates = (0..self.chunks.len()).rev().filter(|index| before(&self.chunks[*index]));
         let mut from = 0;
-        let candidates = self.chunks.iter().enumerate().rev().filter(|(_, chunk)| chunk.start <= time);
-        for (index, _) in candidates {
-            let found = self
-                .read_chunk(index)?
-                .iter()
-                .any(|item| matches!(item, Item::Keyframe(keyframe) if keyframe.time <= time));
-            if found {
+        for index in candidates.filter(|index| self.chunks[*index].is_keyframe) {
+            let items = self.read_chunk(index)?;
+            if items.iter().any(|item| matches!(item, Item::Keyframe(keyframe) if keyframe.time <= time)) {
                 from = index;
                 break;
             }
@@ -308,7 +288,7 @@ impl Recording {
         let mut fresh = true;
         for item in self.items() {
             match item? {
-                Item::Gap(_) => fresh = true,
+                Item::Gap(_) | Item::Damage(_) => fresh = true,
                 Item::Keyframe(keyframe) if fresh => {
                     fresh = false;
                     let store = keyframe
@@ -356,24 +336,20 @@ impl Recording {
     }
 
     fn items_from_chunk(&self, from: usize) -> impl Iterator<Item = Result<Item, RecordingError>> + '_ {
-        (from..self.chunks.len()).flat_map(|index| match self.read_chunk(index) {
-            Ok(items) => items.into_iter().map(Ok).collect::<Vec<_>>(),
-            Err(error) => vec![Err(error)],
+        (from..self.chunks.len()).flat_map(move |index| {
+            // Damage between this chunk and the one before it.
+            let before = if index == 0 { 0 } else { self.chunks[index - 1].offset };
+            let between = before..self.chunks[index].offset;
+            let damage =
+                self.damage.iter().filter(move |(offset, _)| index > from && between.contains(offset));
+            let mut items: Vec<_> =
+                damage.map(|(offset, what)| Ok(chunk_items::damage(*offset, what))).collect();
+            match self.read_chunk(index) {
+                Ok(read) => items.extend(read.into_iter().map(Ok)),
+                Err(error) => items.push(Err(error)),
+            }
+            items
         })
-    }
-
-    fn note_chunk(&mut self, file: &mut File, offset: u64, length: u64) -> Result<(), RecordingError> {
-        let mut times = [0; 16];
-        if !(40..=CHUNK_MAX).contains(&length) {
-            return Err(self.damaged(offset, format!("a chunk of {length} bytes; valid: 40 to {CHUNK_MAX}")));
-        }
-        file.read_exact(&mut times)
-            .map_err(|source| RecordingError::Io { file: self.path.clone(), source })?;
-        let mut fields = Bytes(&times);
-        let start = SimTime(fields.u64().unwrap_or(0));
-        let end = SimTime(fields.u64().unwrap_or(0));
-        self.chunks.push(Chunk { offset, length, start, end });
-        Ok(())
     }
 
     fn note_metadata(&mut self, body: &[u8], schema: &mut Option<String>) -> Result<(), String> {
@@ -407,11 +383,13 @@ impl Recording {
                 }
             }
             META_DEVICES => self.metadata.devices = map,
+            META_BYTES => self.bytes = map,
             META_END => {
                 self.end = Some(RecordingEnd {
                     revision: number(&mut map, "revision")?,
                     time: SimTime(number(&mut map, "time_ns")?),
                     hash: map.remove("hash").unwrap_or_default(),
+                    state_hash: map.remove("state_hash").unwrap_or_default(),
                     complete: map.remove("complete").as_deref() == Some("true"),
                 });
             }
@@ -435,16 +413,36 @@ impl Recording {
 
     fn read_chunk(&self, index: usize) -> Result<Vec<Item>, RecordingError> {
         let chunk = self.chunks[index];
-        let body = self.chunk_body(chunk)?;
-        parse_chunk(&body, &self.topics, chunk.offset).map_err(|message| self.damaged(chunk.offset, message))
+        Ok(parse_chunk(&self.chunk_body(chunk)?, chunk.offset))
     }
 
-    fn chunk_body(&self, chunk: Chunk) -> Result<Vec<u8>, RecordingError> {
+    /// The messages for tools, in order, as channel, time and data; damaged chunks are left out.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn tool_messages(&self, visit: &mut dyn FnMut(u16, SimTime, &[u8])) -> Result<(), RecordingError> {
+        for chunk in &self.tool_chunks {
+            let Ok(records) = chunk_items::records(&self.chunk_body(*chunk)?) else { continue };
+            for message in chunk_items::messages(&records).flatten() {
+                visit(message.channel, message.time, message.data);
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn log_chunks(&self) -> &[ChunkPlace] {
+        &self.chunks
+    }
+    pub(super) fn tool_chunks(&self) -> &[ChunkPlace] {
+        &self.tool_chunks
+    }
+
+    pub(super) fn chunk_body(&self, chunk: ChunkPlace) -> Result<Vec<u8>, RecordingError> {
         let io_error = |source| RecordingError::Io { file: self.path.clone(), source };
         let mut file = File::open(&self.path).map_err(io_error)?;
         file.seek(SeekFrom::Start(chunk.offset + 9)).map_err(io_error)?;
-        let mut body = vec![0; chunk.length as usize];
-        file.read_exact(&mut body).map_err(io_error)?;
+        let mut body = Vec::new();
+        file.take(chunk.length).read_to_end(&mut body).map_err(io_error)?;
         Ok(body)
     }
 
@@ -454,9 +452,5 @@ impl Recording {
 
     pub(super) fn undecodable(&self, revision: u64, error: &ComponentError) -> RecordingError {
         self.damaged(0, format!("the commit of revision {revision}: {error}"))
-    }
-
-    fn not_a_recording(&self, what: &str) -> RecordingError {
-        RecordingError::NotARecording { file: self.path.clone(), what: what.to_owned() }
     }
 }

@@ -23,7 +23,10 @@ pub struct Replay<'a> {
     commands: Commands,
     time: SimTime,
     gaps: Vec<Gap>,
-    /// Whether the next keyframe replaces the scene instead of checking it.
+    damage: Vec<String>,
+    /// The block being played, and the next of its commits.
+    block: Option<(Group, usize)>,
+    /// Whether the next keyframe replaces the scene instead of checking it; hashes are not checked until then.
     fresh: bool,
 }
 
@@ -46,8 +49,7 @@ impl<'a> Replay<'a> {
         time: SimTime,
     ) -> Result<Self, RecordingError> {
         // Items before the first keyframe of that chunk belong to an earlier keyframe.
-        let items =
-            recording.seek(time)?.skip_while(|item| matches!(item, Ok(Item::Commits(_) | Item::Gap(_))));
+        let items = recording.seek(time)?.skip_while(|item| !matches!(item, Ok(Item::Keyframe(_)) | Err(_)));
         Self::from_items(recording, registry, Box::new(items))
     }
 
@@ -77,20 +79,40 @@ impl<'a> Replay<'a> {
             items: items.peekable(),
             time: first.time,
             gaps: Vec::new(),
+            damage: recording.damage().collect(),
+            block: None,
             fresh: false,
         })
     }
 
-    /// Plays the next publication and returns its time; `None` at the end.
+    /// Plays the commits of the next instant and returns its time; `None` at the end.
     ///
     /// # Errors
-    /// [`RecordingError::Diverged`] when the scene differs from the recorded one, and others for damaged parts.
+    /// [`RecordingError::Diverged`] when the scene differs from the recorded one, and others for a file that cannot be
+    /// read.
     pub fn step(&mut self) -> Result<Option<SimTime>, RecordingError> {
         loop {
+            if let Some((group, next)) = self.block.take() {
+                let next = self.apply(&group, next)?;
+                if next < group.len() {
+                    self.block = Some((group, next));
+                } else if self.fresh {
+                    self.core.continue_chain(group.hash());
+                } else {
+                    self.check(group.hash())?;
+                }
+                return Ok(Some(self.time));
+            }
             match self.items.next().transpose()? {
                 None => return Ok(None),
                 Some(Item::Gap(gap)) => {
                     self.gaps.push(gap);
+                    self.fresh = true;
+                }
+                Some(Item::Damage(what)) => {
+                    if !self.damage.contains(&what) {
+                        self.damage.push(what);
+                    }
                     self.fresh = true;
                 }
                 Some(Item::Keyframe(keyframe)) if self.fresh => {
@@ -99,10 +121,8 @@ impl<'a> Replay<'a> {
                     self.fresh = false;
                 }
                 Some(Item::Keyframe(keyframe)) => self.check(keyframe.hash)?,
-                Some(Item::Commits(group)) => {
-                    self.apply(&group)?;
-                    return Ok(Some(self.time));
-                }
+                Some(Item::Commits(group)) if group.is_empty() => {}
+                Some(Item::Commits(group)) => self.block = Some((group, 0)),
             }
         }
     }
@@ -113,19 +133,15 @@ impl<'a> Replay<'a> {
     /// As [`Self::step`].
     pub fn advance_to(&mut self, time: SimTime) -> Result<(), RecordingError> {
         loop {
-            match self.items.peek() {
-                None => return Ok(()),
-                Some(Ok(Item::Commits(group))) => {
-                    let first = group.commits().next().map(|commit| commit.provenance.time);
-                    if first.is_some_and(|first| first > time) {
-                        return Ok(());
-                    }
-                }
-                Some(Ok(Item::Keyframe(keyframe))) if keyframe.time > time => return Ok(()),
-                Some(Ok(Item::Gap(gap))) if gap.time > time => return Ok(()),
-                Some(_) => {}
-            }
-            if self.step()?.is_none() {
+            let next = match (&self.block, self.items.peek()) {
+                (Some((group, next)), _) => group.get(*next).map(|commit| commit.provenance.time),
+                (None, None) => return Ok(()),
+                (None, Some(Ok(Item::Commits(group)))) => group.get(0).map(|commit| commit.provenance.time),
+                (None, Some(Ok(Item::Keyframe(keyframe)))) => Some(keyframe.time),
+                (None, Some(Ok(Item::Gap(gap)))) => Some(gap.time),
+                (None, Some(_)) => None,
+            };
+            if next.is_some_and(|next| next > time) || self.step()?.is_none() {
                 return Ok(());
             }
         }
@@ -156,13 +172,19 @@ impl<'a> Replay<'a> {
     pub fn time(&self) -> SimTime {
         self.time
     }
+    /// Damaged parts so far, and those outside the chunks.
+    pub fn damage(&self) -> &[String] {
+        &self.damage
+    }
     /// Gaps so far.
     pub fn gaps(&self) -> &[Gap] {
         &self.gaps
     }
 
-    fn apply(&mut self, group: &Group) -> Result<(), RecordingError> {
-        for commit in group.commits() {
+    /// Applies the commits of one time from number `next` on, and returns the number of the first one after them.
+    fn apply(&mut self, group: &Group, mut next: usize) -> Result<usize, RecordingError> {
+        let time = group.get(next).map(|commit| commit.provenance.time);
+        while let Some(commit) = group.get(next).filter(|commit| Some(commit.provenance.time) == time) {
             let wrong = |error: &ComponentError| self.recording.undecodable(commit.revision.0, error);
             self.commands.clear();
             let rest = self.commands.decode(commit.payload).map_err(|error| wrong(&error))?;
@@ -171,11 +193,12 @@ impl<'a> Replay<'a> {
             }
             self.commands.seal();
             self.core
-                .replay(commit.kind, commit.writer, commit.provenance, &mut self.commands)
+                .replay(commit.kind, commit.revision, commit.writer, commit.provenance, &mut self.commands)
                 .map_err(|error| wrong(&error))?;
             self.time = self.time.max(commit.provenance.time);
+            next += 1;
         }
-        self.check(group.hash())
+        Ok(next)
     }
 
     fn check(&self, recorded: StateHash) -> Result<(), RecordingError> {

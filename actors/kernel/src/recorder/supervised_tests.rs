@@ -85,12 +85,12 @@ fn row_of(outcome: &SessionOutcome) -> &crate::runtime::ControllerReport {
 fn a_killed_recorder_goes_on_with_the_same_file_and_loses_nothing() {
     let folder = Folder::new();
     let (whole, file) = (folder.file("whole.mcap"), folder.file("killed.mcap"));
-    let bare = record(&whole, 8.0, RecorderOptions::default(), FaultPlan::new(1));
+    let bare = record(&whole, 8.0, RecorderOptions::exact(), FaultPlan::new(1));
     assert_eq!((row_of(&bare).scheduled, row_of(&bare).restarts), (400, 0));
     let expected = messages(&whole);
     for kills in [vec![3.3], vec![7.91], vec![0.0, 2.711, 7.3], vec![2.0, 2.02, 2.04, 6.5]] {
         let plan = kills.iter().fold(FaultPlan::new(1), |plan, at| plan.at(secs(*at)).kill(RECORDER));
-        let outcome = record(&file, 8.0, RecorderOptions::default(), plan);
+        let outcome = record(&file, 8.0, RecorderOptions::exact(), plan);
         assert_eq!(outcome.hash, bare.hash);
         holds_everything(&file, &outcome);
         assert!(messages(&file) == expected, "message by message, killed at {kills:?}");
@@ -105,12 +105,12 @@ fn a_killed_recorder_goes_on_with_the_same_file_and_loses_nothing() {
 fn a_recorder_that_stalls_is_left_behind_and_one_that_is_slow_is_not() {
     let folder = Folder::new();
     let (whole, file) = (folder.file("whole.mcap"), folder.file("a.mcap"));
-    let bare = record(&whole, 8.0, RecorderOptions::default(), FaultPlan::new(1));
+    let bare = record(&whole, 8.0, RecorderOptions::exact(), FaultPlan::new(1));
     let stall = FaultPlan::new(1).at(secs(2.0)).lasting(secs(4.0)).stall(RECORDER);
     let slow = FaultPlan::new(1).at(secs(2.0)).lasting(secs(2.0)).slow(RECORDER, secs(0.03));
     let short = FaultPlan::new(1).at(secs(2.0)).lasting(secs(0.5)).stall(RECORDER);
     for (plan, restarts) in [(stall, 1), (slow, 0), (short, 0)] {
-        let outcome = record(&file, 8.0, RecorderOptions::default(), plan);
+        let outcome = record(&file, 8.0, RecorderOptions::exact(), plan);
         assert_eq!(outcome.hash, bare.hash);
         holds_everything(&file, &outcome);
         assert!(messages(&file) == messages(&whole), "message by message");
@@ -151,7 +151,8 @@ fn a_recorder_that_panics_inside_of_a_publication_declares_a_gap_with_a_keyframe
     scene.apply(&mut commands, SimTime::ZERO);
     let counter = ControllerSpec::new("counter", 1, RuntimeClass::Task, 1_000.0, |_| Ok(Box::new(Counter)));
     let spec = SessionSpec::new("toy", 42, scene, vec![counter]);
-    let spec = installed(&file, RecorderOptions::default(), spec);
+    let spec =
+        installed(&file, RecorderOptions { keyframe_period: secs(5.0), ..RecorderOptions::exact() }, spec);
     let mut session = LockstepSession::new(spec).expect("starts");
     session.step_until(secs(4.5));
     // The next keyframe is due at 5 s.
@@ -188,7 +189,7 @@ impl Controller for Counter {
 fn a_recorder_that_dies_on_a_full_disk_goes_on_when_there_is_room() {
     let folder = Folder::new();
     let file = folder.file("a.mcap");
-    let small = RecorderOptions { backlog_max: 300_000, ..RecorderOptions::default() };
+    let small = RecorderOptions { backlog_max: 8_000, ..RecorderOptions::exact() };
     let plan = |span| {
         FaultPlan::new(1)
             .at(secs(2.0))
@@ -249,7 +250,7 @@ fn moody(file: &Path, mut spec: SessionSpec) -> (SessionSpec, Arc<AtomicU8>) {
     let mood = Arc::new(AtomicU8::new(WELL));
     let disk = Moody { file: File::create(file).expect("writable"), mood: mood.clone() };
     let write_buffer = WriteBuffer::new(Box::new(disk));
-    let recorder = Recorder::begin(write_buffer, &head(), spec.scene.view(), RecorderOptions::default());
+    let recorder = Recorder::begin(write_buffer, &head(), spec.scene.view(), RecorderOptions::exact());
     recorder.expect("begins").install(&mut spec);
     (spec, mood)
 }
@@ -313,7 +314,7 @@ fn the_state_hash_does_not_know_whether_somebody_records() {
     let slowed = FaultPlan::new(1).at(secs(0.4)).lasting(secs(1.0)).slow(RECORDER, secs(0.0171));
     for (name, plan) in [("plain", plain), ("killed", killed), ("stalled", stalled), ("slowed", slowed)] {
         let file = folder.file(name);
-        let outcome = run(installed(&file, RecorderOptions::default(), described(faults(plan))));
+        let outcome = run(installed(&file, RecorderOptions::exact(), described(faults(plan))));
         assert_eq!(outcome.hash, without.hash, "{name}");
         assert_eq!(outcome.snapshot.revision(), without.snapshot.revision(), "{name}");
         holds_everything(&file, &outcome);
@@ -355,7 +356,7 @@ fn a_live_recorder_that_is_killed_three_times_loses_nothing() {
     let file = folder.file("a.mcap");
     let plan =
         [0.2, 0.45, 0.8].into_iter().fold(FaultPlan::new(1), |plan, at| plan.at(secs(at)).kill(RECORDER));
-    let spec = installed(&file, RecorderOptions::default(), session(scene(), plan));
+    let spec = installed(&file, RecorderOptions::exact(), session(scene(), plan));
     let session = LiveSession::start(spec).expect("starts");
     eventually("it is back", || session.faults().iter().filter(|row| row.resumed.is_some()).count() == 3);
     let outcome = session.stop(0);
@@ -369,7 +370,7 @@ fn a_live_recorder_that_stalls_is_left_behind_and_writes_no_more() {
     let folder = Folder::new();
     let file = folder.file("a.mcap");
     let plan = FaultPlan::new(1).at(secs(0.2)).lasting(secs(2.0)).stall(RECORDER);
-    let spec = installed(&file, RecorderOptions::default(), session(scene(), plan));
+    let spec = installed(&file, RecorderOptions::exact(), session(scene(), plan));
     let session = LiveSession::start(spec).expect("starts");
     eventually("it is replaced", || session.faults().first().is_some_and(|row| row.resumed.is_some()));
     eventually("its thread comes back and ends", || session.zombies() == 0);

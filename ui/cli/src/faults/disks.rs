@@ -69,7 +69,7 @@ pub fn live<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
 fn recorded(file: &Path, seed: u64, plan: FaultPlan) -> Result<RunOutcome, Failure> {
     let seconds = WARM + APART * STRIKES as f64 + 1.0;
     let recorder =
-        RecorderOptions { backlog_max: BACKLOG_MAX, flush_period: FLUSH, ..RecorderOptions::default() };
+        RecorderOptions { backlog_max: BACKLOG_MAX, flush_period: FLUSH, ..RecorderOptions::exact() };
     let record = Some(file.to_owned());
     let options =
         RunOptions { lockstep: false, seconds: Some(seconds), record, recorder, ..options(seed, plan) };
@@ -140,7 +140,7 @@ fn bad_disk(file: &Path, seed: u64, wrong: &mut Wrong, fault: Strike) -> Result<
     let without = run(&app, seed, FaultPlan::new(seed))?;
     let options = RunOptions {
         record: Some(file.to_owned()),
-        recorder: RecorderOptions { backlog_max: BACKLOG_MAX, ..RecorderOptions::default() },
+        recorder: RecorderOptions { backlog_max: BACKLOG_MAX, ..RecorderOptions::exact() },
         ..options(seed, fault(FaultPlan::new(seed).at(secs(2.0)).lasting(secs(LASTING))))
     };
     let with = run_with(&app, &options)?;

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
 use trocar_scene::{
     Access, Collision, CollisionList, Component, Detection, Entity, Frozen, Instrument, LineMesh, Primitive,
-    Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions, VertexVelocities,
+    RecordPolicy, Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions, VertexVelocities,
 };
 
 use super::{BorneContact, ImpulseTotals, RigidJoint};
@@ -94,7 +94,7 @@ pub struct ContactSums {
 
 /// Contact state of a soft body, for contacts that detectors find.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "soft_contacts")]
+#[component(name = "soft_contacts", record = RecordPolicy::sampled(10.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct SoftContacts {
     /// The contacts that it answers, also for the other side.

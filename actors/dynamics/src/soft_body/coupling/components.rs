@@ -11,7 +11,7 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Entity, SimTime, Snapshot};
+use trocar_scene::{Component, ComponentError, Entity, RecordPolicy, SimTime, Snapshot};
 
 use crate::coupling::{GhostNodes, StickPoint};
 
@@ -150,7 +150,7 @@ pub struct GivenImpulses {
 
 /// Faster sides of all couplings of a body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "coupling_given")]
+#[component(name = "coupling_given", record = RecordPolicy::sampled(10.0, 1e-9))]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingGiven {
     /// Couplings with bodies of other controllers, in the order of [`CoupledBody::with`].
@@ -183,7 +183,7 @@ pub struct TakenImpulses {
 
 /// Impulses that a body has taken from all faster bodies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "coupling_taken")]
+#[component(name = "coupling_taken", record = RecordPolicy::sampled(10.0, 1e-9))]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingTaken {
     /// Number of reports so far.

@@ -5,14 +5,14 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::tet_mesh::NodeOrigin;
-use trocar_scene::{Component, SimTime};
+use trocar_scene::{Component, RecordPolicy, SimTime};
 
 use crate::dynamic_fem::{Coupling, DynamicFem, DynamicFemState};
 
 /// Solver state after the last step, besides positions and velocities: the initial guess of the next step, and the
 /// origin of the factor in use.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "dynamic_fem_memory")]
+#[component(name = "dynamic_fem_memory", record = RecordPolicy::sampled(2.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicFemMemory {
     /// Accelerations of the vertices in the last step \[m/s²\].

@@ -2,11 +2,11 @@
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
-use trocar_scene::Component;
+use trocar_scene::{Component, RecordPolicy};
 
 /// Cumulative emission of a body: a late reader misses nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "plume")]
+#[component(name = "plume", record = RecordPolicy::sampled(10.0, 1e-6))]
 pub struct Plume {
     /// Smoke since the beginning \[kg\].
     pub emitted: f64,

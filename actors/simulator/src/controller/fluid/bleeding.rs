@@ -11,8 +11,8 @@ use trocar_dynamics::soft_body::frozen::{FrozenPart, RejectedBody, freeze};
 use trocar_dynamics::soft_body::jaws::holds;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Frozen, Instrument, JawState, LineMesh, Measured, Pose, RestPositions, Snapshot, Temperature,
-    TetMesh, Tick, VertexPositions,
+    EntitySet, Frozen, Instrument, JawState, LineMesh, Measured, Pose, RecordPolicy, RestPositions, Snapshot,
+    Temperature, TetMesh, Tick, VertexPositions,
 };
 
 use super::vital_signs::PatientState;
@@ -87,7 +87,7 @@ impl Vessel {
 
 /// State of a vessel: injury and blood loss.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "vessel_state")]
+#[component(name = "vessel_state", record = RecordPolicy::sampled(10.0, 1e-10))]
 pub struct VesselState {
     /// The wound, and the cumulative blood loss.
     pub bleeding: BleedingState,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::frozen::{FrozenPart, freeze};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Frozen, Measured, Snapshot, Tick, VitalSigns,
+    EntitySet, Frozen, Measured, RecordPolicy, Snapshot, Tick, VitalSigns,
 };
 
 use super::bleeding::VesselState;
@@ -66,7 +66,7 @@ impl Patient {
 
 /// State for a restart, and the pressures that drive bleeding.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "patient_state")]
+#[component(name = "patient_state", record = RecordPolicy::sampled(5.0, 1e-9))]
 pub struct PatientState {
     /// The circulation.
     pub circulation: CirculationState,

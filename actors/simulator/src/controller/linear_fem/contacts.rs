@@ -14,7 +14,7 @@ use trocar_dynamics::soft_body::grasp::Holder;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
 use trocar_dynamics::soft_body::method::StepContext;
 use trocar_dynamics::soft_body::rod_contact::{ContactSurface, RodContact, touches};
-use trocar_scene::{Commands, Component, Entity};
+use trocar_scene::{Commands, Component, Entity, RecordPolicy};
 
 use super::Body;
 use crate::linear_fem::{Attachment, Hold, LinearFemError, patch};
@@ -41,7 +41,7 @@ pub struct PressedPoint {
 
 /// Points that rods pressed on in the last tick; a restart continues with them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "linear_fem_contacts")]
+#[component(name = "linear_fem_contacts", record = RecordPolicy::sampled(10.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct Contacts {
     /// In the order of detection.

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::POISSON_MAX;
 use trocar_scene::components::Parameter;
-use trocar_scene::{Component, ComponentError, Entity};
+use trocar_scene::{Component, ComponentError, Entity, RecordPolicy};
 
 use crate::controller::cutting::scissors::Blades;
 use crate::controller::suture_thread::component::ThreadBody;
@@ -290,7 +290,7 @@ pub struct HeldNeedle {
 
 /// State after the last tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "suture_memory")]
+#[component(name = "suture_memory", record = RecordPolicy::sampled(2.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct SutureMemory {
     /// Needle, thread and channels, in the world; `None` before the first tick.

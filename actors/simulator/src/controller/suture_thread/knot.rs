@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError};
+use trocar_scene::{Component, ComponentError, RecordPolicy};
 
 use crate::suture_thread::knot::{
     Knot, KnotKind, Throw, ThrowReader, identify_closed, identify_joined, notation,
@@ -36,7 +36,7 @@ pub fn knot_code(kind: Option<&KnotKind>) -> f64 {
 
 /// The last classification of a thread's knot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "knot_state", check = Self::ranges)]
+#[component(name = "knot_state", record = RecordPolicy::sampled(10.0, 1e-6), check = Self::ranges)]
 #[serde(default, deny_unknown_fields)]
 pub struct KnotState {
     /// Code as in [`knot_code`].

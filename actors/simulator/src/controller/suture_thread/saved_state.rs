@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, Entity};
+use trocar_scene::{Component, Entity, RecordPolicy};
 
 use super::grasp::Grip;
 use crate::controller::cutting::scissors::Blades;
@@ -22,7 +22,7 @@ pub struct ObstaclePose {
 
 /// State after the last tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, Component)]
-#[component(name = "thread_memory")]
+#[component(name = "thread_memory", record = RecordPolicy::sampled(2.0, 1e-6))]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadMemory {
     /// Rest lengths of the edges \[m\].

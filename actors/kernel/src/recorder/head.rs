@@ -1,0 +1,72 @@
+//! Head of a recording: its metadata, its schemas and its channels.
+
+use serde_json::Value;
+use trocar_scene::{RecordPolicy, Snapshot};
+
+use super::container::Container;
+use super::format::{
+    BLOCK_ENCODING, COMMITS, COMPONENT, EVENTS, GAPS, KEYFRAMES, META, META_DEVICES, SCENARIO, SCHEMA, TF,
+    channel,
+};
+use super::json_channels::{self, EVENT_SCHEMA, TF_SCHEMA};
+use super::mcap_records::{Channel, Schema};
+use super::options::RecordingHead;
+
+/// Appends the head of a recording.
+pub(super) fn write_head(
+    container: &mut Container,
+    head: &RecordingHead,
+    scene: &Snapshot,
+    exact: bool,
+    out: &mut Vec<u8>,
+) {
+    let mut meta = head.extra.clone();
+    meta.extend([
+        ("schema".to_owned(), SCHEMA.to_owned()),
+        ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+        ("scenario".to_owned(), head.scenario.clone()),
+        ("seed".to_owned(), head.seed.to_string()),
+        ("station".to_owned(), head.station.to_string()),
+        ("mode".to_owned(), head.mode.clone()),
+    ]);
+    for (_, entry) in scene.registry().iter() {
+        let policy = match entry.record {
+            RecordPolicy::Sampled(sampling) if !exact => {
+                format!("sampled {} Hz ±{:e}", sampling.hz, sampling.tolerance)
+            }
+            RecordPolicy::Sampled(_) | RecordPolicy::Exact => "exact".to_owned(),
+            RecordPolicy::Derived => "derived".to_owned(),
+        };
+        meta.insert(format!("{COMPONENT}{}", entry.name), format!("{:08x} {policy}", entry.key));
+    }
+    container.metadata(META, &meta, out);
+    let devices = head.devices.iter().map(|(name, device)| (name.clone(), device.to_string())).collect();
+    container.metadata(META_DEVICES, &devices, out);
+    container.attachment(SCENARIO, "application/toml", head.scenario_text.as_bytes(), out);
+}
+
+/// The schemas of the messages for standard tools.
+pub(super) fn schemas() -> Vec<Schema> {
+    let schema = |id, name, text: Value| Schema {
+        id,
+        name,
+        encoding: "jsonschema",
+        data: text.to_string().into_bytes(),
+    };
+    vec![
+        schema(1, TF_SCHEMA, json_channels::tf_schema()),
+        schema(2, EVENT_SCHEMA, json_channels::event_schema()),
+    ]
+}
+
+/// Every channel of a recording. Their numbers are part of the format.
+pub(super) fn channels() -> Vec<Channel> {
+    let channel = |id, schema, topic, encoding| Channel { id, schema, topic, encoding };
+    vec![
+        channel(channel::COMMITS, 0, COMMITS, BLOCK_ENCODING),
+        channel(channel::KEYFRAMES, 0, KEYFRAMES, BLOCK_ENCODING),
+        channel(channel::GAPS, 0, GAPS, "json"),
+        channel(channel::TF, 1, TF, "json"),
+        channel(channel::EVENTS, 2, EVENTS, "json"),
+    ]
+}
