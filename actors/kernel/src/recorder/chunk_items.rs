@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trocar_scene::{ComponentError, Registry, SimTime, Store};
+use trocar_scene::{ComponentError, Registry, Revision, SimTime, Store};
 
 use super::block;
 use super::bytes::Bytes;
@@ -17,6 +17,8 @@ const UNPACKED_MAX: u64 = 256 << 20;
 /// The whole scene at one revision.
 #[derive(Clone, Debug)]
 pub struct Keyframe {
+    /// The revision.
+    pub revision: Revision,
     /// The hash of what is stored, at that revision.
     pub hash: StateHash,
     /// The Model's hash of that revision.
@@ -64,7 +66,9 @@ pub enum Item {
 }
 
 /// The records of a chunk, unpacked and checked.
-pub(super) fn records(body: &[u8]) -> Result<Vec<u8>, String> {
+///
+/// `unchecked` accepts a checksum of zero, which in MCAP says that there is none.
+pub(super) fn records(body: &[u8], unchecked: bool) -> Result<Vec<u8>, String> {
     let mut body = Bytes(body);
     body.take(16)?;
     let unpacked = body.u64()?;
@@ -72,6 +76,9 @@ pub(super) fn records(body: &[u8]) -> Result<Vec<u8>, String> {
     let compression = body.text()?;
     let length = body.u64()?;
     let packed = body.take(length)?;
+    if !body.0.is_empty() {
+        return Err("the lengths of the chunk do not agree".to_owned());
+    }
     let records = match compression.as_str() {
         "" => packed.to_vec(),
         "lz4" => {
@@ -87,8 +94,10 @@ pub(super) fn records(body: &[u8]) -> Result<Vec<u8>, String> {
         }
         other => return Err(format!("a chunk is compressed with '{other}'; valid: lz4, or not at all")),
     };
-    // A checksum of zero is none.
-    if crc != 0 && crc32fast::hash(&records) != crc {
+    if records.len() as u64 != unpacked {
+        return Err("the lengths of the chunk do not agree".to_owned());
+    }
+    if !(crc == 0 && unchecked) && crc32fast::hash(&records) != crc {
         return Err("the checksum of the chunk is wrong".to_owned());
     }
     Ok(records)
@@ -134,8 +143,8 @@ fn message<'a>(records: &mut Bytes<'a>) -> Result<Option<Message<'a>>, String> {
 }
 
 /// The items of a chunk that begins at `offset` of its file. What is behind a damaged message is read as far as it can be.
-pub(super) fn parse_chunk(body: &[u8], offset: u64) -> Vec<Item> {
-    let records = match records(body) {
+pub(super) fn parse_chunk(body: &[u8], unchecked: bool, offset: u64) -> Vec<Item> {
+    let records = match records(body, unchecked) {
         Ok(records) => records,
         Err(error) => return vec![damage(offset, &error)],
     };
@@ -158,14 +167,19 @@ pub(super) fn damage(offset: u64, what: &str) -> Item {
 }
 
 /// Parses a message of our own channels; the others are for other tools.
-fn parse_message(message: &Message<'_>, history: &mut History, offset: u64) -> Result<Option<Item>, String> {
+pub(super) fn parse_message(
+    message: &Message<'_>,
+    history: &mut History,
+    offset: u64,
+) -> Result<Option<Item>, String> {
     Ok(Some(match message.channel {
         channel::COMMITS => Item::Commits(Group::new(block::decode(message.data, history)?)),
         channel::KEYFRAMES => {
             let block = block::decode(message.data, history)?;
             let (hash, state_hash, time) = (block.stored, block.state, message.time);
-            let scene = block.commits.into_iter().next().ok_or("a keyframe without a scene")?.payload;
-            Item::Keyframe(Keyframe { hash, state_hash, time, scene, offset })
+            let scene = block.commits.into_iter().next().ok_or("a keyframe without a scene")?;
+            let (revision, scene) = (scene.revision, scene.payload);
+            Item::Keyframe(Keyframe { revision, hash, state_hash, time, scene, offset })
         }
         channel::GAPS => {
             Item::Gap(serde_json::from_slice(message.data).map_err(|error| format!("a gap: {error}"))?)

@@ -98,7 +98,10 @@ impl Container {
     }
 
     pub(super) fn metadata(&mut self, name: &str, pairs: &BTreeMap<String, String>, out: &mut Vec<u8>) {
-        let (offset, length) = self.append(out, |out| records::metadata(name, pairs, out));
+        // MCAP has no checksum for metadata.
+        let mut pairs = pairs.clone();
+        pairs.insert(CHECKSUM.to_owned(), checksum(&pairs));
+        let (offset, length) = self.append(out, |out| records::metadata(name, &pairs, out));
         self.metadata.push(MetadataEntry { offset, length, name: name.to_owned() });
     }
 
@@ -191,6 +194,19 @@ impl Container {
         }
         records::footer(from, summary_start, offsets_start, out);
     }
+}
+
+/// Key of the checksum of a metadata record.
+pub(super) const CHECKSUM: &str = "crc32";
+
+/// The checksum of the other pairs of a metadata record.
+pub(super) fn checksum(pairs: &BTreeMap<String, String>) -> String {
+    let mut hasher = crc32fast::Hasher::new();
+    for text in pairs.iter().flat_map(|(key, value)| [key, value]) {
+        hasher.update(&(text.len() as u64).to_le_bytes());
+        hasher.update(text.as_bytes());
+    }
+    format!("{:08x}", hasher.finalize())
 }
 
 /// A DataEnd record: opcode, length, checksum.

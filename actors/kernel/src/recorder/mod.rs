@@ -15,6 +15,8 @@ mod columns;
 mod commit_sink;
 mod container;
 mod controller;
+#[cfg(test)]
+mod damage_tests;
 mod format;
 mod gate;
 mod handover;
@@ -27,9 +29,12 @@ mod mcap_records;
 mod open_block;
 mod options;
 mod reader;
+mod recover;
 mod replay;
 mod rounding;
 mod sampler;
+#[cfg(test)]
+mod sampling_tests;
 mod statistics;
 #[cfg(test)]
 mod supervised_tests;
@@ -42,5 +47,6 @@ pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};
 pub use options::{RecorderError, RecorderOptions, RecordingHead};
 pub use reader::{Recording, RecordingEnd, RecordingError, RecordingMetadata};
+pub use recover::Recovered;
 pub use replay::Replay;
 pub use statistics::{Bytes, ComponentBytes, RecordingStatistics};

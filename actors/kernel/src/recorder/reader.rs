@@ -13,6 +13,7 @@ use trocar_scene::{Component, ComponentError, Entity, EntityAllocator, Registry,
 use super::bytes::Bytes;
 use super::chunk_items::{self, Item, parse_chunk};
 use super::chunk_list::{ChunkPlace, Contents, contents};
+use super::container::{CHECKSUM, checksum};
 use super::format::{COMPONENT, META, META_BYTES, META_DEVICES, META_END, SCENARIO, SCHEMA};
 use super::mcap_records::{MAGIC, op};
 use crate::state_hash::StateHash;
@@ -136,6 +137,8 @@ pub struct Recording {
     /// Chunks with messages for tools.
     tool_chunks: Vec<ChunkPlace>,
     truncation: Option<String>,
+    /// The file has no checksums.
+    unchecked: bool,
     /// Damaged places between the chunks.
     damage: Vec<(u64, String)>,
 }
@@ -167,8 +170,10 @@ impl Recording {
             chunks,
             tool_chunks,
             truncation,
+            unchecked: false,
             damage,
         };
+        recording.unchecked = recording.has_no_checksums()?;
         let mut schema = None;
         for (opcode, offset, body) in records {
             let noted = match opcode {
@@ -353,14 +358,7 @@ impl Recording {
     }
 
     fn note_metadata(&mut self, body: &[u8], schema: &mut Option<String>) -> Result<(), String> {
-        let mut body = Bytes(body);
-        let name = body.text()?;
-        let length = body.u32()?;
-        let mut pairs = Bytes(body.take(u64::from(length))?);
-        let mut map = BTreeMap::new();
-        while !pairs.0.is_empty() {
-            map.insert(pairs.text()?, pairs.text()?);
-        }
+        let (name, mut map) = metadata_record(body)?;
         let number = |map: &mut BTreeMap<String, String>, key: &str| {
             let text = map.remove(key).unwrap_or_default();
             text.parse::<u64>().map_err(|_| format!("metadata '{name}': {key} is '{text}', not a number"))
@@ -413,7 +411,7 @@ impl Recording {
 
     fn read_chunk(&self, index: usize) -> Result<Vec<Item>, RecordingError> {
         let chunk = self.chunks[index];
-        Ok(parse_chunk(&self.chunk_body(chunk)?, chunk.offset))
+        Ok(parse_chunk(&self.chunk_body(chunk)?, self.unchecked, chunk.offset))
     }
 
     /// The messages for tools, in order, as channel, time and data; damaged chunks are left out.
@@ -422,12 +420,28 @@ impl Recording {
     /// When the file cannot be read.
     pub fn tool_messages(&self, visit: &mut dyn FnMut(u16, SimTime, &[u8])) -> Result<(), RecordingError> {
         for chunk in &self.tool_chunks {
-            let Ok(records) = chunk_items::records(&self.chunk_body(*chunk)?) else { continue };
+            let Ok(records) = self.records(&self.chunk_body(*chunk)?) else { continue };
             for message in chunk_items::messages(&records).flatten() {
                 visit(message.channel, message.time, message.data);
             }
         }
         Ok(())
+    }
+
+    /// Whether neither the first chunk nor the last has a checksum.
+    fn has_no_checksums(&self) -> Result<bool, RecordingError> {
+        for chunk in self.chunks.first().into_iter().chain(self.chunks.last()) {
+            let head = ChunkPlace { length: 28, ..*chunk };
+            if self.chunk_body(head)?.get(24..28) != Some(&[0; 4]) {
+                return Ok(false);
+            }
+        }
+        Ok(!self.chunks.is_empty())
+    }
+
+    /// The records of a chunk, unpacked and checked.
+    pub(super) fn records(&self, body: &[u8]) -> Result<Vec<u8>, String> {
+        chunk_items::records(body, self.unchecked)
     }
 
     pub(super) fn log_chunks(&self) -> &[ChunkPlace] {
@@ -452,5 +466,21 @@ impl Recording {
 
     pub(super) fn undecodable(&self, revision: u64, error: &ComponentError) -> RecordingError {
         self.damaged(0, format!("the commit of revision {revision}: {error}"))
+    }
+}
+
+/// Name and pairs of a metadata record, checked by the checksum among them.
+pub(super) fn metadata_record(body: &[u8]) -> Result<(String, BTreeMap<String, String>), String> {
+    let mut body = Bytes(body);
+    let name = body.text()?;
+    let length = body.u32()?;
+    let mut pairs = Bytes(body.take(u64::from(length))?);
+    let mut map = BTreeMap::new();
+    while !pairs.0.is_empty() {
+        map.insert(pairs.text()?, pairs.text()?);
+    }
+    match map.remove(CHECKSUM) {
+        Some(found) if found != checksum(&map) => Err(format!("metadata '{name}': its checksum is wrong")),
+        _ => Ok((name, map)),
     }
 }

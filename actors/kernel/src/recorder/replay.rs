@@ -59,9 +59,11 @@ impl<'a> Replay<'a> {
         mut items: Items<'a>,
     ) -> Result<Self, RecordingError> {
         recording.check_components(registry)?;
+        let mut damage: Vec<String> = recording.damage().collect();
         let first = loop {
             match items.next().transpose()? {
                 Some(Item::Keyframe(keyframe)) => break keyframe,
+                Some(Item::Damage(what)) => damage.push(what),
                 Some(_) => {}
                 None => {
                     return Err(RecordingError::NotARecording {
@@ -79,7 +81,7 @@ impl<'a> Replay<'a> {
             items: items.peekable(),
             time: first.time,
             gaps: Vec::new(),
-            damage: recording.damage().collect(),
+            damage,
             block: None,
             fresh: false,
         })

@@ -7,7 +7,7 @@ use miniz_oxide::inflate::decompress_to_vec_with_limit;
 use trocar_scene::SimTime;
 
 use super::block::{self, HEADS, LEVEL};
-use super::chunk_items::{Message, messages, records};
+use super::chunk_items::{Message, messages};
 use super::columns::{History, RowDecoder};
 use super::format::{COMMITS, EVENTS, GAPS, KEYFRAMES, TF, channel};
 use super::reader::{Recording, RecordingError};
@@ -78,7 +78,7 @@ impl Recording {
             RecordingStatistics { file: self.size(), span: self.duration(), ..Default::default() };
         let mut components = self.named_components();
         for chunk in self.log_chunks() {
-            let Ok(records) = records(&self.chunk_body(*chunk)?) else { continue };
+            let Ok(records) = self.records(&self.chunk_body(*chunk)?) else { continue };
             let mut history = History::default();
             for message in messages(&records).flatten() {
                 let topic = found.topics.entry(topic(message.channel).to_owned()).or_default();
@@ -89,7 +89,7 @@ impl Recording {
         }
         for chunk in self.tool_chunks() {
             let body = self.chunk_body(*chunk)?;
-            let Ok(records) = records(&body) else { continue };
+            let Ok(records) = self.records(&body) else { continue };
             // Each message gets its share of the packed bytes.
             let share = body.len() as f64 / records.len().max(1) as f64;
             for message in messages(&records).flatten() {

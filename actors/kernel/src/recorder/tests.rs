@@ -11,6 +11,8 @@ use trocar_scene::{
     RegistryBuilder, SimTime, Snapshot, Store, Tick,
 };
 
+use super::container::{CHECKSUM, checksum};
+use super::reader::metadata_record;
 use super::{Item, Recorder, RecorderOptions, Recording, RecordingError, RecordingHead, Replay};
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultPlan, secs};
@@ -87,7 +89,7 @@ fn session(path: &Path, options: RecorderOptions, plan: FaultPlan) -> LockstepSe
     LockstepSession::new(spec).expect("starts")
 }
 
-fn record(path: &Path, until: f64, options: RecorderOptions, plan: FaultPlan) -> SessionOutcome {
+pub(super) fn record(path: &Path, until: f64, options: RecorderOptions, plan: FaultPlan) -> SessionOutcome {
     let mut session = session(path, options, plan);
     session.step_until(secs(until));
     session.finish()
@@ -266,9 +268,15 @@ fn another_schema_or_an_unknown_component_is_named() {
     let file = folder.file("a.mcap");
     record(&file, 0.1, RecorderOptions::exact(), FaultPlan::new(1));
     let mut bytes = std::fs::read(&file).expect("written");
-    let needle = b"\x06\0\0\0schema\x01\0\0\x002";
-    let at = bytes.windows(needle.len()).position(|window| window == needle).expect("stands there");
-    bytes[at + needle.len() - 1] = b'9';
+    // The first metadata record stands behind the file's header, whose profile has the same name.
+    let at = 8 + 9 + u64::from_le_bytes(bytes[9..17].try_into().expect("eight bytes")) as usize;
+    let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes")) as usize;
+    let (name, mut pairs) = metadata_record(&bytes[at + 9..at + 9 + length]).expect("whole");
+    pairs.insert("schema".to_owned(), "9".to_owned());
+    pairs.insert(CHECKSUM.to_owned(), checksum(&pairs));
+    let mut record = Vec::new();
+    super::mcap_records::metadata(&name, &pairs, &mut record);
+    bytes[at..at + 9 + length].copy_from_slice(&record);
     let other = folder.file("other.mcap");
     std::fs::write(&other, &bytes).expect("written");
     let text = Recording::open(&other).expect_err("refused").to_string();
