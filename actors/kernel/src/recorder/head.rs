@@ -3,13 +3,13 @@
 use serde_json::Value;
 use trocar_scene::{RecordPolicy, Snapshot};
 
-use super::container::Container;
 use super::format::{
     BLOCK_ENCODING, COMMITS, COMPONENT, EVENTS, GAPS, KEYFRAMES, META, META_DEVICES, SCENARIO, SCHEMA, TF,
     channel,
 };
 use super::json_channels::{self, EVENT_SCHEMA, TF_SCHEMA};
-use super::mcap_records::{Channel, Schema};
+use super::mcap::container::Container;
+use super::mcap::records::{Channel, Schema};
 use super::options::RecordingHead;
 
 /// Appends the head of a recording.

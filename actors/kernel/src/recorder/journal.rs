@@ -18,13 +18,13 @@ use trocar_scene::{ComponentError, Provenance, Revision, SimTime, Snapshot, Writ
 use super::block::CommitHead;
 use super::byte_counts::ByteCounts;
 use super::columns::History;
-use super::container::{Container, Mark, OpenChunk};
 use super::format::{Gap, META_BYTES, META_END, PROFILE, channel};
 use super::gate::WritePermit;
 use super::head::{channels, schemas, write_head};
 use super::json_channels;
 use super::life_buffers::LifeBuffers;
-use super::mcap_records::Compression;
+use super::mcap::container::{Container, Mark, OpenChunk};
+use super::mcap::records::Compression;
 use super::open_block::{BlockMark, OpenBlock};
 use super::options::{RecorderOptions, RecordingHead};
 use super::write_buffer::WriteBuffer;

@@ -8,15 +8,9 @@
 
 mod block;
 mod byte_counts;
-mod bytes;
-mod chunk_items;
-mod chunk_list;
 mod columns;
 mod commit_sink;
-mod container;
 mod controller;
-#[cfg(test)]
-mod damage_tests;
 mod format;
 mod gate;
 mod handover;
@@ -25,28 +19,24 @@ mod journal;
 mod json_channels;
 mod kept_commits;
 mod life_buffers;
-mod mcap_records;
+mod mcap;
 mod open_block;
 mod options;
-mod reader;
-mod recover;
-mod replay;
+mod reading;
 mod rounding;
 mod sampler;
 #[cfg(test)]
 mod sampling_tests;
-mod statistics;
 #[cfg(test)]
 mod supervised_tests;
 #[cfg(test)]
 pub(crate) mod tests;
 mod write_buffer;
 
-pub use chunk_items::{Item, Keyframe};
 pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};
 pub use options::{RecorderError, RecorderOptions, RecordingHead};
-pub use reader::{Recording, RecordingEnd, RecordingError, RecordingMetadata};
-pub use recover::Recovered;
-pub use replay::Replay;
-pub use statistics::{Bytes, ComponentBytes, RecordingStatistics};
+pub use reading::{
+    Bytes, ComponentBytes, Item, Keyframe, Recording, RecordingEnd, RecordingError, RecordingMetadata,
+    RecordingStatistics, Recovered, Replay,
+};

@@ -11,8 +11,8 @@ use trocar_scene::{
     RegistryBuilder, SimTime, Snapshot, Store, Tick,
 };
 
-use super::container::{CHECKSUM, checksum};
-use super::reader::metadata_record;
+use super::mcap::container::{CHECKSUM, checksum};
+use super::reading::recording::metadata_record;
 use super::{Item, Recorder, RecorderOptions, Recording, RecordingError, RecordingHead, Replay};
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultPlan, secs};
@@ -275,7 +275,7 @@ fn another_schema_or_an_unknown_component_is_named() {
     pairs.insert("schema".to_owned(), "9".to_owned());
     pairs.insert(CHECKSUM.to_owned(), checksum(&pairs));
     let mut record = Vec::new();
-    super::mcap_records::metadata(&name, &pairs, &mut record);
+    super::mcap::records::metadata(&name, &pairs, &mut record);
     bytes[at..at + 9 + length].copy_from_slice(&record);
     let other = folder.file("other.mcap");
     std::fs::write(&other, &bytes).expect("written");

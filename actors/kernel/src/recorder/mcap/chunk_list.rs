@@ -6,12 +6,12 @@ use std::io::{self, Read, Seek, SeekFrom};
 
 use trocar_scene::SimTime;
 
-use super::bytes::Bytes;
-use super::format::channel;
-use super::mcap_records::{MAGIC, op};
+use crate::recorder::format::channel;
+use crate::recorder::mcap::bytes::Bytes;
+use crate::recorder::mcap::records::{MAGIC, op};
 
 /// Longest chunk that is read into memory; ours are about 1 MiB unless one keyframe is larger.
-pub(super) const CHUNK_MAX: u64 = 1 << 30;
+pub(in crate::recorder) const CHUNK_MAX: u64 = 1 << 30;
 /// Longest other record that is read.
 const RECORD_MAX: u64 = 64 << 20;
 /// Bytes of a record before its content.
@@ -23,32 +23,32 @@ const WINDOW: usize = 1 << 20;
 
 /// A chunk of the file.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ChunkPlace {
-    pub(super) offset: u64,
+pub(in crate::recorder) struct ChunkPlace {
+    pub(in crate::recorder) offset: u64,
     /// Bytes of its content.
-    pub(super) length: u64,
-    pub(super) start: SimTime,
-    pub(super) end: SimTime,
+    pub(in crate::recorder) length: u64,
+    pub(in crate::recorder) start: SimTime,
+    pub(in crate::recorder) end: SimTime,
     /// Whether it holds blocks, keyframes or gaps.
-    pub(super) is_log: bool,
+    pub(in crate::recorder) is_log: bool,
     /// Whether it begins with a keyframe.
-    pub(super) is_keyframe: bool,
+    pub(in crate::recorder) is_keyframe: bool,
 }
 
 /// What a file holds at its top level.
 #[derive(Debug, Default)]
-pub(super) struct Contents {
-    pub(super) chunks: Vec<ChunkPlace>,
+pub(in crate::recorder) struct Contents {
+    pub(in crate::recorder) chunks: Vec<ChunkPlace>,
     /// Metadata and attachments: opcode, offset and content.
-    pub(super) records: Vec<(u8, u64, Vec<u8>)>,
+    pub(in crate::recorder) records: Vec<(u8, u64, Vec<u8>)>,
     /// Where the file was cut off.
-    pub(super) truncation: Option<String>,
+    pub(in crate::recorder) truncation: Option<String>,
     /// Damaged places, with their offsets.
-    pub(super) damage: Vec<(u64, String)>,
+    pub(in crate::recorder) damage: Vec<(u64, String)>,
 }
 
 /// Finds the chunks and the other parts.
-pub(super) fn contents(file: &mut File, size: u64) -> io::Result<Contents> {
+pub(in crate::recorder) fn contents(file: &mut File, size: u64) -> io::Result<Contents> {
     match from_summary(file, size)? {
         Some(contents) => Ok(contents),
         None => from_walk(file, size),
@@ -238,7 +238,7 @@ fn next_chunk(file: &mut File, from: u64, size: u64) -> io::Result<Option<u64>> 
 
 fn is_chunk(bytes: &[u8], left: u64) -> bool {
     let mut fields = Bytes(&bytes[1..]);
-    let mut read = || -> Result<bool, super::bytes::UnexpectedEnd> {
+    let mut read = || -> Result<bool, crate::recorder::mcap::bytes::UnexpectedEnd> {
         let length = fields.u64()?;
         let (start, end, _size, _crc) = (fields.u64()?, fields.u64()?, fields.u64()?, fields.u32()?);
         let compression = fields.u32()?;

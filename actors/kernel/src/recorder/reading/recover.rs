@@ -6,15 +6,15 @@ use std::io::{self, Write};
 
 use trocar_scene::{Revision, SimTime};
 
-use super::bytes::Bytes;
-use super::chunk_items::{self, Item, Message, parse_message};
-use super::chunk_list::{ChunkPlace, contents};
-use super::columns::History;
-use super::container::{Container, OpenChunk};
-use super::format::{Gap, META, META_END, PROFILE, SCENARIO, SCHEMA, channel};
-use super::head::{channels, schemas};
-use super::mcap_records::{Compression, op};
-use super::reader::{Recording, RecordingError};
+use crate::recorder::columns::History;
+use crate::recorder::format::{Gap, META, META_END, PROFILE, SCENARIO, SCHEMA, channel};
+use crate::recorder::head::{channels, schemas};
+use crate::recorder::mcap::bytes::Bytes;
+use crate::recorder::mcap::chunk_list::{ChunkPlace, contents};
+use crate::recorder::mcap::container::{Container, OpenChunk};
+use crate::recorder::mcap::records::{Compression, op};
+use crate::recorder::reading::chunk_items::{self, Item, Message, parse_message};
+use crate::recorder::reading::recording::{Recording, RecordingError};
 use crate::state_hash::StateHash;
 
 /// What a recovery found.
@@ -207,7 +207,7 @@ impl Recovery<'_> {
 
 /// Copies a metadata record, unless it is the one of a clean close.
 fn copy_metadata(container: &mut Container, body: &[u8], out: &mut Vec<u8>) -> Result<String, String> {
-    let (name, pairs) = super::reader::metadata_record(body)?;
+    let (name, pairs) = crate::recorder::reading::recording::metadata_record(body)?;
     if name != META_END {
         container.metadata(&name, &pairs, out);
     }

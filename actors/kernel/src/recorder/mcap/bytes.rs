@@ -2,11 +2,11 @@
 
 /// The unread rest of a byte slice.
 #[derive(Clone, Copy)]
-pub(super) struct Bytes<'a>(pub(super) &'a [u8]);
+pub(in crate::recorder) struct Bytes<'a>(pub(in crate::recorder) &'a [u8]);
 
 /// The bytes end before the value does.
 #[derive(Debug)]
-pub(super) struct UnexpectedEnd;
+pub(in crate::recorder) struct UnexpectedEnd;
 
 impl From<UnexpectedEnd> for String {
     fn from(_: UnexpectedEnd) -> Self {
@@ -15,7 +15,7 @@ impl From<UnexpectedEnd> for String {
 }
 
 impl<'a> Bytes<'a> {
-    pub(super) fn take(&mut self, count: u64) -> Result<&'a [u8], UnexpectedEnd> {
+    pub(in crate::recorder) fn take(&mut self, count: u64) -> Result<&'a [u8], UnexpectedEnd> {
         let count = usize::try_from(count).map_err(|_| UnexpectedEnd)?;
         if count > self.0.len() {
             return Err(UnexpectedEnd);
@@ -29,20 +29,20 @@ impl<'a> Bytes<'a> {
         self.0 = rest;
         Ok(*taken)
     }
-    pub(super) fn u8(&mut self) -> Result<u8, UnexpectedEnd> {
+    pub(in crate::recorder) fn u8(&mut self) -> Result<u8, UnexpectedEnd> {
         Ok(self.array::<1>()?[0])
     }
-    pub(super) fn u16(&mut self) -> Result<u16, UnexpectedEnd> {
+    pub(in crate::recorder) fn u16(&mut self) -> Result<u16, UnexpectedEnd> {
         self.array().map(u16::from_le_bytes)
     }
-    pub(super) fn u32(&mut self) -> Result<u32, UnexpectedEnd> {
+    pub(in crate::recorder) fn u32(&mut self) -> Result<u32, UnexpectedEnd> {
         self.array().map(u32::from_le_bytes)
     }
-    pub(super) fn u64(&mut self) -> Result<u64, UnexpectedEnd> {
+    pub(in crate::recorder) fn u64(&mut self) -> Result<u64, UnexpectedEnd> {
         self.array().map(u64::from_le_bytes)
     }
     /// A length-prefixed string; invalid UTF-8 is replaced.
-    pub(super) fn text(&mut self) -> Result<String, UnexpectedEnd> {
+    pub(in crate::recorder) fn text(&mut self) -> Result<String, UnexpectedEnd> {
         let length = self.u32()?;
         Ok(String::from_utf8_lossy(self.take(u64::from(length))?).into_owned())
     }

@@ -6,11 +6,11 @@ use miniz_oxide::deflate::compress_to_vec;
 use miniz_oxide::inflate::decompress_to_vec_with_limit;
 use trocar_scene::SimTime;
 
-use super::block::{self, HEADS, LEVEL};
-use super::chunk_items::{Message, messages};
-use super::columns::{History, RowDecoder};
-use super::format::{COMMITS, EVENTS, GAPS, KEYFRAMES, TF, channel};
-use super::reader::{Recording, RecordingError};
+use crate::recorder::block::{self, HEADS, LEVEL};
+use crate::recorder::columns::{History, RowDecoder};
+use crate::recorder::format::{COMMITS, EVENTS, GAPS, KEYFRAMES, TF, channel};
+use crate::recorder::reading::chunk_items::{Message, messages};
+use crate::recorder::reading::recording::{Recording, RecordingError};
 
 /// Things and their bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

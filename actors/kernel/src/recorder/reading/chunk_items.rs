@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use trocar_scene::{ComponentError, Registry, Revision, SimTime, Store};
 
-use super::block;
-use super::bytes::Bytes;
-use super::columns::History;
-use super::format::{Gap, Group, channel};
-use super::mcap_records::op;
+use crate::recorder::block;
+use crate::recorder::columns::History;
+use crate::recorder::format::{Gap, Group, channel};
+use crate::recorder::mcap::bytes::Bytes;
+use crate::recorder::mcap::records::op;
 use crate::state_hash::StateHash;
 
 /// Longest unpacked chunk of messages for tools.
@@ -68,7 +68,7 @@ pub enum Item {
 /// The records of a chunk, unpacked and checked.
 ///
 /// `unchecked` accepts a checksum of zero, which in MCAP says that there is none.
-pub(super) fn records(body: &[u8], unchecked: bool) -> Result<Vec<u8>, String> {
+pub(in crate::recorder) fn records(body: &[u8], unchecked: bool) -> Result<Vec<u8>, String> {
     let mut body = Bytes(body);
     body.take(16)?;
     let unpacked = body.u64()?;
@@ -104,14 +104,14 @@ pub(super) fn records(body: &[u8], unchecked: bool) -> Result<Vec<u8>, String> {
 }
 
 /// A message of a chunk.
-pub(super) struct Message<'a> {
-    pub(super) channel: u16,
-    pub(super) time: SimTime,
-    pub(super) data: &'a [u8],
+pub(in crate::recorder) struct Message<'a> {
+    pub(in crate::recorder) channel: u16,
+    pub(in crate::recorder) time: SimTime,
+    pub(in crate::recorder) data: &'a [u8],
 }
 
 /// The messages among the records of a chunk.
-pub(super) fn messages(records: &[u8]) -> impl Iterator<Item = Result<Message<'_>, String>> {
+pub(in crate::recorder) fn messages(records: &[u8]) -> impl Iterator<Item = Result<Message<'_>, String>> {
     let mut records = Bytes(records);
     std::iter::from_fn(move || {
         while !records.0.is_empty() {
@@ -143,7 +143,7 @@ fn message<'a>(records: &mut Bytes<'a>) -> Result<Option<Message<'a>>, String> {
 }
 
 /// The items of a chunk that begins at `offset` of its file. What is behind a damaged message is read as far as it can be.
-pub(super) fn parse_chunk(body: &[u8], unchecked: bool, offset: u64) -> Vec<Item> {
+pub(in crate::recorder) fn parse_chunk(body: &[u8], unchecked: bool, offset: u64) -> Vec<Item> {
     let records = match records(body, unchecked) {
         Ok(records) => records,
         Err(error) => return vec![damage(offset, &error)],
@@ -162,12 +162,12 @@ pub(super) fn parse_chunk(body: &[u8], unchecked: bool, offset: u64) -> Vec<Item
     items
 }
 
-pub(super) fn damage(offset: u64, what: &str) -> Item {
+pub(in crate::recorder) fn damage(offset: u64, what: &str) -> Item {
     Item::Damage(format!("at byte {offset}: {what}"))
 }
 
 /// Parses a message of our own channels; the others are for other tools.
-pub(super) fn parse_message(
+pub(in crate::recorder) fn parse_message(
     message: &Message<'_>,
     history: &mut History,
     offset: u64,

@@ -2,9 +2,9 @@
 
 use proptest::prelude::*;
 
-use super::tests::{Folder, RING, record, registry};
-use super::{Item, RecorderOptions, Recording, Replay};
 use crate::faults::FaultPlan;
+use crate::recorder::tests::{Folder, RING, record, registry};
+use crate::recorder::{Item, RecorderOptions, Recording, Replay};
 use crate::testing::Count;
 
 /// A recording of some chunks, with a short time between keyframes.
@@ -40,7 +40,7 @@ fn whole_chunks(recording: &Recording) -> Vec<(std::ops::Range<usize>, usize)> {
     let mut counted = Vec::new();
     for chunk in recording.log_chunks() {
         let body = recording.chunk_body(*chunk).expect("readable");
-        let items = super::chunk_items::parse_chunk(&body, false, chunk.offset);
+        let items = crate::recorder::reading::chunk_items::parse_chunk(&body, false, chunk.offset);
         let blocks = items.iter().filter(|item| matches!(item, Item::Commits(_))).count();
         let begin = chunk.offset as usize;
         counted.push((begin..begin + 9 + chunk.length as usize, blocks));

@@ -3,14 +3,14 @@
 
 use std::collections::BTreeMap;
 
-use super::mcap_records::{
+use crate::recorder::mcap::records::{
     self as records, AttachmentEntry, Channel, ChunkEntry, Compression, MAGIC, MetadataEntry, Schema,
     Statistics, op,
 };
 
 /// An open chunk: messages as records, with the data for the chunk's index.
 #[derive(Default)]
-pub(super) struct OpenChunk {
+pub(in crate::recorder) struct OpenChunk {
     records: Vec<u8>,
     /// Channel, time \[ns\] and offset in `records` of each message.
     messages: Vec<(u16, u64, u64)>,
@@ -18,35 +18,35 @@ pub(super) struct OpenChunk {
 
 /// A position in an open chunk for a roll-back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Mark {
+pub(in crate::recorder) struct Mark {
     bytes: usize,
     messages: usize,
 }
 
 impl OpenChunk {
-    pub(super) fn message(&mut self, channel: u16, sequence: u32, time: u64, data: &[u8]) {
+    pub(in crate::recorder) fn message(&mut self, channel: u16, sequence: u32, time: u64, data: &[u8]) {
         self.messages.push((channel, time, self.records.len() as u64));
         records::message(channel, sequence, time, data, &mut self.records);
     }
-    pub(super) fn len(&self) -> usize {
+    pub(in crate::recorder) fn len(&self) -> usize {
         self.records.len()
     }
     /// Whether it holds a declared gap and nothing else, or nothing.
-    pub(super) fn holds_only_a_gap(&self) -> bool {
-        self.messages.iter().all(|(channel, ..)| *channel == super::format::channel::GAPS)
+    pub(in crate::recorder) fn holds_only_a_gap(&self) -> bool {
+        self.messages.iter().all(|(channel, ..)| *channel == crate::recorder::format::channel::GAPS)
     }
-    pub(super) fn mark(&self) -> Mark {
+    pub(in crate::recorder) fn mark(&self) -> Mark {
         Mark { bytes: self.records.len(), messages: self.messages.len() }
     }
     /// Removes everything since `mark`, including partial records.
-    pub(super) fn roll_back(&mut self, mark: Mark) {
+    pub(in crate::recorder) fn roll_back(&mut self, mark: Mark) {
         self.records.truncate(mark.bytes);
         self.messages.truncate(mark.messages);
     }
 }
 
 /// A file's length, checksum and index.
-pub(super) struct Container {
+pub(in crate::recorder) struct Container {
     schemas: Vec<Schema>,
     channels: Vec<Channel>,
     position: u64,
@@ -60,7 +60,7 @@ pub(super) struct Container {
 
 impl Container {
     /// A new file; appends its first bytes to `out`, and schemas and channels to the first chunk.
-    pub(super) fn begin(
+    pub(in crate::recorder) fn begin(
         (profile, library): (&str, &str),
         schemas: Vec<Schema>,
         channels: Vec<Channel>,
@@ -97,7 +97,12 @@ impl Container {
         (offset, length)
     }
 
-    pub(super) fn metadata(&mut self, name: &str, pairs: &BTreeMap<String, String>, out: &mut Vec<u8>) {
+    pub(in crate::recorder) fn metadata(
+        &mut self,
+        name: &str,
+        pairs: &BTreeMap<String, String>,
+        out: &mut Vec<u8>,
+    ) {
         // MCAP has no checksum for metadata.
         let mut pairs = pairs.clone();
         pairs.insert(CHECKSUM.to_owned(), checksum(&pairs));
@@ -105,7 +110,13 @@ impl Container {
         self.metadata.push(MetadataEntry { offset, length, name: name.to_owned() });
     }
 
-    pub(super) fn attachment(&mut self, name: &str, media_type: &str, data: &[u8], out: &mut Vec<u8>) {
+    pub(in crate::recorder) fn attachment(
+        &mut self,
+        name: &str,
+        media_type: &str,
+        data: &[u8],
+        out: &mut Vec<u8>,
+    ) {
         let (offset, length) = self.append(out, |out| records::attachment(name, media_type, data, out));
         self.attachments.push(AttachmentEntry {
             offset,
@@ -117,7 +128,12 @@ impl Container {
     }
 
     /// Closes a chunk: appends it with its message indexes to `out` and leaves it empty.
-    pub(super) fn seal(&mut self, chunk: &mut OpenChunk, compression: Compression, out: &mut Vec<u8>) {
+    pub(in crate::recorder) fn seal(
+        &mut self,
+        chunk: &mut OpenChunk,
+        compression: Compression,
+        out: &mut Vec<u8>,
+    ) {
         if chunk.records.is_empty() {
             return;
         }
@@ -155,7 +171,7 @@ impl Container {
     }
 
     /// Appends the end of the file: the summary and the footer.
-    pub(super) fn finish(self, out: &mut Vec<u8>) {
+    pub(in crate::recorder) fn finish(self, out: &mut Vec<u8>) {
         records::data_end(self.crc.clone().finalize(), out);
         let (from, summary_start) = (out.len(), self.position + DATA_END_LENGTH);
         let place = |out: &Vec<u8>| summary_start + (out.len() - from) as u64;
@@ -197,10 +213,10 @@ impl Container {
 }
 
 /// Key of the checksum of a metadata record.
-pub(super) const CHECKSUM: &str = "crc32";
+pub(in crate::recorder) const CHECKSUM: &str = "crc32";
 
 /// The checksum of the other pairs of a metadata record.
-pub(super) fn checksum(pairs: &BTreeMap<String, String>) -> String {
+pub(in crate::recorder) fn checksum(pairs: &BTreeMap<String, String>) -> String {
     let mut hasher = crc32fast::Hasher::new();
     for text in pairs.iter().flat_map(|(key, value)| [key, value]) {
         hasher.update(&(text.len() as u64).to_le_bytes());

@@ -9,10 +9,10 @@ use std::collections::BTreeMap;
 use std::io::Write;
 
 /// First and last bytes of every file.
-pub(super) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+pub(in crate::recorder) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
 /// Opcodes of the records that are used here.
-pub(super) mod op {
+pub(in crate::recorder) mod op {
     pub(crate) const HEADER: u8 = 0x01;
     pub(crate) const FOOTER: u8 = 0x02;
     pub(crate) const SCHEMA: u8 = 0x03;
@@ -31,39 +31,39 @@ pub(super) mod op {
 }
 
 /// A schema of messages.
-pub(super) struct Schema {
-    pub(super) id: u16,
-    pub(super) name: &'static str,
-    pub(super) encoding: &'static str,
-    pub(super) data: Vec<u8>,
+pub(in crate::recorder) struct Schema {
+    pub(in crate::recorder) id: u16,
+    pub(in crate::recorder) name: &'static str,
+    pub(in crate::recorder) encoding: &'static str,
+    pub(in crate::recorder) data: Vec<u8>,
 }
 
 /// A topic; schema 0 means none.
-pub(super) struct Channel {
-    pub(super) id: u16,
-    pub(super) schema: u16,
-    pub(super) topic: &'static str,
-    pub(super) encoding: &'static str,
+pub(in crate::recorder) struct Channel {
+    pub(in crate::recorder) id: u16,
+    pub(in crate::recorder) schema: u16,
+    pub(in crate::recorder) topic: &'static str,
+    pub(in crate::recorder) encoding: &'static str,
 }
 
 /// Position and contents of a chunk.
-pub(super) struct ChunkEntry {
-    pub(super) start: u64,
-    pub(super) end: u64,
-    pub(super) offset: u64,
-    pub(super) length: u64,
+pub(in crate::recorder) struct ChunkEntry {
+    pub(in crate::recorder) start: u64,
+    pub(in crate::recorder) end: u64,
+    pub(in crate::recorder) offset: u64,
+    pub(in crate::recorder) length: u64,
     /// Bytes of the message indexes behind it, and the offset of each channel's index.
-    pub(super) indexes_length: u64,
-    pub(super) indexes: BTreeMap<u16, u64>,
-    pub(super) compression: Compression,
+    pub(in crate::recorder) indexes_length: u64,
+    pub(in crate::recorder) indexes: BTreeMap<u16, u64>,
+    pub(in crate::recorder) compression: Compression,
     /// Bytes of its records, and in the file.
-    pub(super) size: u64,
-    pub(super) packed: u64,
+    pub(in crate::recorder) size: u64,
+    pub(in crate::recorder) packed: u64,
 }
 
 /// How the records of a chunk are compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Compression {
+pub(in crate::recorder) enum Compression {
     /// Not at all: messages of blocks are compressed themselves.
     None,
     /// As an LZ4 frame.
@@ -71,7 +71,7 @@ pub(super) enum Compression {
 }
 
 impl Compression {
-    pub(super) fn name(self) -> &'static str {
+    pub(in crate::recorder) fn name(self) -> &'static str {
         match self {
             Self::None => "",
             Self::Lz4 => "lz4",
@@ -80,19 +80,19 @@ impl Compression {
 }
 
 /// Position of an attachment.
-pub(super) struct AttachmentEntry {
-    pub(super) offset: u64,
-    pub(super) length: u64,
-    pub(super) size: u64,
-    pub(super) name: String,
-    pub(super) media_type: String,
+pub(in crate::recorder) struct AttachmentEntry {
+    pub(in crate::recorder) offset: u64,
+    pub(in crate::recorder) length: u64,
+    pub(in crate::recorder) size: u64,
+    pub(in crate::recorder) name: String,
+    pub(in crate::recorder) media_type: String,
 }
 
 /// Position of a metadata record.
-pub(super) struct MetadataEntry {
-    pub(super) offset: u64,
-    pub(super) length: u64,
-    pub(super) name: String,
+pub(in crate::recorder) struct MetadataEntry {
+    pub(in crate::recorder) offset: u64,
+    pub(in crate::recorder) length: u64,
+    pub(in crate::recorder) name: String,
 }
 
 /// Appends one record: its opcode, its length and what `body` appends.
@@ -127,14 +127,14 @@ fn text(value: &str, out: &mut Vec<u8>) {
     prefixed(out, |out| out.extend_from_slice(value.as_bytes()));
 }
 
-pub(super) fn header(profile: &str, library: &str, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn header(profile: &str, library: &str, out: &mut Vec<u8>) {
     record(op::HEADER, out, |out| {
         text(profile, out);
         text(library, out);
     });
 }
 
-pub(super) fn schema(schema: &Schema, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn schema(schema: &Schema, out: &mut Vec<u8>) {
     record(op::SCHEMA, out, |out| {
         u16(schema.id, out);
         text(schema.name, out);
@@ -143,7 +143,7 @@ pub(super) fn schema(schema: &Schema, out: &mut Vec<u8>) {
     });
 }
 
-pub(super) fn channel(channel: &Channel, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn channel(channel: &Channel, out: &mut Vec<u8>) {
     record(op::CHANNEL, out, |out| {
         u16(channel.id, out);
         u16(channel.schema, out);
@@ -154,7 +154,7 @@ pub(super) fn channel(channel: &Channel, out: &mut Vec<u8>) {
 }
 
 /// `time` \[ns\] is both that of the log and that of the publication.
-pub(super) fn message(channel: u16, sequence: u32, time: u64, data: &[u8], out: &mut Vec<u8>) {
+pub(in crate::recorder) fn message(channel: u16, sequence: u32, time: u64, data: &[u8], out: &mut Vec<u8>) {
     record(op::MESSAGE, out, |out| {
         u16(channel, out);
         u32(sequence, out);
@@ -164,7 +164,7 @@ pub(super) fn message(channel: u16, sequence: u32, time: u64, data: &[u8], out: 
     });
 }
 
-pub(super) fn metadata(name: &str, pairs: &BTreeMap<String, String>, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn metadata(name: &str, pairs: &BTreeMap<String, String>, out: &mut Vec<u8>) {
     record(op::METADATA, out, |out| {
         text(name, out);
         prefixed(out, |out| {
@@ -176,7 +176,7 @@ pub(super) fn metadata(name: &str, pairs: &BTreeMap<String, String>, out: &mut V
     });
 }
 
-pub(super) fn attachment(name: &str, media_type: &str, data: &[u8], out: &mut Vec<u8>) {
+pub(in crate::recorder) fn attachment(name: &str, media_type: &str, data: &[u8], out: &mut Vec<u8>) {
     record(op::ATTACHMENT, out, |out| {
         let begin = out.len();
         // Log and creation time: the beginning of the session.
@@ -192,7 +192,7 @@ pub(super) fn attachment(name: &str, media_type: &str, data: &[u8], out: &mut Ve
 
 /// A chunk with these records in it, the times of whose messages \[ns\] lie between `start` and `end`. Returns how many
 /// bytes the records take.
-pub(super) fn chunk(
+pub(in crate::recorder) fn chunk(
     (start, end): (u64, u64),
     records: &[u8],
     compression: Compression,
@@ -222,7 +222,7 @@ fn lz4(records: &[u8]) -> Vec<u8> {
 }
 
 /// Time \[ns\] and offset in its chunk of each message of a channel.
-pub(super) fn message_index(channel: u16, entries: &[(u64, u64)], out: &mut Vec<u8>) {
+pub(in crate::recorder) fn message_index(channel: u16, entries: &[(u64, u64)], out: &mut Vec<u8>) {
     record(op::MESSAGE_INDEX, out, |out| {
         u16(channel, out);
         prefixed(out, |out| {
@@ -234,7 +234,7 @@ pub(super) fn message_index(channel: u16, entries: &[(u64, u64)], out: &mut Vec<
     });
 }
 
-pub(super) fn chunk_index(entry: &ChunkEntry, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn chunk_index(entry: &ChunkEntry, out: &mut Vec<u8>) {
     record(op::CHUNK_INDEX, out, |out| {
         u64(entry.start, out);
         u64(entry.end, out);
@@ -253,7 +253,7 @@ pub(super) fn chunk_index(entry: &ChunkEntry, out: &mut Vec<u8>) {
     });
 }
 
-pub(super) fn attachment_index(entry: &AttachmentEntry, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn attachment_index(entry: &AttachmentEntry, out: &mut Vec<u8>) {
     record(op::ATTACHMENT_INDEX, out, |out| {
         u64(entry.offset, out);
         u64(entry.length, out);
@@ -265,7 +265,7 @@ pub(super) fn attachment_index(entry: &AttachmentEntry, out: &mut Vec<u8>) {
     });
 }
 
-pub(super) fn metadata_index(entry: &MetadataEntry, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn metadata_index(entry: &MetadataEntry, out: &mut Vec<u8>) {
     record(op::METADATA_INDEX, out, |out| {
         u64(entry.offset, out);
         u64(entry.length, out);
@@ -274,18 +274,18 @@ pub(super) fn metadata_index(entry: &MetadataEntry, out: &mut Vec<u8>) {
 }
 
 /// Counts for the statistics record.
-pub(super) struct Statistics<'a> {
-    pub(super) schemas: u16,
-    pub(super) channels: u32,
-    pub(super) attachments: u32,
-    pub(super) metadata: u32,
-    pub(super) chunks: u32,
+pub(in crate::recorder) struct Statistics<'a> {
+    pub(in crate::recorder) schemas: u16,
+    pub(in crate::recorder) channels: u32,
+    pub(in crate::recorder) attachments: u32,
+    pub(in crate::recorder) metadata: u32,
+    pub(in crate::recorder) chunks: u32,
     /// Times of the first and the last message \[ns\].
-    pub(super) bounds: (u64, u64),
-    pub(super) messages: &'a BTreeMap<u16, u64>,
+    pub(in crate::recorder) bounds: (u64, u64),
+    pub(in crate::recorder) messages: &'a BTreeMap<u16, u64>,
 }
 
-pub(super) fn statistics(counts: &Statistics<'_>, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn statistics(counts: &Statistics<'_>, out: &mut Vec<u8>) {
     record(op::STATISTICS, out, |out| {
         u64(counts.messages.values().sum(), out);
         u16(counts.schemas, out);
@@ -304,11 +304,11 @@ pub(super) fn statistics(counts: &Statistics<'_>, out: &mut Vec<u8>) {
     });
 }
 
-pub(super) fn data_end(crc: u32, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn data_end(crc: u32, out: &mut Vec<u8>) {
     record(op::DATA_END, out, |out| u32(crc, out));
 }
 
-pub(super) fn summary_offset(opcode: u8, start: u64, length: u64, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn summary_offset(opcode: u8, start: u64, length: u64, out: &mut Vec<u8>) {
     record(op::SUMMARY_OFFSET, out, |out| {
         out.push(opcode);
         u64(start, out);
@@ -318,7 +318,7 @@ pub(super) fn summary_offset(opcode: u8, start: u64, length: u64, out: &mut Vec<
 
 /// The footer and the closing magic. `summary` is where in `out` the summary begins: the footer's checksum covers
 /// everything from there.
-pub(super) fn footer(summary: usize, summary_start: u64, offsets_start: u64, out: &mut Vec<u8>) {
+pub(in crate::recorder) fn footer(summary: usize, summary_start: u64, offsets_start: u64, out: &mut Vec<u8>) {
     record(op::FOOTER, out, |out| {
         u64(summary_start, out);
         u64(offsets_start, out);

@@ -10,12 +10,12 @@ use std::sync::Arc;
 use thiserror::Error;
 use trocar_scene::{Component, ComponentError, Entity, EntityAllocator, Registry, SimTime, Snapshot};
 
-use super::bytes::Bytes;
-use super::chunk_items::{self, Item, parse_chunk};
-use super::chunk_list::{ChunkPlace, Contents, contents};
-use super::container::{CHECKSUM, checksum};
-use super::format::{COMPONENT, META, META_BYTES, META_DEVICES, META_END, SCENARIO, SCHEMA};
-use super::mcap_records::{MAGIC, op};
+use crate::recorder::format::{COMPONENT, META, META_BYTES, META_DEVICES, META_END, SCENARIO, SCHEMA};
+use crate::recorder::mcap::bytes::Bytes;
+use crate::recorder::mcap::chunk_list::{ChunkPlace, Contents, contents};
+use crate::recorder::mcap::container::{CHECKSUM, checksum};
+use crate::recorder::mcap::records::{MAGIC, op};
+use crate::recorder::reading::chunk_items::{self, Item, parse_chunk};
 use crate::state_hash::StateHash;
 
 /// A file that cannot be used as a recording.
@@ -273,7 +273,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`].
     pub fn snapshot_at(&self, registry: &Arc<Registry>, time: SimTime) -> Result<Snapshot, RecordingError> {
-        let mut replay = super::Replay::seek(self, registry, time)?;
+        let mut replay = crate::recorder::Replay::seek(self, registry, time)?;
         replay.advance_to(time)?;
         Ok(replay.view().clone())
     }
@@ -440,18 +440,18 @@ impl Recording {
     }
 
     /// The records of a chunk, unpacked and checked.
-    pub(super) fn records(&self, body: &[u8]) -> Result<Vec<u8>, String> {
+    pub(in crate::recorder) fn records(&self, body: &[u8]) -> Result<Vec<u8>, String> {
         chunk_items::records(body, self.unchecked)
     }
 
-    pub(super) fn log_chunks(&self) -> &[ChunkPlace] {
+    pub(in crate::recorder) fn log_chunks(&self) -> &[ChunkPlace] {
         &self.chunks
     }
-    pub(super) fn tool_chunks(&self) -> &[ChunkPlace] {
+    pub(in crate::recorder) fn tool_chunks(&self) -> &[ChunkPlace] {
         &self.tool_chunks
     }
 
-    pub(super) fn chunk_body(&self, chunk: ChunkPlace) -> Result<Vec<u8>, RecordingError> {
+    pub(in crate::recorder) fn chunk_body(&self, chunk: ChunkPlace) -> Result<Vec<u8>, RecordingError> {
         let io_error = |source| RecordingError::Io { file: self.path.clone(), source };
         let mut file = File::open(&self.path).map_err(io_error)?;
         file.seek(SeekFrom::Start(chunk.offset + 9)).map_err(io_error)?;
@@ -460,17 +460,19 @@ impl Recording {
         Ok(body)
     }
 
-    pub(super) fn damaged(&self, offset: u64, message: String) -> RecordingError {
+    pub(in crate::recorder) fn damaged(&self, offset: u64, message: String) -> RecordingError {
         RecordingError::Damaged { file: self.path.clone(), offset, message }
     }
 
-    pub(super) fn undecodable(&self, revision: u64, error: &ComponentError) -> RecordingError {
+    pub(in crate::recorder) fn undecodable(&self, revision: u64, error: &ComponentError) -> RecordingError {
         self.damaged(0, format!("the commit of revision {revision}: {error}"))
     }
 }
 
 /// Name and pairs of a metadata record, checked by the checksum among them.
-pub(super) fn metadata_record(body: &[u8]) -> Result<(String, BTreeMap<String, String>), String> {
+pub(in crate::recorder) fn metadata_record(
+    body: &[u8],
+) -> Result<(String, BTreeMap<String, String>), String> {
     let mut body = Bytes(body);
     let name = body.text()?;
     let length = body.u32()?;

@@ -6,10 +6,10 @@ use std::sync::Arc;
 
 use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
-use super::chunk_items::{Item, Keyframe};
-use super::format::{Gap, Group};
-use super::reader::{Recording, RecordingError};
 use crate::model_core::ModelCore;
+use crate::recorder::format::{Gap, Group};
+use crate::recorder::reading::chunk_items::{Item, Keyframe};
+use crate::recorder::reading::recording::{Recording, RecordingError};
 use crate::state_hash::StateHash;
 
 type Items<'a> = Box<dyn Iterator<Item = Result<Item, RecordingError>> + 'a>;
