@@ -50,7 +50,7 @@ pub enum Command {
     List(ListArgs),
     /// Play a recording back, commit by commit, and compare the state hash
     Replay(ReplayArgs),
-    /// Recordings: count what they hold
+    /// Recordings: count what they hold, recover damaged ones
     Recording {
         /// What to do
         #[command(subcommand)]

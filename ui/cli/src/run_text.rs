@@ -151,7 +151,8 @@ pub fn text(summary: &RunSummary) -> String {
     ));
     if let Some(file) = &summary.recording {
         let gaps = if summary.recording_complete { "" } else { " (with gaps)" };
-        lines.push(format!("recording {file}{gaps}"));
+        let size = summary.recording_bytes.map(|bytes| format!(", {:.2} MB", bytes as f64 * 1e-6));
+        lines.push(format!("recording {file}{}{gaps}", size.unwrap_or_default()));
     }
     if let Some(file) = &summary.report {
         lines.push(format!("report {file}"));

@@ -7,6 +7,7 @@ mod docs_commands;
 mod mesh_files;
 mod own_programs;
 mod pictures;
+mod recordings;
 mod refusals;
 mod runs;
 mod support;

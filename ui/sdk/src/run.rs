@@ -254,6 +254,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary.penetration_max =
         scene.iter::<CollisionList>().map(|(_, list)| list.penetration_max).fold(0.0, f64::max);
     summary.recording = options.record.as_ref().map(|file| file.display().to_string());
+    summary.recording_bytes = options.record.as_ref().and_then(|file| Some(file.metadata().ok()?.len()));
     summary.recording_complete = outcome.recording_complete.unwrap_or(false);
     summary.losses = finished.losses.clone();
     summary.losses.extend(doubts(scene));

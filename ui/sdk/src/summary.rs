@@ -106,6 +106,8 @@ pub struct RunSummary {
     pub stored_hash: Option<String>,
     /// File of the recording.
     pub recording: Option<String>,
+    /// Bytes of the recording.
+    pub recording_bytes: Option<u64>,
     /// Whether the recording has no gaps; false without a recording.
     pub recording_complete: bool,
     /// File of the report.
@@ -148,6 +150,7 @@ impl RunSummary {
             frozen_bodies: Vec::new(),
             stored_hash: None,
             recording: None,
+            recording_bytes: None,
             recording_complete: false,
             report: None,
             pictures: Vec::new(),

@@ -230,6 +230,22 @@ pub(super) fn hashes(bytes: &[u8]) -> Result<(StateHash, StateHash, Cursor<'_>),
     Ok((stored, state, cursor))
 }
 
+/// How many rows some unpacked bodies hold, each with those before it as its history; for tests of the decoder.
+///
+/// # Errors
+/// What is wrong with the bytes.
+#[doc(hidden)]
+pub fn rows_of_body(bodies: &[&[u8]]) -> Result<usize, String> {
+    let (mut history, mut count) = (History::default(), 0);
+    for body in bodies {
+        let mut decoder = RowDecoder::new(&mut history, body);
+        while let Some((_, rows)) = decoder.next()? {
+            count += rows.len();
+        }
+    }
+    Ok(count)
+}
+
 struct Head {
     kind: CommitKind,
     provenance: Provenance,

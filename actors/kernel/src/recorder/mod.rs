@@ -33,6 +33,7 @@ mod supervised_tests;
 pub(crate) mod tests;
 mod write_buffer;
 
+pub use block::rows_of_body;
 pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};
 pub use options::{RecorderError, RecorderOptions, RecordingHead};

@@ -10,6 +10,7 @@ mod markdown;
 mod memory;
 mod peer;
 mod plot;
+mod recording;
 mod session;
 mod simulator;
 mod viewer;
@@ -24,7 +25,7 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and their contents.
-pub const SUITES: [(&str, &str); 7] = [
+pub const SUITES: [(&str, &str); 8] = [
     (
         "kernel",
         "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
@@ -41,6 +42,10 @@ pub const SUITES: [(&str, &str); 7] = [
     (
         "simulator",
         "finite elements beside MuJoCo, position-based bodies beside pypbd, a rod beside PyElastica, a sheet beside Bullet (--peers), cloth, thread, heat, liquid, growth",
+    ),
+    (
+        "recording",
+        "what a minute of each scenario takes, what recording costs the hands, opening and seeking in an hour's file; takes about ten minutes",
     ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
     (
@@ -81,6 +86,13 @@ const VIEWER: [Part; 5] = [
 
 /// The parts of the suite `build`.
 const BUILD: [Part; 1] = [("a cold build of the program", build::cold)];
+
+/// The parts of the suite `recording`.
+const RECORDING: [Part; 3] = [
+    ("a minute of each scenario", recording::sizes),
+    ("the exercise live, with and without a recording", recording::hands),
+    ("an hour's file", recording::hour),
+];
 
 /// The parts of the suite `memory`.
 const MEMORY: [Part; 2] = [
@@ -160,6 +172,7 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         "simulator" => return run(&simulator, summary),
         "session" => &SESSION,
         "viewer" => &VIEWER,
+        "recording" => &RECORDING,
         "memory" => &MEMORY,
         "build" => &BUILD,
         _ => &KERNEL,

@@ -1,0 +1,95 @@
+//! `trocar recording`, and replays of recordings that are not whole.
+
+use std::path::Path;
+
+use crate::support::{assert_valid, here, object, stderr, stdout, trocar};
+
+/// Records some seconds of the wall in a folder.
+fn recorded(folder: &Path, more: &[&str]) -> serde_json::Value {
+    let line =
+        ["run", "wall", "--lockstep", "--seconds", "3", "--no-report", "--json", "--record", "wall.mcap"];
+    let output = trocar(folder, &[&line[..], more].concat());
+    assert!(output.status.success(), "{}", stderr(&output));
+    object(&output)
+}
+
+#[test]
+fn the_bytes_of_a_recording_are_counted_by_component_writer_rate_and_framing() {
+    let folder = here();
+    let run = recorded(folder.path(), &[]);
+    let counted = object(&trocar(folder.path(), &["recording", "stats", "wall.mcap", "--json"]));
+    assert_eq!(counted["bytes"], run["recording_bytes"]);
+    let component = |name: &str| {
+        let all = counted["components"].as_array().expect("a list");
+        all.iter().find(|component| component["name"] == name).expect("it is there").clone()
+    };
+    let (state, pose) = (component("device_state"), component("pose"));
+    assert_eq!(state["policy"], "exact");
+    assert_eq!(state["committed"]["count"], state["blocks"]["count"], "every state of a hand");
+    assert!(pose["policy"].as_str().expect("a text").starts_with("sampled 60 Hz"));
+    let haptics = counted["writers"]["haptics.right"]["count"].as_u64().expect("a count");
+    assert!((2_990..=3_010).contains(&haptics), "{haptics} commits in 3 s at 1 kHz");
+    let topics = counted["topics"].as_object().expect("by topic");
+    let all: u64 = topics.values().map(|topic| topic["bytes"].as_u64().expect("bytes")).sum();
+    assert_eq!(all + counted["framing_bytes"].as_u64().expect("bytes"), counted["bytes"].as_u64().unwrap());
+    assert!(counted["committed_bytes"].as_u64() > counted["bytes"].as_u64(), "less than was committed");
+    let text = stdout(&trocar(folder.path(), &["recording", "stats", "wall.mcap"]));
+    for word in ["MB a minute", "times as much", "framing", "device_state", "haptics.right", "commits/s"] {
+        assert!(text.contains(word), "'{word}' is missing in:\n{text}");
+    }
+}
+
+#[test]
+fn an_exact_recording_is_larger_and_replays_to_the_hash_of_the_session() {
+    let folder = here();
+    let sampled = recorded(folder.path(), &[]);
+    let exact = recorded(folder.path(), &["--record-exact"]);
+    assert_eq!(exact["state_hash"], sampled["state_hash"], "recording changes no hash");
+    assert!(exact["recording_bytes"].as_u64() > sampled["recording_bytes"].as_u64());
+    let replayed = object(&trocar(folder.path(), &["replay", "wall.mcap", "--json"]));
+    assert_valid("run", &replayed);
+    assert_eq!(replayed["stored_hash"], exact["state_hash"]);
+}
+
+#[test]
+fn a_damaged_recording_is_played_told_and_recovered() {
+    let folder = here();
+    let run = recorded(folder.path(), &[]);
+    let file = folder.path().join("wall.mcap");
+    let mut bytes = std::fs::read(&file).expect("written");
+    let at = bytes.len() / 2;
+    bytes[at] ^= 0x10;
+    std::fs::write(&file, &bytes).expect("written");
+
+    let replayed = trocar(folder.path(), &["replay", "wall.mcap", "--json"]);
+    assert_eq!(replayed.status.code(), Some(1), "{}", stderr(&replayed));
+    let summary = object(&replayed);
+    assert_valid("run", &summary);
+    assert!(summary["error"].as_str().expect("an error").contains("damaged at byte"), "{summary}");
+    let (whole, played) = (run["sim_secs"].as_f64().unwrap(), summary["sim_secs"].as_f64().unwrap());
+    assert!((whole - played).abs() < 0.05, "{played} s of {whole}");
+    let text = trocar(folder.path(), &["replay", "wall.mcap", "--headless"]);
+    assert!(stderr(&text).contains("damaged at byte") && !stdout(&text).is_empty(), "{}", stderr(&text));
+
+    let told = trocar(folder.path(), &["recording", "recover", "wall.mcap"]);
+    assert!(told.status.success(), "{}", stderr(&told));
+    assert!(stdout(&told).contains("checksum") && stdout(&told).contains("1 damaged"), "{}", stdout(&told));
+    let recovered = trocar(folder.path(), &["replay", "wall-recovered.mcap", "--json"]);
+    let error = object(&recovered)["error"].as_str().expect("an error").to_owned();
+    assert!(error.contains("gap") && !error.contains("damaged at"), "{error}");
+    let again = trocar(folder.path(), &["recording", "recover", "wall.mcap", "--json"]);
+    assert_eq!(again.status.code(), Some(4), "an earlier result stays");
+    let forced = trocar(folder.path(), &["recording", "recover", "wall.mcap", "--json", "--force"]);
+    assert_eq!(object(&forced)["damaged_chunks"], 1);
+}
+
+#[test]
+fn what_is_no_recording_or_of_another_version_is_refused_with_a_word() {
+    let folder = here();
+    std::fs::write(folder.path().join("a.mcap"), "a text").expect("written");
+    for command in [&["recording", "stats"][..], &["recording", "recover"], &["replay"]] {
+        let output = trocar(folder.path(), &[command, &["a.mcap"]].concat());
+        assert_eq!(output.status.code(), Some(4), "{command:?}");
+        assert!(stderr(&output).contains("not a recording of trocar"), "{}", stderr(&output));
+    }
+}
