@@ -29,6 +29,7 @@ pub mod kinematics;
 pub mod leaves;
 pub mod mesh;
 pub mod organs;
+pub mod output_file;
 mod polygon;
 pub mod puts;
 pub mod random;

@@ -5,6 +5,8 @@ use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
 
+use trocar_scene::output_file;
+
 use super::gate::WritePermit;
 
 /// Where a recording goes.
@@ -22,7 +24,11 @@ impl Disk for File {
         Write::write(self, bytes)
     }
     fn sync(&mut self) -> io::Result<()> {
-        self.sync_data()
+        match self.sync_data() {
+            // A FIFO or a device has nothing to make durable.
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            synced => synced,
+        }
     }
     fn rewind(&mut self, length: u64) -> io::Result<()> {
         self.set_len(length)?;
@@ -48,7 +54,7 @@ pub(super) struct WriteBuffer {
 
 impl WriteBuffer {
     pub(super) fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self::new(Box::new(File::create(path)?)))
+        Ok(Self::new(Box::new(output_file::open(path)?)))
     }
 
     pub(super) fn new(disk: Box<dyn Disk>) -> Self {
