@@ -33,7 +33,8 @@ pub struct RunOptions {
     pub faults: Option<FaultPlan>,
     /// Further targets for faults: parts of the program outside the session.
     pub fault_targets: FaultTargets,
-    /// File to record to.
+    /// File to record to. One that is there is emptied: a program that must not lose it claims the place first, with
+    /// [`trocar_scene::output_file::Claim`].
     pub record: Option<PathBuf>,
     /// Options of the recorder.
     pub recorder: RecorderOptions,

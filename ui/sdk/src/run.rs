@@ -11,7 +11,7 @@ use trocar_kernel::recorder::{self, Recorder, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
+use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState, output_file};
 
 use crate::app::App;
 use crate::assembly::{Assembly, AssemblyError};
@@ -19,7 +19,7 @@ pub use crate::error::RunError;
 use crate::graph::ActorGraph;
 pub use crate::options::{FaultTargets, RunOptions};
 use crate::session::{Finished, Session, doubts, forecast};
-use crate::summary::{Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
+use crate::summary::{BY_THE_PROGRAM, Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 use crate::watch::contacts::ContactWatch;
 use crate::watch::frozen::FrozenWatch;
@@ -66,6 +66,7 @@ pub struct RunOutcome {
 impl RunOutcome {
     /// The exit code of the process: not ok if the exercise was not completed, an expectation failed, a controller
     /// failed too often, everything that a controller wrote was refused, or an exercise had a contact that was not kept or a frozen body.
+    /// The signal that ended a run is known to the caller only.
     pub fn exit(&self) -> Exit {
         if self.kernel.code != 0 {
             return Exit::Internal;
@@ -98,8 +99,7 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
     }
     let started = if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) };
     if let (Err(_), Some(file)) = (&started, &options.record) {
-        // An empty recording is useless. If it cannot be removed, the first error is still the one to return.
-        let _ = std::fs::remove_file(file);
+        output_file::discard(file);
     }
     started.map_err(|error| located(scenario, error))
 }
@@ -147,7 +147,12 @@ pub fn run(
     let mut rates = RateWatch::new(rows.into_iter().map(|row| (row.name, row.target_hz)));
     rates.look(session.now(), &session.ticks());
     let mut next = LOOK_EVERY;
-    while session.run_until(next) && !options.stop.load(Ordering::Relaxed) {
+    let mut is_cut_off = false;
+    while session.run_until(next) {
+        if options.stop.load(Ordering::Relaxed) {
+            is_cut_off = true;
+            break;
+        }
         let scene = session.snapshot();
         trace.sample(&scene);
         let now = session.now();
@@ -172,6 +177,7 @@ pub fn run(
         };
         observer(&mut progress);
         if progress.end {
+            is_cut_off = true;
             break;
         }
         // After a delay, or after the observer itself advanced the session, skip the looks that were missed.
@@ -203,6 +209,7 @@ pub fn run(
     (summary.unkept_contacts, summary.contacts_not_kept) = contacts.found();
     (summary.frozen_bodies, summary.bodies_frozen) = frozen.found();
     summary.warnings = warnings;
+    summary.cut_off_by = is_cut_off.then(|| BY_THE_PROGRAM.to_owned());
     let failed_expectations = options.faults.as_ref().map_or_else(Vec::new, |plan| {
         let measured = Measured {
             force_newtons_max: finished.force_newtons_max,

@@ -14,6 +14,9 @@ pub use trocar_scene::components::ScoreKind;
 /// Version of the objects in this file; it rises when a field changes its meaning or is removed.
 pub const SCHEMA: u32 = 1;
 
+/// What is told of a run that its own program ended before its time.
+pub const BY_THE_PROGRAM: &str = "the program";
+
 /// Exit codes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -21,16 +24,23 @@ pub const SCHEMA: u32 = 1;
 pub enum Exit {
     /// Success.
     Ok = 0,
-    /// An expectation failed, or the exercise was not completed (and `--seconds` did not cut it off).
+    /// An expectation failed, or the exercise was not completed (and `--seconds` did not cut it off): also when a person
+    /// closed the window before it was over.
     Failed = 1,
     /// The command line is invalid.
     Usage = 2,
-    /// A requested device is missing.
+    /// A requested device is missing, or the graphics adapter for a picture.
     DeviceMissing = 3,
-    /// A scenario or another file is invalid.
+    /// A scenario or another file is invalid, a result could not be written, or a picture could not be made.
     Invalid = 4,
     /// The program itself failed.
     Internal = 70,
+    /// SIGHUP ended the command: its terminal was closed.
+    HungUp = 129,
+    /// SIGINT ended the command: Ctrl-C.
+    Interrupted = 130,
+    /// SIGTERM ended the command.
+    Terminated = 143,
 }
 
 impl Exit {
@@ -114,8 +124,12 @@ pub struct RunSummary {
     pub report: Option<String>,
     /// Files of pictures and films.
     pub pictures: Vec<String>,
+    /// Who ended the run before its time: `SIGHUP`, `SIGINT`, `SIGTERM`, `a person at the window`, or `the program` that
+    /// runs the session; null when it ended by itself or by `--seconds`.
+    pub cut_off_by: Option<String>,
     /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
-    /// taken away on the way; bodies that went beyond what their method is right for; meshes that were mended.
+    /// taken away on the way; bodies that went beyond what their method is right for; meshes that were mended; results
+    /// that could not be written.
     pub losses: Vec<String>,
     /// What was told before the start, one sentence each: what the scenario's methods cannot bear.
     pub warnings: Vec<String>,
@@ -154,6 +168,7 @@ impl RunSummary {
             recording_complete: false,
             report: None,
             pictures: Vec::new(),
+            cut_off_by: None,
             losses: Vec::new(),
             warnings: Vec::new(),
             error: None,
@@ -197,7 +212,7 @@ impl RunSummary {
     /// The exit code of the process, where `expectations_failed` says whether a fault plan's `[expect]` failed. The
     /// caller handles an `error` of the program itself.
     pub fn exit(&self, expectations_failed: bool) -> Exit {
-        let finished = self.task.completed || self.task.cut_off;
+        let finished = self.task.completed || (self.task.cut_off && self.cut_off_by.is_none());
         if finished && !expectations_failed { Exit::Ok } else { Exit::Failed }
     }
 }
@@ -208,7 +223,7 @@ impl RunSummary {
 pub struct TaskSummary {
     /// Whether everything was done.
     pub completed: bool,
-    /// Whether `--seconds` (or an interrupt) ended the run before the exercise was over. An exercise whose own
+    /// Whether `--seconds` (or who is named in `cut_off_by`) ended the run before the exercise was over. An exercise whose own
     /// time limit ran out is over: not completed, score 0, not cut off.
     pub cut_off: bool,
     /// 0–100; null until the exercise is over.
@@ -464,11 +479,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_run_that_was_cut_off_or_completed_is_no_failure() {
+    fn a_run_that_seconds_cut_off_or_that_was_completed_is_no_failure() {
         let mut summary = RunSummary::new("peg-transfer", Mode::Live, 1);
         assert_eq!(summary.exit(false), Exit::Failed);
         summary.task.cut_off = true;
         assert_eq!(summary.exit(false), Exit::Ok);
+        summary.cut_off_by = Some("a person at the window".to_owned());
+        assert_eq!(summary.exit(false), Exit::Failed, "a person did not let it come to its end");
+        summary.cut_off_by = None;
         summary.task = TaskSummary { completed: true, ..TaskSummary::default() };
         assert_eq!(summary.exit(false), Exit::Ok);
         assert_eq!(summary.exit(true), Exit::Failed);

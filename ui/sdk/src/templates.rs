@@ -9,6 +9,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
+use trocar_scene::output_file::{self, Replace};
 
 /// The placeholder for Trocar's path in the templates' manifests.
 const SDK: &str = "{ path = \"../..\" }";
@@ -223,18 +224,17 @@ impl Template {
         if !is_free {
             return Err(TemplateError::Exists(folder.to_owned()));
         }
-        let written = self.write_files(name, folder, &places).and_then(|mut files| {
-            files.extend(share_libraries(folder, source)?);
-            Ok(files)
-        });
-        if written.is_err() {
-            // The first error is the one to return.
-            let _ = fs::remove_dir_all(folder);
-            if !fresh {
-                let _ = fs::create_dir(folder);
+        let mut files = Vec::with_capacity(self.files.len());
+        let written = self
+            .write_files(name, folder, &places, &mut files)
+            .and_then(|()| share_libraries(folder, source, &mut files));
+        match written {
+            Ok(()) => Ok(files),
+            Err(error) => {
+                self.undo(folder, &files, fresh);
+                Err(error)
             }
         }
-        written
     }
 
     fn write_files(
@@ -242,20 +242,46 @@ impl Template {
         name: &str,
         folder: &Path,
         (sdk, cli): &(String, String),
-    ) -> Result<Vec<PathBuf>, TemplateError> {
+        written: &mut Vec<PathBuf>,
+    ) -> Result<(), TemplateError> {
         let (old, own) = (format!("template-{}", self.name), name.replace('-', "_"));
-        let mut written = Vec::with_capacity(self.files.len());
         for (path, text) in self.files {
-            let file = folder.join(path);
-            let wrong = |error| TemplateError::Write { file: file.clone(), error };
-            if let Some(parent) = file.parent() {
-                fs::create_dir_all(parent).map_err(wrong)?;
-            }
             let text = text.replace(&old, name).replace(&old.replace('-', "_"), &own);
-            fs::write(&file, text.replace(SDK, sdk).replace(CLI, cli)).map_err(wrong)?;
-            written.push(file);
+            write_new(folder.join(path), text.replace(SDK, sdk).replace(CLI, cli).as_bytes(), written)?;
         }
-        Ok(written)
+        Ok(())
+    }
+
+    /// Takes away what was written, and the folders that are empty then; the first error is the one to return.
+    fn undo(&self, folder: &Path, written: &[PathBuf], fresh: bool) {
+        for file in written.iter().rev() {
+            let _ = fs::remove_file(file);
+        }
+        let files =
+            self.files.iter().map(|(path, _)| folder.join(path)).chain([folder.join(".cargo/config.toml")]);
+        let files: Vec<PathBuf> = files.collect();
+        let above = files.iter().flat_map(|file| file.ancestors().skip(1));
+        let mut folders: Vec<&Path> =
+            above.filter(|path| path.starts_with(folder) && (fresh || *path != folder)).collect();
+        // The lowest ones first.
+        folders.sort_by_key(|path| std::cmp::Reverse(path.components().count()));
+        for path in folders {
+            let _ = fs::remove_dir(path);
+        }
+    }
+}
+
+/// Writes a file of the project, and the folders above it. A file that is there, from another process that writes a project
+/// into the same folder, stays as it is.
+fn write_new(file: PathBuf, bytes: &[u8], written: &mut Vec<PathBuf>) -> Result<(), TemplateError> {
+    let made = file.parent().map_or(Ok(()), fs::create_dir_all);
+    let wrote = || output_file::write(&file, bytes, Replace::Never).map_err(io::Error::from);
+    match made.and_then(|()| wrote()) {
+        Ok(()) => {
+            written.push(file);
+            Ok(())
+        }
+        Err(error) => Err(TemplateError::Write { file, error }),
     }
 }
 
@@ -283,19 +309,15 @@ fn places(source: &Source) -> Result<(String, String), TemplateError> {
 }
 
 /// Lets a project beside a checkout take the libraries that the checkout's own build has compiled: the same versions, in
-/// the same target folder. Returns the files.
-fn share_libraries(folder: &Path, source: &Source) -> Result<Vec<PathBuf>, TemplateError> {
-    let Source::Checkout(root) = source else { return Ok(Vec::new()) };
+/// the same target folder.
+fn share_libraries(folder: &Path, source: &Source, files: &mut Vec<PathBuf>) -> Result<(), TemplateError> {
+    let Source::Checkout(root) = source else { return Ok(()) };
     let whole = fs::canonicalize(root).unwrap_or_else(|_| root.clone());
-    let write = |file: PathBuf, bytes: &[u8]| {
-        let written = file.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(&file, bytes));
-        written.map(|()| file.clone()).map_err(|error| TemplateError::Write { file, error })
-    };
-    let mut files = Vec::new();
     if let Ok(lock) = fs::read_to_string(whole.join("Cargo.lock")) {
         // Cargo takes out what the project does not need, and puts the project in.
         let packages = lock.split("\n\n").filter(|package| !package.contains("\nname = \"template-"));
-        files.push(write(folder.join("Cargo.lock"), packages.collect::<Vec<_>>().join("\n\n").as_bytes())?);
+        let lock = packages.collect::<Vec<_>>().join("\n\n");
+        write_new(folder.join("Cargo.lock"), lock.as_bytes(), files)?;
     }
     let target = whole.join("target");
     let target = plain(&target.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/"))?;
@@ -304,8 +326,7 @@ fn share_libraries(folder: &Path, source: &Source) -> Result<Vec<PathBuf>, Templ
          # profile in Cargo.toml, this project compiles all of them for itself.\n\
          [build]\ntarget-dir = \"{target}\"\n"
     );
-    files.push(write(folder.join(".cargo/config.toml"), config.as_bytes())?);
-    Ok(files)
+    write_new(folder.join(".cargo/config.toml"), config.as_bytes(), files)
 }
 
 /// Text that a manifest can hold between quotes.
@@ -416,6 +437,22 @@ mod tests {
         let error = TEMPLATES[0].write("sim", place.path(), &here()).unwrap_err();
         assert!(matches!(error, TemplateError::Exists(_)), "{error}");
         assert_eq!(fs::read_dir(place.path()).expect("a folder").count(), 1);
+    }
+
+    #[test]
+    fn a_project_that_cannot_be_written_takes_only_its_own_files_away() {
+        let place = folder();
+        let project = place.path().join("sim");
+        // Another process writes a project into the same folder at the same time.
+        let (mut theirs, mut ours) = (Vec::new(), Vec::new());
+        write_new(project.join("src/main.rs"), b"theirs", &mut theirs).expect("it is the first");
+        let wrote = TEMPLATES[0].write_files("sim", &project, &Default::default(), &mut ours);
+        assert!(matches!(wrote, Err(TemplateError::Write { .. })));
+        TEMPLATES[0].undo(&project, &ours, true);
+        assert_eq!(fs::read(&theirs[0]).expect("a file"), b"theirs");
+        assert_eq!(fs::read_dir(&project).expect("a folder").count(), 1, "nothing of ours is left");
+        TEMPLATES[0].undo(&project, &theirs, true);
+        assert!(!project.exists());
     }
 
     #[test]
