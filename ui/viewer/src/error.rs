@@ -1,5 +1,7 @@
 //! Errors of rendering.
 
+use trocar_scene::output_file::OutputError;
+
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
@@ -21,14 +23,17 @@ pub enum ViewError {
     #[error("the graphics device is lost: {0}")]
     DeviceLost(String),
     /// A picture of zero or too many pixels.
-    #[error("a picture of {width} × {height} pixels cannot be drawn: each side takes 1 to {max}")]
+    #[error(
+        "a picture of {width} × {height} pixels cannot be drawn here; the largest of its shape is {} × {}",
+        largest[0], largest[1]
+    )]
     Size {
         /// Requested width.
         width: u32,
         /// Requested height.
         height: u32,
-        /// Largest side.
-        max: u32,
+        /// Width and height of the largest picture of the same shape.
+        largest: [u32; 2],
     },
     /// No such camera.
     #[error("there is no camera called '{name}'; there are: {known}")]
@@ -46,4 +51,10 @@ pub enum ViewError {
         /// Why.
         reason: String,
     },
+}
+
+impl From<OutputError> for ViewError {
+    fn from(error: OutputError) -> Self {
+        Self::File { file: error.file.display().to_string(), reason: error.reason.to_string() }
+    }
 }

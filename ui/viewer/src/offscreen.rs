@@ -45,6 +45,14 @@ impl OffscreenRenderer {
         Ok(())
     }
 
+    /// Whether a picture of that size can be drawn.
+    ///
+    /// # Errors
+    /// [`ViewError::Size`], with the largest size that can.
+    pub fn check_size(&self, size: [u32; 2]) -> Result<(), ViewError> {
+        targets::check_size(&self.gpu, size)
+    }
+
     /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu

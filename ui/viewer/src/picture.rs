@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use trocar_scene::Entity;
+use trocar_scene::output_file::{self, Replace};
 
 use crate::error::ViewError;
 
@@ -39,13 +40,36 @@ impl Picture {
         inside.then(|| self.color[(y * self.width + x) as usize])
     }
 
-    /// Writes a PNG file, completely or not at all.
+    /// Whether a picture can have this name: one that ends in `.png`, or has no ending, as FIFOs and devices do.
+    ///
+    /// # Errors
+    /// [`ViewError::File`] with what is valid.
+    pub fn check_name(file: &Path) -> Result<(), ViewError> {
+        match file.extension().and_then(|ending| ending.to_str()) {
+            Some(ending) if !ending.eq_ignore_ascii_case("png") => {
+                let reason = format!("'.{ending}' is no picture that can be written; valid is .png");
+                Err(ViewError::File { file: file.display().to_string(), reason })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes a PNG file, completely or not at all, in the place of an earlier one.
     ///
     /// # Errors
     /// [`ViewError::File`].
     pub fn save(&self, file: &Path) -> Result<(), ViewError> {
+        Self::check_name(file)?;
+        Ok(output_file::write(file, &self.png()?, Replace::Writable)?)
+    }
+
+    /// The picture as a PNG file.
+    ///
+    /// # Errors
+    /// [`ViewError::File`] for a picture without pixels.
+    pub fn png(&self) -> Result<Vec<u8>, ViewError> {
         let failed = |reason: &dyn std::fmt::Display| ViewError::File {
-            file: file.display().to_string(),
+            file: "the picture".to_owned(),
             reason: reason.to_string(),
         };
         let mut bytes = Vec::new();
@@ -56,12 +80,7 @@ impl Picture {
         let mut writer = encoder.write_header().map_err(|error| failed(&error))?;
         writer.write_image_data(self.color.as_flattened()).map_err(|error| failed(&error))?;
         writer.finish().map_err(|error| failed(&error))?;
-        let name = file.file_name().ok_or_else(|| failed(&"it has no name"))?;
-        let mut partial = name.to_owned();
-        partial.push(".part");
-        let partial = file.with_file_name(partial);
-        std::fs::write(&partial, &bytes).map_err(|error| failed(&error))?;
-        std::fs::rename(&partial, file).map_err(|error| failed(&error))
+        Ok(bytes)
     }
 }
 

@@ -8,6 +8,7 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
+use trocar_scene::output_file::{self, Replace};
 use winit::event::{ElementState, KeyEvent, Modifiers, WindowEvent};
 use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::Fullscreen;
@@ -26,6 +27,7 @@ use super::view_state::{Choice, QUALITIES, StereoLayout, SubjectView};
 use crate::error::ViewError;
 use crate::gpu::Gpu;
 use crate::pacing::{LADDER, Pacer};
+use crate::picture::Picture;
 use crate::quality::Quality;
 
 /// Shortest time between two frames, and between two checks for a new scene.
@@ -403,10 +405,7 @@ impl<'a> Screen<'a> {
         for index in 0..self.kept.subject_views.len() {
             let subject_view = &self.kept.subject_views[index];
             let saved = subject_view.picture(self.gpu).and_then(|picture| match picture {
-                Some(picture) => {
-                    let file = free_name(&subject_view.subject.title());
-                    picture.save(&file).map(|()| file.display().to_string())
-                }
+                Some(picture) => save_under_free_name(&picture, &subject_view.subject.title()),
                 None => Ok("nothing yet".to_owned()),
             });
             match saved {
@@ -489,12 +488,22 @@ impl<'a> Screen<'a> {
     }
 }
 
-/// An unused file name for a picture, in the working folder.
-fn free_name(title: &str) -> std::path::PathBuf {
+/// Pictures of one title in one folder at most.
+const PICTURES_MAX: u32 = 10_000;
+
+/// Writes a picture under an unused name in the working folder, and returns that name.
+fn save_under_free_name(picture: &Picture, title: &str) -> Result<String, ViewError> {
     let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
     let stem: String = title.chars().take(60).map(safe).collect();
-    (1..10_000)
-        .map(|number| std::path::PathBuf::from(format!("{stem}-{number:04}.png")))
-        .find(|file| !file.exists())
-        .unwrap_or_else(|| std::path::PathBuf::from(format!("{stem}.png")))
+    let png = picture.png()?;
+    let mut taken = None;
+    for number in 1..PICTURES_MAX {
+        let name = format!("{stem}-{number:04}.png");
+        match output_file::write(name.as_ref(), &png, Replace::Never) {
+            Ok(()) => return Ok(name),
+            Err(error) if error.is_occupied() => taken = Some(error),
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Err(taken.map_or_else(|| ViewError::File { file: stem, reason: "has no name".to_owned() }, Into::into))
 }
