@@ -17,7 +17,8 @@ pub use picture::{PictureArgs, PictureQuality, StereoLayout, WindowArgs, size};
 #[command(name = "trocar", version, max_term_width = 100, arg_required_else_help = true)]
 #[command(
     after_help = "Exit codes: 0 ok, 1 an expectation failed or the exercise was not completed, 2 usage, \
-    3 a device is missing, 4 a scenario or file cannot be used, 70 internal error.\n\
+    3 a device or graphics adapter is missing, 4 a scenario or file cannot be used, a result could not be written or a \
+    picture not be made, 70 internal error, 129, 130 and 143 ended by SIGHUP, SIGINT and SIGTERM.\n\
     No score is clinically validated."
 )]
 pub struct Cli {
@@ -162,7 +163,7 @@ pub struct RunArgs {
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
-    /// Recording (MCAP) [default: SCENARIO.mcap]
+    /// Recording (MCAP); `-` is stdout [default: SCENARIO.mcap, or with the next free number SCENARIO-2.mcap]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub record: Option<PathBuf>,
     /// Record every commit to the last bit; otherwise some components are sampled and rounded
@@ -171,7 +172,7 @@ pub struct RunArgs {
     /// Do not record
     #[arg(long, conflicts_with = "record", help_heading = "Output")]
     pub no_record: bool,
-    /// Report (HTML, one file) [default: report-SCENARIO.html]
+    /// Report (HTML, one file); `-` is stdout [default: report-SCENARIO.html, with the number of the recording]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub report: Option<PathBuf>,
     /// Write no report
@@ -231,7 +232,7 @@ pub struct ReplayArgs {
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
-    /// Report (HTML, one file)
+    /// Report (HTML, one file); `-` is stdout
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub report: Option<PathBuf>,
     /// Print exactly one JSON object on stdout
@@ -284,10 +285,14 @@ pub struct BenchArgs {
     /// Also draw how costs grow, as SVG (suites `collision` and `simulator`)
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+    /// Overwrite the file of `--plot` when there is one
+    #[arg(long, requires = "plot")]
+    pub force: bool,
     /// Print the figures as a Markdown table, without those of growth
     #[arg(long, conflicts_with = "json")]
     pub markdown: bool,
-    /// Also write that table into a Markdown file with a place for it, such as docs/figures.md
+    /// Also write that table into a Markdown file with a place for it, such as docs/figures.md: this part of the file is
+    /// replaced, without `--force`
     #[arg(long, value_name = "FILE")]
     pub into: Option<PathBuf>,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
@@ -336,9 +341,9 @@ pub enum TuneCommand {
     },
     /// What is tuned, and which sets there are
     Status,
-    /// Write what is tuned into the scenario's file; its comments and order stay
+    /// Write what is tuned into the scenario's file, which needs no `--force`; its comments and order stay
     Save {
-        /// A new file instead
+        /// A new file instead; any other one that is there is refused
         #[arg(value_hint = ValueHint::FilePath)]
         file: Option<PathBuf>,
     },
@@ -347,6 +352,9 @@ pub enum TuneCommand {
         /// The file; stdout without it
         #[arg(value_hint = ValueHint::FilePath)]
         file: Option<PathBuf>,
+        /// Overwrite the file when it is there
+        #[arg(long, requires = "file")]
+        force: bool,
     },
 }
 

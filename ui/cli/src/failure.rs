@@ -1,13 +1,14 @@
 //! A command's failure: a message for people and an exit code for scripts.
 
 use std::fmt::Display;
-use std::path::Path;
 
 use trocar::app::AppError;
 use trocar::assembly::AssemblyError;
 use trocar::run::RunError;
 use trocar::summary::Exit;
 use trocar_kernel::live::LiveError;
+use trocar_scene::output_file::OutputError;
+use trocar_viewer::ViewError;
 
 /// Why a command failed.
 #[derive(Debug)]
@@ -30,10 +31,6 @@ impl Failure {
     /// A fault of the program or the machine.
     pub fn internal(message: impl Display) -> Self {
         Self { exit: Exit::Internal, message: message.to_string() }
-    }
-    /// A file that cannot be written.
-    pub fn write(path: &Path, error: std::io::Error) -> Self {
-        Self::invalid(format!("{}: cannot be written: {error}", path.display()))
     }
 }
 
@@ -61,6 +58,24 @@ impl From<AppError> for Failure {
             }
             AppError::Scenario(_) => Self::invalid(error),
             AppError::Setup(_) => Self::internal(error),
+        }
+    }
+}
+
+impl From<OutputError> for Failure {
+    fn from(error: OutputError) -> Self {
+        Self::invalid(error)
+    }
+}
+
+impl From<ViewError> for Failure {
+    fn from(error: ViewError) -> Self {
+        match &error {
+            ViewError::NoAdapter(_) | ViewError::Refused { .. } | ViewError::DeviceLost(_) => {
+                Self { exit: Exit::DeviceMissing, message: error.to_string() }
+            }
+            ViewError::NoCamera { .. } => Self::usage(error),
+            ViewError::Size { .. } | ViewError::File { .. } => Self::invalid(error),
         }
     }
 }

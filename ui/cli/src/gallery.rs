@@ -8,12 +8,14 @@ use serde_json::json;
 use trocar::app::{App, SCENARIOS};
 use trocar::run::{RunOptions, run};
 use trocar::summary::{Exit, SCHEMA};
+use trocar_scene::output_file;
+use trocar_scene::scenario::Scenario;
 use trocar_viewer::{Layout, OffscreenRenderer, Quality, View};
 
 use crate::args::{positive, size};
-use crate::escape;
+use crate::escape::{self, printable};
 use crate::failure::Failure;
-use crate::output;
+use crate::output::{self, file_stem, replace};
 
 /// `trocar gallery`.
 #[derive(Debug, Args)]
@@ -33,6 +35,9 @@ pub struct GalleryArgs {
     /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "800x600", value_parser = size)]
     pub size: (u32, u32),
+    /// Overwrite pictures and page of the folder when they are there
+    #[arg(long)]
+    pub force: bool,
     /// Print exactly one JSON object on stdout
     #[arg(long)]
     pub json: bool,
@@ -48,30 +53,47 @@ struct Shot {
 
 /// Makes the requested pictures.
 pub fn gallery(app: &App, args: &GalleryArgs) -> Result<Exit, Failure> {
-    std::fs::create_dir_all(&args.folder)
-        .map_err(|error| Failure::invalid(format!("{}: {error}", args.folder.display())))?;
+    let made = attempt(app, args);
+    if let (true, Err(failure)) = (args.json, &made) {
+        output::print_json(&json!({ "schema": SCHEMA, "error": failure.message }))?;
+    }
+    made
+}
+
+fn attempt(app: &App, args: &GalleryArgs) -> Result<Exit, Failure> {
+    let replace = replace(args.force);
     let names: Vec<String> = match args.scenarios.is_empty() {
         true => SCENARIOS.iter().map(|(name, _)| (*name).to_owned()).collect(),
         false => args.scenarios.clone(),
     };
+    let scenarios: Vec<Scenario> =
+        names.iter().map(|name| Ok(app.scenario(name)?)).collect::<Result<_, Failure>>()?;
+    OffscreenRenderer::new(None)?.check_size([args.size.0, args.size.1])?;
+    std::fs::create_dir_all(&args.folder)
+        .map_err(|error| Failure::invalid(format!("{}: {error}", args.folder.display())))?;
+    let page = args.folder.join("index.html");
+    // Before minutes of drawing.
+    output_file::check(&page, replace)?;
+    for scenario in &scenarios {
+        output_file::check(&args.folder.join(file_of(scenario)), replace)?;
+    }
     let bar = ProgressBar::new(names.len() as u64);
     let style = ProgressStyle::with_template("{bar:30} {pos} of {len} scenarios  {msg}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     let mut shots = Vec::new();
-    for name in &names {
-        bar.set_message(name.clone());
-        shots.push(shoot(app, args, name)?);
+    for scenario in &scenarios {
+        bar.set_message(printable(&scenario.name));
+        shots.push(shoot(app, args, scenario)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let page = args.folder.join("index.html");
-    output::write_file(&page, html(&shots).as_bytes())?;
+    output_file::write(&page, html(&shots).as_bytes(), replace)?;
     if args.json {
         let rows: Vec<_> = shots
             .iter()
             .map(|shot| json!({ "scenario": shot.scenario, "title": shot.title, "picture": args.folder.join(&shot.file) }))
             .collect();
-        output::print_json(&json!({ "schema": SCHEMA, "pictures": rows, "page": page }))?;
+        output::print_json(&json!({ "schema": SCHEMA, "pictures": rows, "page": page, "error": null }))?;
     } else {
         let lines: Vec<String> = shots
             .iter()
@@ -82,23 +104,24 @@ pub fn gallery(app: &App, args: &GalleryArgs) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
+/// The picture's name in the folder.
+fn file_of(scenario: &Scenario) -> String {
+    format!("{}.png", file_stem(scenario))
+}
+
 /// Runs a scenario in virtual time up to the requested moment, and takes the picture.
-fn shoot(app: &App, args: &GalleryArgs, name: &str) -> Result<Shot, Failure> {
-    let scenario = app.scenario(name)?;
+fn shoot(app: &App, args: &GalleryArgs, scenario: &Scenario) -> Result<Shot, Failure> {
     let options =
         RunOptions { lockstep: true, seconds: Some(args.at), seed: args.seed, ..RunOptions::default() };
-    let outcome = run(app, &scenario, &options, &mut |_| {})?;
+    let outcome = run(app, scenario, &options, &mut |_| {})?;
     let scene = &outcome.kernel.snapshot;
-    let mut renderer =
-        OffscreenRenderer::new(Some(scenario.folder().to_owned())).map_err(Failure::invalid)?;
+    let mut renderer = OffscreenRenderer::new(Some(scenario.folder().to_owned()))?;
     renderer.quality = Quality::FINE;
     let (width, height) = args.size;
     let view = View::default_of(scene, Some(f64::from(width) / f64::from(height)));
-    let picture = renderer.picture(scene, &view, &Layout::Mono, [width, height]).map_err(Failure::invalid)?;
-    let file = format!("{}.png", scenario.name);
-    let path = args.folder.join(&file);
-    output::check_writable(&path)?;
-    picture.save(&path).map_err(Failure::invalid)?;
+    let picture = renderer.picture(scene, &view, &Layout::Mono, [width, height])?;
+    let file = file_of(scenario);
+    output_file::write(&args.folder.join(&file), &picture.png()?, replace(args.force))?;
     let title = if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() };
     Ok(Shot { scenario: scenario.name.clone(), title, about: scenario.description.clone(), file })
 }

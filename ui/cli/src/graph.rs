@@ -14,7 +14,7 @@ use crate::failure::Failure;
 use crate::live_table::Display;
 use crate::report::short;
 use crate::startup::{READING, Startup};
-use crate::{output, run, tune};
+use crate::{output, run, signals, tune};
 
 /// Draws a scenario.
 pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
@@ -44,7 +44,8 @@ pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
         GraphFormat::Dot => output::print_text(&dot(&graph))?,
         GraphFormat::Json => output::print_json(&graph)?,
     }
-    Ok(Exit::Ok)
+    // Rates that were measured for less than was asked.
+    Ok(signals::catch()?.arrived().map_or(Exit::Ok, |(_, exit)| exit))
 }
 
 /// Every controller's declared access, without a tick.

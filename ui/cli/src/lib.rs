@@ -33,6 +33,7 @@ mod run;
 mod run_files;
 mod run_text;
 mod show;
+mod signals;
 mod soak;
 mod startup;
 mod tune;
@@ -141,7 +142,7 @@ fn usage(error: &clap::Error) -> ExitCode {
 /// An error message for people.
 fn say(message: &str) {
     let message: Vec<String> = message.lines().map(escape::printable).collect();
-    eprintln!("{} {}", console::style("error:").for_stderr().red().bold(), message.join("\n"));
+    output::tell(&format!("{} {}", console::style("error:").for_stderr().red().bold(), message.join("\n")));
 }
 
 fn start_log(verbose: u8) {
@@ -160,5 +161,7 @@ fn start_log(verbose: u8) {
         .with_writer(std::io::stderr)
         .with_ansi(console::colors_enabled_stderr())
         .with_target(false)
+        // It would tell on stderr, and panic, that stderr cannot be written.
+        .log_internal_errors(false)
         .init();
 }

@@ -10,14 +10,15 @@ use trocar::summary::{Exit, SCHEMA};
 use trocar_scene::mesh::inspect::{Inspection, MendedMesh, inspect, mend};
 use trocar_scene::mesh::write::written;
 use trocar_scene::mesh::{Limits, MeshFile, SurfaceFile, TetFile, length, read_mesh, unit};
+use trocar_scene::output_file::Claim;
 use trocar_scene::{
     Commands, EntityAllocator, Name, Pose, SimTime, Store, SurfaceMesh, VertexPositions, VisualMaterial,
 };
-use trocar_viewer::{Layout, OffscreenRenderer, Quality, View};
+use trocar_viewer::{Layout, OffscreenRenderer, Picture, Quality, View};
 
 use crate::args::size;
 use crate::failure::Failure;
-use crate::output;
+use crate::output::{self, replace};
 
 /// Longest side of a mesh in its picture \[m\].
 const SHOWN: f64 = 0.12;
@@ -40,10 +41,10 @@ pub struct MeshArgs {
     /// Where the mended mesh goes, in metres: obj, stl or ply for a surface, msh or vtk for a volume
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "repair")]
     pub out: Option<PathBuf>,
-    /// Replace the file of `--out` when there is one
-    #[arg(long, requires = "out")]
+    /// Overwrite the files of `--out` and `--picture` when they are there
+    #[arg(long)]
     pub force: bool,
-    /// Picture (PNG)
+    /// Picture (PNG); `-` is stdout
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub picture: Option<PathBuf>,
     /// Width and height of the picture in pixels
@@ -90,21 +91,24 @@ pub fn mesh(app: &App, args: &MeshArgs) -> Result<Exit, Failure> {
 fn inspected(app: &App, args: &MeshArgs) -> Result<Exit, Failure> {
     let read = read_mesh(&args.file, &Limits::default()).map_err(Failure::invalid)?;
     let facts = inspect(&read, args.scale, args.weld);
-    if let Some(out) = &args.out {
-        check_free(out, args)?;
-    }
-    if let Some(picture) = &args.picture {
-        output::check_writable(picture)?;
-    }
-    let mended = match &args.out {
-        Some(out) => Some(write_mended(&read, out, args)?),
+    let stdout_is_taken = output::takes_stdout(args.json, [args.out.as_deref(), args.picture.as_deref()])?;
+    let out = args.out.as_deref().map(|out| take_out(out, args)).transpose()?;
+    let picture = match &args.picture {
+        Some(file) => {
+            Picture::check_name(file)?;
+            let claim = Claim::take(file, replace(args.force))?;
+            Some((claim, draw(app, &read, &facts, args.scale, args.size)?))
+        }
         None => None,
     };
-    if let Some(picture) = &args.picture {
-        draw(app, &read, &facts, args.scale, picture, args.size)?;
+    let mended = out.map(|out| write_mended(&read, out, args)).transpose()?;
+    if let Some((claim, picture)) = picture {
+        claim.write(&picture.png()?)?;
     }
     if args.json {
         output::print_json(&object(args, &facts, mended.as_ref())?)?;
+    } else if stdout_is_taken {
+        output::tell(&text(args, &facts, mended.as_ref()));
     } else {
         output::print_text(&text(args, &facts, mended.as_ref()))?;
     }
@@ -113,38 +117,32 @@ fn inspected(app: &App, args: &MeshArgs) -> Result<Exit, Failure> {
     Ok(if is_left { Exit::Failed } else { Exit::Ok })
 }
 
-/// Refuses to write over a file that is there, and over the one that is read.
-fn check_free(out: &Path, args: &MeshArgs) -> Result<(), Failure> {
-    output::check_writable(out)?;
-    if !out.exists() {
-        return Ok(());
-    }
+/// Takes the place of the mended mesh, which is never the file that is read.
+fn take_out(out: &Path, args: &MeshArgs) -> Result<Claim, Failure> {
     let same = |path: &Path| path.canonicalize().ok();
-    if same(out) == same(&args.file) {
+    if out.exists() && same(out) == same(&args.file) {
         return Err(Failure::usage(format!(
             "{}: --out must be another file than the one read",
             out.display()
         )));
     }
-    match args.force {
-        true => Ok(()),
-        false => Err(Failure::usage(format!("{}: exists already; --force replaces it", out.display()))),
-    }
+    Ok(Claim::take(out, replace(args.force))?)
 }
 
-fn write_mended(read: &MeshFile, out: &Path, args: &MeshArgs) -> Result<Written, Failure> {
+fn write_mended(read: &MeshFile, claim: Claim, args: &MeshArgs) -> Result<Written, Failure> {
+    let out = claim.file().to_owned();
     let at = |error: String| Failure::invalid(format!("{}: {error}", args.file.display()));
     let (mesh, done) = mend(read, args.scale, args.weld).map_err(at)?;
     let extension = out.extension().map(|text| text.to_string_lossy().into_owned()).unwrap_or_default();
     let bytes =
         written(&mesh, &extension).map_err(|error| Failure::usage(format!("{}: {error}", out.display())))?;
-    output::write_file(out, &bytes)?;
+    claim.write(&bytes)?;
     let again = match mesh {
         MendedMesh::Surface(surface) => MeshFile::Surface(SurfaceFile { surface, ..SurfaceFile::default() }),
         MendedMesh::Volume(volume) => MeshFile::Volume(TetFile { volume, ..TetFile::default() }),
     };
     let left = inspect(&again, 1.0, args.weld).defects;
-    Ok(Written { file: out.to_owned(), done, left })
+    Ok(Written { file: out, done, left })
 }
 
 /// Draws the surface, or the boundary of the volume, in the size of a hand.
@@ -153,9 +151,8 @@ fn draw(
     read: &MeshFile,
     facts: &Inspection,
     scale: f64,
-    file: &Path,
     (width, height): (u32, u32),
-) -> Result<(), Failure> {
+) -> Result<Picture, Failure> {
     let (positions, triangles) = match read {
         MeshFile::Surface(read) => (&read.surface.positions, read.surface.triangles.clone()),
         MeshFile::Volume(read) => (&read.volume.positions, read.volume.boundary_triangles()),
@@ -180,12 +177,11 @@ fn draw(
     commands.seal();
     let mut store = Store::new(registry);
     store.apply(&mut commands, SimTime::ZERO);
-    let mut renderer = OffscreenRenderer::new(None).map_err(Failure::invalid)?;
+    let mut renderer = OffscreenRenderer::new(None)?;
     renderer.quality = Quality::FINE;
     let scene = store.view();
     let view = View::default_of(scene, Some(f64::from(width) / f64::from(height)));
-    let picture = renderer.picture(scene, &view, &Layout::Mono, [width, height]).map_err(Failure::invalid)?;
-    picture.save(file).map_err(Failure::invalid)
+    Ok(renderer.picture(scene, &view, &Layout::Mono, [width, height])?)
 }
 
 fn object(args: &MeshArgs, facts: &Inspection, mended: Option<&Written>) -> Result<Value, Failure> {

@@ -1,39 +1,83 @@
-//! Output: data to stdout, files by rename, all other text to stderr.
+//! Output: data to stdout, all other text to stderr.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use trocar_scene::output_file::{self, Claim, OutputError, Replace, STDOUT};
+use trocar_scene::scenario::Scenario;
 
 use crate::failure::Failure;
 
-/// Writes a file completely or not at all: to a temporary file beside it, then by rename.
+/// Most runs of one scenario in one folder.
+pub const RUNS_MAX: u32 = 10_000;
+
+/// Writes a file completely or not at all; an earlier one stays.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let part = path.with_file_name(name);
-    let written = std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path));
-    written.map_err(|error| {
-        // The partial file is useless; a failure to remove it adds nothing to the first error.
-        let _ = std::fs::remove_file(&part);
-        Failure::write(path, error)
-    })
+    Ok(output_file::write(path, bytes, Replace::Never)?)
 }
 
 /// Checks before a long run that a file can be written.
 pub fn check_writable(path: &Path) -> Result<(), Failure> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
-        _ => PathBuf::from("."),
-    };
-    if path.is_dir() {
-        return Err(Failure::write(path, io::Error::from(io::ErrorKind::IsADirectory)));
+    Ok(output_file::check(path, Replace::Never)?)
+}
+
+/// The scenario's name with only characters that are valid in a file name.
+pub fn file_stem(scenario: &Scenario) -> String {
+    let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
+    scenario.name.chars().take(60).map(safe).collect()
+}
+
+/// What `--force` allows.
+pub fn replace(force: bool) -> Replace {
+    if force { Replace::Always } else { Replace::Never }
+}
+
+/// A place that the command line names. A repetition has the next free number and replaces nothing.
+///
+/// # Errors
+/// When it cannot be written to.
+pub fn claim(file: &Path, replace: Replace, number: u32) -> Result<Claim, OutputError> {
+    if number <= 1 || output_file::is_stream(file) {
+        return Claim::take(file, replace);
     }
-    if !folder.is_dir() {
-        let reason = format!("the folder {} does not exist", folder.display());
-        return Err(Failure::write(path, io::Error::new(io::ErrorKind::NotFound, reason)));
+    let mut claimed = Claim::take(&numbered(file, number), Replace::Never);
+    for later in number + 1..number.saturating_add(RUNS_MAX) {
+        match claimed {
+            Err(error) if error.is_occupied() => {
+                claimed = Claim::take(&numbered(file, later), Replace::Never);
+            }
+            claimed => return claimed,
+        }
     }
-    Ok(())
+    claimed
+}
+
+/// The file name for a repetition, beside that of the first run.
+pub fn numbered(file: &Path, number: u32) -> PathBuf {
+    if number <= 1 {
+        return file.to_owned();
+    }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let ending = file.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
+    file.with_file_name(format!("{stem}-{number}{ending}"))
+}
+
+/// Whether one of these files goes to stdout, where then nothing else is printed.
+///
+/// # Errors
+/// When several do, or when the object of `--json` goes there.
+pub fn takes_stdout<'a>(
+    json: bool,
+    files: impl IntoIterator<Item = Option<&'a Path>>,
+) -> Result<bool, Failure> {
+    let count = files.into_iter().flatten().filter(|file| *file == Path::new(STDOUT)).count();
+    match (count, json) {
+        (0, _) => Ok(false),
+        (_, true) => Err(Failure::usage("'-' is stdout, which holds the object of --json: name a file")),
+        (1, false) => Ok(true),
+        (_, false) => Err(Failure::usage("'-' is stdout, which takes one result: name files for the others")),
+    }
 }
 
 /// One JSON object on stdout.
@@ -46,9 +90,16 @@ pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
 pub fn print_text(text: &str) -> Result<(), Failure> {
     let mut stdout = io::stdout().lock();
     match writeln!(stdout, "{}", text.trim_end()).and_then(|()| stdout.flush()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(Failure::internal(error)),
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Failure::invalid(format!("stdout: cannot be written: {error}")))
+        }
         _ => Ok(()),
     }
+}
+
+/// Text on stderr. Where stderr cannot be written either, nobody can be told.
+pub fn tell(text: &str) {
+    let _ = writeln!(io::stderr(), "{}", text.trim_end());
 }
 
 /// An error's kind for people: `drop in view`. A sentence stays as it is: it names quantities by their own names.
@@ -84,17 +135,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_is_written_whole_or_not_at_all() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("a.html");
-        write_file(&file, b"one").unwrap();
-        write_file(&file, b"two").unwrap();
-        assert_eq!(std::fs::read(&file).unwrap(), b"two");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        let missing = folder.path().join("no/such/b.html");
-        assert!(check_writable(&missing).unwrap_err().message.contains("does not exist"));
-        assert!(write_file(&missing, b"x").is_err());
-        assert!(check_writable(folder.path()).is_err());
+    fn stdout_takes_one_result_and_none_beside_an_object() {
+        let (out, file) = (Some(Path::new("-")), Some(Path::new("a.html")));
+        assert!(!takes_stdout(true, [file, None]).unwrap() && takes_stdout(false, [out, file]).unwrap());
+        for (json, files, told) in [(true, [out, None], "--json"), (false, [out, out], "one result")] {
+            let refused = takes_stdout(json, files).unwrap_err();
+            assert!(refused.message.contains(told), "{}", refused.message);
+        }
+    }
+
+    #[test]
+    fn a_repetition_has_a_number_before_its_ending() {
+        assert_eq!(numbered("a/b.mcap".as_ref(), 1), Path::new("a/b.mcap"));
+        assert_eq!(numbered("a/b.mcap".as_ref(), 3), Path::new("a/b-3.mcap"));
+        assert_eq!(numbered("b".as_ref(), 2), Path::new("b-2"));
     }
 
     #[test]

@@ -3,14 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use trocar::summary::RunSummary;
+use trocar_scene::output_file::{self, Claim};
 use trocar_scene::{SimTime, Snapshot};
 use trocar_viewer::draw_list::DrawList;
 use trocar_viewer::layout::TileView;
-use trocar_viewer::{Film, Layout, Motion, OffscreenRenderer, Overlays, Quality, View, ViewError};
+use trocar_viewer::{Film, Layout, Motion, OffscreenRenderer, Overlays, Picture, Quality, View, ViewError};
 
 use crate::args::{PictureArgs, PictureQuality, StereoLayout};
 use crate::failure::Failure;
-use crate::output;
+use crate::output::{self, numbered};
 
 /// Takes pictures and film frames during a run.
 pub struct Photographer {
@@ -19,7 +20,7 @@ pub struct Photographer {
     layout: Option<Layout>,
     cameras: Vec<String>,
     size: [u32; 2],
-    picture: Option<PathBuf>,
+    picture: Option<Claim>,
     film: Option<(Film, PathBuf)>,
     motion: Motion,
     frame: SimTime,
@@ -28,32 +29,39 @@ pub struct Photographer {
 }
 
 impl Photographer {
-    /// `folder` is the scenario's, below which files of textures are. Returns `None` when no picture is asked for, or
-    /// when there is no graphics adapter: that is reported, and the run goes on.
+    /// `folder` is the scenario's, below which files of textures are. Returns `None` when no picture is asked for.
     ///
     /// # Errors
-    /// When a file cannot be written, or a camera or overlay is unknown.
+    /// When there is no graphics adapter, the size is impossible, a file cannot be written, or a camera or overlay is
+    /// unknown.
     pub fn new(args: &PictureArgs, folder: Option<&Path>, scene: &Snapshot) -> Result<Option<Self>, Failure> {
-        if args.picture.is_none() && args.film.is_none() {
+        Self::repeated(args, 1, folder, scene)
+    }
+
+    /// The same for the run `number` of a window's session, which replaces no pictures of the runs before it.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`].
+    pub fn repeated(
+        args: &PictureArgs,
+        number: u32,
+        folder: Option<&Path>,
+        scene: &Snapshot,
+    ) -> Result<Option<Self>, Failure> {
+        if !args.are_asked_for() {
             return Ok(None);
         }
         if let Some(file) = &args.picture {
-            output::check_writable(file)?;
+            Picture::check_name(file)?;
         }
         for camera in &args.camera {
-            View::named(scene, camera, None).map_err(Failure::usage)?;
+            View::named(scene, camera, None)?;
         }
         if args.eyes == StereoLayout::Quad && args.camera.len() > 1 {
             return Err(Failure::usage("--eyes quad shows four views of one camera; several are named"));
         }
         let overlays = Overlays::parse(&args.show.join(",")).map_err(Failure::usage)?;
-        let mut renderer = match OffscreenRenderer::new(folder.map(Path::to_owned)) {
-            Ok(renderer) => renderer,
-            Err(error) => {
-                tracing::warn!("no pictures: {error}");
-                return Ok(None);
-            }
-        };
+        let mut renderer = OffscreenRenderer::new(folder.map(Path::to_owned))?;
         renderer.quality = args.care.map_or(Quality::FINE, PictureQuality::quality);
         renderer.renderer_mut().overlays = overlays;
         let (width, height) = args.size;
@@ -66,16 +74,21 @@ impl Photographer {
             StereoLayout::Anaglyph => Some(Layout::Anaglyph(stereo)),
             StereoLayout::Quad => None,
         };
-        let film = args.film.as_ref().map(|file| {
-            Film::create(file, [width, height], args.frames_per_second).map(|film| (film, file.clone()))
+        renderer.check_size([width, height])?;
+        let replace = output::replace(args.force);
+        let picture = args.picture.as_deref().map(|file| output::claim(file, replace, number)).transpose()?;
+        let film = args.film.as_deref().map(|file| {
+            let file = free_name(file, number);
+            let film = Film::create(&file, [width, height], args.frames_per_second, replace)?;
+            Ok::<_, ViewError>((film, file))
         });
-        let film = film.transpose().map_err(Failure::invalid)?;
+        let film = film.transpose()?;
         Ok(Some(Self {
             renderer,
             layout,
             cameras: args.camera.clone(),
             size: [width, height],
-            picture: args.picture.clone(),
+            picture,
             film,
             motion: Motion::new(),
             frame: SimTime::from_secs_f64(1.0 / args.frames_per_second),
@@ -110,7 +123,7 @@ impl Photographer {
         self.failed = taken.err().or(shot.err());
     }
 
-    fn take(&mut self, scene: &Snapshot) -> Result<trocar_viewer::Picture, ViewError> {
+    fn take(&mut self, scene: &Snapshot) -> Result<Picture, ViewError> {
         let aspect = Some(f64::from(self.size[0]) / f64::from(self.size[1]));
         let view = match self.cameras.first() {
             Some(name) => View::named(scene, name, aspect)?,
@@ -132,25 +145,39 @@ impl Photographer {
         self.renderer.picture(scene, &view, layout, self.size)
     }
 
-    /// Takes the last picture, and completes the film. A failure is added to the summary's losses; score, recording and
-    /// report of the session are kept.
-    pub fn finish(mut self, scene: &Snapshot, summary: &mut RunSummary) {
+    /// Takes the last picture, and completes the film. What could not be made or written is added to the summary's losses,
+    /// and returned; score, recording and report of the session are kept.
+    pub fn finish(mut self, scene: &Snapshot, summary: &mut RunSummary) -> Vec<String> {
+        let mut lost = Vec::new();
         if let Some(error) = self.failed.take() {
             // An incomplete film is discarded.
             self.film = None;
-            summary.losses.push(format!("no film: {error}"));
+            lost.push(format!("no film: {error}"));
         }
-        if let Some(file) = self.picture.take() {
-            match self.take(scene).and_then(|picture| picture.save(&file)) {
-                Ok(()) => summary.pictures.push(file.display().to_string()),
-                Err(error) => summary.losses.push(format!("no picture: {error}")),
+        if let Some(claim) = self.picture.take() {
+            let file = claim.file().display().to_string();
+            let png = self.take(scene).and_then(|picture| picture.png());
+            match png.and_then(|png| Ok(claim.write(&png)?)) {
+                Ok(()) => summary.pictures.push(file),
+                Err(error) => lost.push(format!("no picture: {error}")),
             }
         }
         if let Some((film, file)) = self.film.take() {
             match film.finish() {
                 Ok(_) => summary.pictures.push(file.display().to_string()),
-                Err(error) => summary.losses.push(format!("no film: {error}")),
+                Err(error) => lost.push(format!("no film: {error}")),
             }
         }
+        summary.losses.extend(lost.iter().cloned());
+        lost
     }
+}
+
+/// The name of the film of a repetition.
+fn free_name(file: &Path, number: u32) -> PathBuf {
+    if number <= 1 || output_file::is_stream(file) {
+        return file.to_owned();
+    }
+    let is_free = |file: &PathBuf| file.symlink_metadata().is_err();
+    (number..u32::MAX).map(|number| numbered(file, number)).find(is_free).unwrap_or_else(|| file.to_owned())
 }

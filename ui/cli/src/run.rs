@@ -3,31 +3,36 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use trocar::app::App;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::session::{doubts, forecast};
-use trocar::summary::{Exit, Mode, RunSummary};
+use trocar::summary::{BY_THE_PROGRAM, Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
+use trocar_kernel::recorder::Recording;
 use trocar_kernel::supervision::{Cause, Incident};
 use trocar_scene::Snapshot;
+use trocar_scene::output_file::{self, OutputError};
 use trocar_scene::scenario::Scenario;
 
 use crate::args::{RunArgs, SessionArgs};
 use crate::escape::printable;
 use crate::failure::{Failure, did_you_mean};
 use crate::live_table::{Display, waiting};
-use crate::output;
+use crate::output::{self, file_stem};
 use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
 use crate::run_files::RunFiles;
 use crate::run_text::{text, verdict};
+use crate::signals;
 use crate::startup::{self, READING, Startup};
 use crate::tune::{self, TuningService};
 use crate::window::{self, Next, SessionHost, Show, Verdict};
+
+/// What is told of a run that a person ended in its window.
+const BY_THE_WINDOW: &str = "a person at the window";
 
 /// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
@@ -81,12 +86,15 @@ fn bindings(file: &Path) -> Result<Bindings, Failure> {
 /// Prints the result of a run.
 fn told(args: &RunArgs, outcome: Result<(RunSummary, Exit), Failure>) -> Result<Exit, Failure> {
     match outcome {
-        Ok((summary, exit)) => {
-            if args.json {
-                output::print_json(&summary)?;
+        Ok((summary, exit)) if args.json => match output::print_json(&summary) {
+            // What the run itself came to is told first.
+            Err(failure) if exit != Exit::Ok => {
+                crate::say(&failure.message);
+                Ok(exit)
             }
-            Ok(exit)
-        }
+            printed => printed.map(|()| exit),
+        },
+        Ok((_, exit)) => Ok(exit),
         Err(failure) if args.json => {
             let mode = if args.lockstep { Mode::Lockstep } else { Mode::Live };
             let mut summary = RunSummary::new(&args.session.scenario, mode, args.session.seed);
@@ -107,12 +115,15 @@ fn attempt(
 ) -> Result<(RunSummary, Exit), Failure> {
     let startup = Startup::new(&args.session.scenario, READING, args.json);
     let (scenario, tuner) = tune::scenario(app, &args.session)?;
-    let files = RunFiles::choose(args, &file_stem(&scenario), number)?;
+    let named = [&args.record, &args.report, &args.pictures.picture].map(|file| file.as_deref());
+    let stdout_is_taken = output::takes_stdout(args.json, named)?;
+    // From here on a signal ends the command in good order, so that no place stays claimed.
     let mut options = options(&args.session)?;
+    let mut files = RunFiles::choose(args, &file_stem(&scenario), number)?;
     options.lockstep = args.lockstep;
     options.seconds = args.seconds;
     options.faults = args.faults.as_deref().map(plan).transpose()?;
-    options.record = files.record.clone();
+    options.record = files.recorder_file().map(Path::to_owned);
     options.recorder.exact = args.record_exact;
     options.play = args.play;
 
@@ -150,10 +161,11 @@ fn attempt(
     if args.pictures.are_asked_for() {
         startup.stage("the renderer of the pictures");
     }
-    let mut photographer = Photographer::new(&args.pictures, Some(scenario.folder()), &first)?;
+    let mut photographer = Photographer::repeated(&args.pictures, number, Some(scenario.folder()), &first)?;
     startup.stage(&startup::first_step(&first));
     let mut startup = Some(startup);
     let mut stage = String::new();
+    let mut misplaced = None;
     let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| {
         if let Some(shown) = &startup {
             match unready(progress.scene, host.as_deref()).filter(|_| display.is_silent()) {
@@ -165,6 +177,9 @@ fn attempt(
                 Some(_) => {}
                 None => startup = None,
             }
+        }
+        if misplaced.is_none() {
+            misplaced = files.begun().err();
         }
         tuning_service.serve(progress.session);
         display.update(progress);
@@ -178,32 +193,104 @@ fn attempt(
     tuning_service.close();
     display.clear();
     let mut outcome = outcome?;
+    if misplaced.is_none() {
+        misplaced = files.begun().err();
+    }
+    if let Some(by) = &mut outcome.summary.cut_off_by {
+        let signal = signals::catch()?.arrived().map(|(name, _)| name);
+        *by = signal.or(host.is_some().then_some(BY_THE_WINDOW)).unwrap_or(BY_THE_PROGRAM).to_owned();
+    }
+    let mut lost: Vec<String> = recording_loss(&files, misplaced, &mut outcome.summary).into_iter().collect();
+    outcome.summary.losses.extend(lost.iter().cloned());
     if let Some(photographer) = photographer {
-        photographer.finish(&outcome.kernel.snapshot, &mut outcome.summary);
+        lost.extend(photographer.finish(&outcome.kernel.snapshot, &mut outcome.summary));
     }
     outcome.summary.tuned = tuning_service.tuned(&outcome.kernel.snapshot);
     if let Some(host) = host {
         host.ended(outcome.kernel.snapshot.clone());
     }
 
-    if let Some(file) = &files.report {
-        outcome.summary.report = Some(file.display().to_string());
+    if let Some(claim) = files.take_report() {
+        let file = claim.file().display().to_string();
+        outcome.summary.report = Some(file);
         let html = html(&scenario, &outcome, force_limits(&outcome));
-        output::write_file(file, html.as_bytes())?;
+        if let Err(error) = claim.write(html.as_bytes()) {
+            outcome.summary.report = None;
+            outcome.summary.losses.push(format!("no report: {error}"));
+            lost.push(format!("no report: {error}"));
+        }
     }
-    let exit = outcome.exit();
-    if outcome.summary.error.is_none() && !outcome.failed_expectations.is_empty() {
-        outcome.summary.error =
-            Some(format!("expectation failed: {}", outcome.failed_expectations.join("; ")));
-    }
+    let exit = judged(&mut outcome, &lost)?;
     if !args.json {
         let note = files.note().map_or_else(String::new, |note| format!("\n{note}"));
-        output::print_text(&format!("{}{note}", text(&outcome.summary)))?;
+        let text = format!("{}{note}", text(&outcome.summary));
         for loss in outcome.summary.losses.iter().filter(|loss| !known.contains(loss)) {
             tracing::warn!("{}", printable(loss));
         }
+        if stdout_is_taken {
+            output::tell(&text);
+        } else if let Err(failure) = output::print_text(&text) {
+            // The result still comes out, on the terminal.
+            output::tell(&text);
+            if exit == Exit::Ok {
+                return Err(failure);
+            }
+        }
     }
     Ok((outcome.summary, exit))
+}
+
+/// Why the recording is not whole on its disk, if it is not, with its own name in the summary. One with declared gaps is
+/// whole: it says itself what it holds.
+fn recording_loss(
+    files: &RunFiles,
+    misplaced: Option<OutputError>,
+    summary: &mut RunSummary,
+) -> Option<String> {
+    let file = files.recording()?;
+    if let Some(error) = misplaced {
+        (summary.recording, summary.recording_complete) = (None, false);
+        return Some(format!("no recording: {error}"));
+    }
+    summary.recording = Some(file.display().to_string());
+    if summary.recording_complete {
+        return None;
+    }
+    if output_file::is_stream(file) {
+        return Some(format!("{}: did not take all of the recording", file.display()));
+    }
+    match Recording::open(file) {
+        Ok(recording) => recording.truncation().map(|what| {
+            let whole = recording.duration().as_secs_f64();
+            format!(
+                "{}: the recording is cut short: {what}; its first {whole:.2} s are whole",
+                file.display()
+            )
+        }),
+        Err(error) => Some(error.to_string()),
+    }
+}
+
+/// The exit code of a run, with its reason in the summary: the session's own failure comes before a signal, and that before
+/// results that were lost.
+fn judged(outcome: &mut RunOutcome, lost: &[String]) -> Result<Exit, Failure> {
+    let own = outcome.exit();
+    let cut_off_by = outcome.summary.cut_off_by.as_deref();
+    let signal = signals::catch()?.arrived().filter(|_| cut_off_by.is_some());
+    let (exit, reason) = match (own, signal) {
+        (Exit::Internal, _) => (own, None),
+        (_, Some((name, exit))) => (exit, Some(format!("{name} ended the run before its time"))),
+        (Exit::Ok, None) if !lost.is_empty() => (Exit::Invalid, Some(lost.join("; "))),
+        (Exit::Ok, None) => (own, None),
+        (_, None) if !outcome.failed_expectations.is_empty() => {
+            (own, Some(format!("expectation failed: {}", outcome.failed_expectations.join("; "))))
+        }
+        (_, None) => (own, cut_off_by.map(|by| format!("{by} ended the run before the exercise was over"))),
+    };
+    if outcome.summary.error.is_none() {
+        outcome.summary.error = reason;
+    }
+    Ok(exit)
 }
 
 /// What a session that has begun still waits for: computed inverses, and the first picture in a window.
@@ -214,25 +301,14 @@ fn unready(scene: &Snapshot, host: Option<&SessionHost>) -> Option<String> {
     inverses.chain(picture).next()
 }
 
-/// Options that every command with a session shares; an interrupt ends the session in an orderly way.
+/// Options that every command with a session shares; a signal ends the session in good order.
 pub fn options(args: &SessionArgs) -> Result<RunOptions, Failure> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        // The second interrupt ends the process at once.
-        signal_hook::flag::register_conditional_shutdown(
-            signal,
-            i32::from(Exit::Internal.code()),
-            stop.clone(),
-        )
-        .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
-        .map_err(Failure::internal)?;
-    }
     Ok(RunOptions {
         seed: args.seed,
         hands: args.hands.clone(),
         skill: args.skill.clone(),
         left_handed: args.left_handed,
-        stop,
+        stop: signals::catch()?.stop().clone(),
         ..RunOptions::default()
     })
 }
@@ -245,12 +321,6 @@ fn plan(name_or_file: &str) -> Result<FaultPlan, Failure> {
         };
         Failure::invalid(format!("{error}{hint}"))
     })
-}
-
-/// The scenario's name with only characters that are valid in a file name.
-fn file_stem(scenario: &Scenario) -> String {
-    let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
-    scenario.name.chars().take(60).map(safe).collect()
 }
 
 fn force_limits(outcome: &RunOutcome) -> BTreeMap<String, f64> {

@@ -107,6 +107,7 @@ pub fn text(summary: &RunSummary) -> String {
     } else {
         vec![format!("{scenario}: {:.1} s; there is no exercise in it", summary.sim_secs)]
     };
+    lines.extend(summary.cut_off_by.as_ref().map(|by| format!("{by} ended the run before its time")));
     lines.extend(summary.too_slow().map(|slow| console::style(slow).yellow().to_string()));
     lines.push(String::new());
     lines.extend(rates(summary));

@@ -13,9 +13,11 @@ use trocar::summary::{Exit, SCHEMA};
 use crate::args::SoakArgs;
 use crate::failure::Failure;
 use crate::output;
+use crate::signals;
 
 /// Runs the requested plans.
 pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
+    let signals = signals::catch()?;
     let scenario = app.scenario(&args.scenario)?;
     let folder = tempfile::tempdir().map_err(Failure::internal)?;
     let bar = ProgressBar::new(args.plans);
@@ -31,7 +33,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
             scope.spawn(move || {
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);
-                    if number >= args.plans {
+                    if number >= args.plans || signals.arrived().is_some() {
                         break;
                     }
                     let seed = args.from.wrapping_add(number);
@@ -47,7 +49,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
                     if is_broken(&soaked) {
                         let told = told(args, &soaked);
                         // Printed at once, so that the user can investigate during a long soak.
-                        bar.suspend(|| eprintln!("{told}"));
+                        bar.suspend(|| output::tell(&told));
                     }
                     let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
                     done.push(soaked);
@@ -61,7 +63,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
     bar.finish_and_clear();
     let mut rows = done.into_inner().unwrap_or_else(PoisonError::into_inner);
     rows.sort_by_key(|row| row.seed);
-    report(args, &rows)
+    report(args, &rows, signals.arrived())
 }
 
 fn is_broken(row: &SoakResult) -> bool {
@@ -81,7 +83,14 @@ fn told(args: &SoakArgs, row: &SoakResult) -> String {
     format!("seed {seed}: {}\n    {}\n    {again}", violations.join("; "), faults.join(", "))
 }
 
-fn report(args: &SoakArgs, rows: &[SoakResult]) -> Result<Exit, Failure> {
+/// What came of the plans that were run: of all of them, or of those before a signal.
+fn report(
+    args: &SoakArgs,
+    rows: &[SoakResult],
+    signal: Option<(&'static str, Exit)>,
+) -> Result<Exit, Failure> {
+    let ended =
+        signal.map(|(name, _)| format!("{name} ended the soak after {} of {} plans", rows.len(), args.plans));
     let broken: Vec<&SoakResult> = rows.iter().filter(|row| is_broken(row)).collect();
     let completed = rows.iter().filter(|row| row.completed).count();
     if args.json {
@@ -94,7 +103,7 @@ fn report(args: &SoakArgs, rows: &[SoakResult]) -> Result<Exit, Failure> {
             .collect();
         output::print_json(&json!({
             "schema": SCHEMA, "scenario": args.scenario, "plans": rows.len(), "completed": completed,
-            "broken": violations, "error": null,
+            "broken": violations, "error": ended,
         }))?;
     } else {
         let all = rows.len();
@@ -102,8 +111,13 @@ fn report(args: &SoakArgs, rows: &[SoakResult]) -> Result<Exit, Failure> {
         let mut lines = vec![format!(
             "{all} random plans: {broke} broke something, {completed} exercises were completed"
         )];
+        lines.extend(ended);
         lines.extend(broken.iter().map(|row| told(args, row)));
         output::print_text(&lines.join("\n"))?;
     }
-    Ok(if broken.is_empty() { Exit::Ok } else { Exit::Failed })
+    Ok(match signal {
+        Some((_, exit)) => exit,
+        None if broken.is_empty() => Exit::Ok,
+        None => Exit::Failed,
+    })
 }

@@ -12,6 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use trocar_scene::{Snapshot, TetMesh, VertexPositions};
 
 use crate::escape::printable;
+use crate::output;
 
 /// The first stage of whatever starts from a scenario.
 pub const READING: &str = "reading the scenario and its meshes";
@@ -124,7 +125,7 @@ fn announce(stages: &Receiver<String>, first: String) {
             Ok(next) => lines.stage(next),
             Err(RecvTimeoutError::Timeout) => {
                 if let Some(line) = lines.print(begun.elapsed()) {
-                    eprintln!("{line}");
+                    output::tell(&line);
                 }
             }
             Err(RecvTimeoutError::Disconnected) => return,

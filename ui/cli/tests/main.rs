@@ -4,7 +4,10 @@
 
 mod cli;
 mod docs_commands;
+#[cfg(target_os = "linux")]
+mod full_disks;
 mod mesh_files;
+mod output_files;
 mod own_programs;
 mod pictures;
 mod recordings;

@@ -39,7 +39,7 @@ fn a_mesh_is_inspected_mended_and_never_overwritten_unasked() {
     assert!(again["defects"].as_array().is_some_and(Vec::is_empty) && again["unit_doubt"].is_null());
 
     let refused = mend(&[]);
-    assert_eq!(refused.status.code(), Some(2));
+    assert_eq!(refused.status.code(), Some(4));
     assert!(object(&refused)["error"].as_str().is_some_and(|error| error.contains("--force")));
     assert_eq!(mend(&["--force"]).status.code(), Some(0));
     let onto_itself = ["mesh", "cube.obj", "--repair", "--out", "cube.obj", "--force"];

@@ -79,16 +79,49 @@ fn what_happens_is_shown_over_the_scene_and_several_views_share_a_picture() {
 }
 
 #[test]
-fn without_a_graphics_adapter_the_run_goes_on_and_says_so() {
+fn without_a_graphics_adapter_pictures_are_refused_before_anything_runs() {
     let folder = tempfile::tempdir().expect("a folder");
-    let run = [&SHORT[..], &["--picture", "run.png", "--no-record"]].concat();
+    std::fs::write(folder.path().join("face.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("a file");
     let nothing = [("VK_DRIVER_FILES", "/dev/null"), ("VK_ICD_FILENAMES", "/dev/null")];
-    let output = trocar(folder.path(), &run, &nothing);
-    assert_eq!(output.status.code(), Some(0));
-    assert_eq!(object(&output)["pictures"], serde_json::json!([]));
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(stderr.contains("no graphics adapter") && stderr.contains("mesa-vulkan-drivers"), "{stderr}");
-    assert!(!folder.path().join("run.png").exists());
+    for arguments in [
+        [&SHORT[..], &["--picture", "run.png"]].concat(),
+        [&SHORT[..], &["--film", "run.gif"]].concat(),
+        vec!["mesh", "face.obj", "--picture", "face.png", "--json"],
+        vec!["gallery", "--scenario", "wall", "--json"],
+    ] {
+        let output = trocar(folder.path(), &arguments, &nothing);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {stderr}");
+        assert!(stderr.contains("no graphics adapter") && stderr.contains("mesa-vulkan-drivers"), "{stderr}");
+        assert!(object(&output)["error"].as_str().is_some_and(|error| error.contains("no graphics adapter")));
+        assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "{arguments:?}");
+    }
+}
+
+#[test]
+fn an_impossible_picture_is_refused_with_the_largest_one_and_an_unknown_ending_with_the_valid_ones() {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("face.obj"), "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("a file");
+    let short = |more: &[&'static str]| [&SHORT[..], more].concat();
+    for (arguments, says) in [
+        (short(&["--picture", "a.png", "--size", "4000000x3000000"]), "the largest of its shape is "),
+        (short(&["--film", "a.gif", "--size", "16384x16384"]), "the largest of its shape is 8192 × 8192"),
+        (
+            vec!["mesh", "face.obj", "--picture", "a.png", "--size", "70000x70000"],
+            "the largest of its shape is ",
+        ),
+        (vec!["gallery", "--scenario", "wall", "--size", "70000x70000"], "the largest of its shape is "),
+        (short(&["--picture", "a.jpg"]), "'.jpg' is no picture that can be written; valid is .png"),
+        (short(&["--picture", "a.tiff"]), "valid is .png"),
+        (vec!["mesh", "face.obj", "--picture", "a.JPEG"], "valid is .png"),
+        (short(&["--film", "a.jpg"]), "'.jpg' is no film: .png, .gif, or a folder for frames"),
+    ] {
+        let output = trocar(folder.path(), &arguments, &[]);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(4), "{arguments:?}: {stderr}");
+        assert!(stderr.contains(says), "{arguments:?}: {stderr}");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1, "{arguments:?}");
+    }
 }
 
 #[test]

@@ -1,7 +1,5 @@
 //! `trocar run`: what it prints, how it ends, what it leaves behind.
 
-use std::process::Command;
-
 use serde_json::Value;
 
 use crate::support::{assert_valid, here, object, stderr, stdout, trocar};
@@ -254,33 +252,6 @@ fn what_is_doubtful_in_a_scenario_is_said_before_it_runs_and_once() {
     let message = stderr(&output);
     let (doubt, error) = (message.find("young_modulus of 5 MPa"), message.find("no hand is called 'left'"));
     assert!(doubt.is_some() && doubt < error, "{message}");
-}
-
-#[test]
-fn two_sessions_of_one_scenario_in_one_folder_keep_both_recordings_and_a_later_one_says_what_it_replaces() {
-    let folder = here();
-    let run = ["run", "wall", "--headless", "--no-report", "--seconds", "1"];
-    let start = || {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_trocar"));
-        command.args(run).current_dir(folder.path()).env("NO_COLOR", "1");
-        command.env("TROCAR_RUNTIME_DIR", folder.path().join("run"));
-        command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::piped());
-        command.spawn().expect("the program starts")
-    };
-    let both = [start(), start()].map(|child| child.wait_with_output().expect("it ends"));
-    let told: String = both.iter().map(stderr).collect();
-    assert!(both.iter().all(|output| output.status.success()), "{told}");
-    assert!(
-        told.contains("wall.mcap is being written by another session: this one writes wall-2.mcap"),
-        "{told}"
-    );
-    for name in ["wall.mcap", "wall-2.mcap"] {
-        let replayed = trocar(folder.path(), &["replay", name, "--headless"]);
-        assert!(replayed.status.success(), "{name}: {}", stderr(&replayed));
-    }
-    let later = ["run", "wall", "--lockstep", "--no-report", "--seconds", "0.1"];
-    let text = stdout(&trocar(folder.path(), &later));
-    assert!(text.contains("wall.mcap replaces the one of an earlier run; --record"), "{text}");
 }
 
 #[test]

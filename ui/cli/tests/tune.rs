@@ -182,7 +182,17 @@ fn a_running_session_is_tuned_from_another_terminal() {
     assert!(changed.len() <= 2 && before.lines().count() == after.lines().count(), "{changed:?}");
     assert!(session.refused(&["save", "sets.toml"]).contains("exists already"));
     session.tune(&["export", "kept.toml"]);
-    assert!(std::fs::read_to_string(session.folder.path().join("kept.toml")).unwrap().contains("[sets.c]"));
+    let kept = || std::fs::read_to_string(session.folder.path().join("kept.toml")).unwrap();
+    assert!(kept().contains("[sets.c]"));
+    // Sets that were exported before stay, unless it is said.
+    session.tune(&["keep", "d"]);
+    assert!(session.refused(&["export", "kept.toml"]).contains("kept.toml: exists already; --force"));
+    assert!(!kept().contains("[sets.d]"));
+    assert_eq!(session.tune(&["export", "kept.toml", "--force"]).status.code(), Some(0));
+    assert!(kept().contains("[sets.d]"));
+    if Path::new("/dev/full").exists() {
+        assert!(session.refused(&["export", "/dev/full"]).contains("No space left"));
+    }
 
     // What an operator does is in the recording like everything else, and comes back in a replay.
     let (folder, recording) = session.interrupt();

@@ -71,6 +71,25 @@ fn keys_and_mouse_do_what_the_list_of_keys_says() {
 }
 
 #[test]
+fn closing_the_window_before_the_exercise_is_over_is_no_success() {
+    let _alone = alone();
+    let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
+    let run =
+        ["run", "peg-transfer", "--window", "--no-report", "--no-record", "--quality", "plain", "--json"];
+    let mut running = Running::start(&screen, folder.path(), &run);
+    running.until("time passes", |running| running.seconds() > 0.2);
+    screen.act("key ctrl+q");
+    let (code, printed) = running.end();
+    assert_eq!(code, Some(1), "{printed}");
+    let summary: Value = serde_json::from_str(&printed).expect("an object");
+    assert_eq!(summary["cut_off_by"], "a person at the window");
+    assert!(
+        summary["error"].as_str().is_some_and(|error| error.contains("the exercise was over")),
+        "{summary}"
+    );
+}
+
+#[test]
 fn a_value_found_in_the_panel_is_changed_by_dragging_it() {
     let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
@@ -290,9 +309,9 @@ fn recordings_are_led_through_and_compared() {
     });
     running.until("another time, another scene", |running| differing(&early, &lead(running, 1100)) > 0.0005);
     running.until("the same time, the same scene", |running| differing(&early, &lead(running, 400)) == 0.0);
-    screen.act("key ctrl+q");
+    running.send("-TERM");
     let (code, printed) = running.end();
-    assert_eq!(code, Some(0), "{printed}");
+    assert_eq!(code, Some(143), "{printed}");
     assert!(printed.contains("peg-transfer"), "{printed}");
 }
 

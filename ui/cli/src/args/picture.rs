@@ -25,7 +25,7 @@ pub struct WindowArgs {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Pictures")]
 pub struct PictureArgs {
-    /// A picture of the last moment (PNG)
+    /// A picture of the last moment (PNG); `-` is stdout
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub picture: Option<PathBuf>,
     /// A film: FILE.gif, FILE.png (animated), or a folder for single frames
@@ -55,6 +55,10 @@ pub struct PictureArgs {
     /// How much care goes into a picture [default: fine; in a window, what the machine can draw]
     #[arg(long = "quality", value_name = "QUALITY")]
     pub care: Option<PictureQuality>,
+    /// Overwrite results that are named and there already; without it they are refused. An earlier one is whole until the
+    /// new one is complete, a recording until the new session has begun
+    #[arg(long, help_heading = "Output")]
+    pub force: bool,
 }
 
 /// One eye, two of them in one picture, or four views.
@@ -112,8 +116,9 @@ pub fn size(text: &str) -> Result<(u32, u32), String> {
     let sides =
         text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
     match sides {
-        Some((width @ 1..=16_384, height @ 1..=16_384)) => Ok((width, height)),
-        _ => Err("WIDTHxHEIGHT is expected, each side 1 to 16384 pixels, such as 1280x960".to_owned()),
+        // How large a picture can be is known only to the graphics adapter.
+        Some((width @ 1.., height @ 1..)) => Ok((width, height)),
+        _ => Err("WIDTHxHEIGHT is expected, each side at least 1 pixel, such as 1280x960".to_owned()),
     }
 }
 

@@ -4,10 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use trocar::summary::BenchSummary;
+use trocar_scene::output_file::{self, Replace};
 
 use super::{HEAD, cells};
 use crate::failure::Failure;
-use crate::output;
 
 /// Ends every table.
 const END: &str = "<!-- end -->";
@@ -60,6 +60,8 @@ impl Page {
     /// # Errors
     /// When the file cannot be read, or does not have the place exactly once.
     pub fn read(file: &Path, suite: &str) -> Result<Self, Failure> {
+        // A part of it is to be written anew.
+        output_file::check(file, Replace::Writable)?;
         let text = fs::read_to_string(file)
             .map_err(|error| Failure::invalid(format!("--into {}: {error}", file.display())))?;
         let (begin, refuse) =
@@ -80,7 +82,7 @@ impl Page {
     /// When the file cannot be written; it is as it was then.
     pub fn write(self, table: &str) -> Result<(), Failure> {
         let Self { file, before, after } = self;
-        output::write_file(&file, format!("{before}{table}{after}").as_bytes())
+        Ok(output_file::write(&file, format!("{before}{table}{after}").as_bytes(), Replace::Writable)?)
     }
 }
 
@@ -131,6 +133,11 @@ mod tests {
         assert!(refused("# Figures").contains("there is no '<!-- figures: bench session -->'"));
         assert!(refused(&begin).contains("has no '<!-- end -->' after it"));
         assert!(refused(&format!("{begin}{END}{begin}{END}")).contains("twice"));
+        let mut protected = fs::metadata(&file).expect("a file").permissions();
+        protected.set_readonly(true);
+        fs::set_permissions(&file, protected).expect("its mode");
+        let read_only = Page::read(&file, "session").err().expect("it is refused");
+        assert!(read_only.message.contains("figures.md: is read-only"), "{}", read_only.message);
         let missing = Page::read(&folder.path().join("none.md"), "session").err().expect("it is refused");
         assert!(missing.message.contains("none.md"), "{}", missing.message);
     }

@@ -17,11 +17,12 @@ mod viewer;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar::summary::{BenchResult, BenchSummary, Better, Exit};
+use trocar_scene::output_file;
 
 use crate::args::BenchArgs;
 use crate::doctor::machine;
 use crate::failure::{Failure, did_you_mean};
-use crate::output;
+use crate::output::{self, replace};
 use crate::report::short;
 
 /// Suites by name, and their contents.
@@ -107,42 +108,48 @@ fn kernel() -> Result<Vec<BenchResult>, Failure> {
 
 /// Runs a suite.
 pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
-    if let Some(file) = &args.plot {
-        // Checked before minutes of measuring.
-        output::check_writable(file)?;
-        if !GROWING.iter().any(|(suite, _)| *suite == args.suite) {
-            return Err(Failure::usage(format!(
-                "--plot: '{}' has nothing that grows; 'collision' and 'simulator' have",
-                args.suite
-            )));
-        }
-    }
-    // Read before they are measured, too.
-    let page = args.into.as_deref().map(|file| markdown::Page::read(file, &args.suite)).transpose()?;
     let mut summary = BenchSummary::new(machine());
-    let result = measure(args, &mut summary);
-    if let (Ok(()), Some(page)) = (&result, page) {
-        page.write(&markdown::table(&args.suite, &summary))?;
-    }
-    if let (Ok(()), Some(file)) = (&result, &args.plot)
-        && let Some((_, of)) = GROWING.iter().find(|(suite, _)| *suite == args.suite)
-        && let Some(svg) = plot::growth(&summary.results, of)
-    {
-        std::fs::write(file, svg)
-            .map_err(|error| Failure::invalid(format!("{}: {error}", file.display())))?;
-    }
+    let mut is_measured = false;
+    let result = attempt(args, &mut summary, &mut is_measured);
     if let Err(failure) = &result {
         summary.error = Some(failure.message.clone());
     }
     if args.json {
         output::print_json(&summary)?;
-    } else if result.is_ok() && args.markdown {
-        output::print_text(&markdown::table(&args.suite, &summary))?;
-    } else if result.is_ok() {
-        output::print_text(&text(&summary))?;
+    } else if is_measured {
+        // Also when a file could not be written: the figures took minutes.
+        let text = if args.markdown { markdown::table(&args.suite, &summary) } else { text(&summary) };
+        match output::takes_stdout(false, [args.plot.as_deref()])? {
+            true => output::tell(&text),
+            false => output::print_text(&text)?,
+        }
     }
     result?;
     Ok(if summary.missed().next().is_none() { Exit::Ok } else { Exit::Failed })
+}
+
+fn attempt(args: &BenchArgs, summary: &mut BenchSummary, is_measured: &mut bool) -> Result<(), Failure> {
+    output::takes_stdout(args.json, [args.plot.as_deref()])?;
+    let growing = GROWING.iter().find(|(suite, _)| *suite == args.suite);
+    if args.plot.is_some() && growing.is_none() {
+        return Err(Failure::usage(format!(
+            "--plot: '{}' has nothing that grows; 'collision' and 'simulator' have",
+            args.suite
+        )));
+    }
+    // Looked at and read before minutes of measuring.
+    let replace = replace(args.force);
+    args.plot.as_deref().map_or(Ok(()), |file| output_file::check(file, replace))?;
+    let page = args.into.as_deref().map(|file| markdown::Page::read(file, &args.suite)).transpose()?;
+    measure(args, summary)?;
+    *is_measured = true;
+    let written = page.map_or(Ok(()), |page| page.write(&markdown::table(&args.suite, summary)));
+    if let (Some(file), Some((_, of))) = (&args.plot, growing)
+        && let Some(svg) = plot::growth(&summary.results, of)
+    {
+        output_file::write(file, svg.as_bytes(), replace)?;
+    }
+    written
 }
 
 fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> {

@@ -48,7 +48,7 @@ fn cpu_secs() -> f64 {
 
 /// Frames in each quality beside the bare loop, and two eyes beside one.
 pub fn frames() -> Result<Vec<BenchResult>, Failure> {
-    let bench_renderer = RefCell::new(BenchRenderer::new(TRIANGLES, SIZE).map_err(Failure::internal)?);
+    let bench_renderer = RefCell::new(BenchRenderer::new(TRIANGLES, SIZE)?);
     let stereo = Layout::SideBySide(Stereo::default());
     let frame = |layout: &Layout, quality| bench_renderer.borrow_mut().frame(layout, quality);
     let times = in_turns(
@@ -62,7 +62,7 @@ pub fn frames() -> Result<Vec<BenchResult>, Failure> {
             &mut || frame(&Layout::Mono, Quality::FINE),
         ],
     );
-    bench_renderer.borrow().gpu().check().map_err(Failure::internal)?;
+    bench_renderer.borrow().gpu().check()?;
     let ms =
         |index: usize| median_and_spread(&times[index].iter().map(|secs| secs * 1e3).collect::<Vec<_>>());
     let beside = |name: &str, index: usize, floor: usize, bar: Option<f64>| {
@@ -78,7 +78,7 @@ pub fn frames() -> Result<Vec<BenchResult>, Failure> {
 
 /// Upload of a mesh with every vertex moved: from the snapshot to the device.
 pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
-    let bench_renderer = BenchRenderer::new(1_000, [64, 64]).map_err(Failure::internal)?;
+    let bench_renderer = BenchRenderer::new(1_000, [64, 64])?;
     let mut upload = Upload::new(bench_renderer.gpu(), SHEET_SIDE);
     let mut blocks = Vec::with_capacity(BLOCKS);
     for block in 0..=BLOCKS {
@@ -96,7 +96,7 @@ pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
             blocks.push(cpu / UPLOADS as f64 * 1e3);
         }
     }
-    bench_renderer.gpu().check().map_err(Failure::internal)?;
+    bench_renderer.gpu().check()?;
     let figure = median_and_spread(&blocks);
     Ok(vec![BenchResult::on_value(
         "viewer_deforming_mesh_cpu",
@@ -109,7 +109,7 @@ pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
 
 /// Cost of a viewer while nothing changes: it checks 60 times a second, and draws nothing.
 pub fn idle() -> Result<Vec<BenchResult>, Failure> {
-    let mut bench_renderer = BenchRenderer::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
+    let mut bench_renderer = BenchRenderer::new(TRIANGLES, SIZE)?;
     bench_renderer.look(Quality::FULL);
     let share = |look: &mut dyn FnMut()| {
         let (before, begun) = (cpu_secs(), Instant::now());
@@ -171,7 +171,7 @@ fn hands(app: &App, bench_renderer: Option<&mut BenchRenderer>) -> Result<(f64, 
 /// Two hands at 1 kHz while a rasteriser draws continuously, compared with the same without it.
 pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
     let app = App::new();
-    let mut bench_renderer = BenchRenderer::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
+    let mut bench_renderer = BenchRenderer::new(TRIANGLES, SIZE)?;
     let (mut alone, mut watched, mut rates) = (Vec::new(), Vec::new(), Vec::new());
     for block in 0..=LIVE_BLOCKS {
         let floor = hands(&app, None)?.0;
@@ -183,7 +183,7 @@ pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
             rates.push(rate);
         }
     }
-    bench_renderer.gpu().check().map_err(Failure::internal)?;
+    bench_renderer.gpu().check()?;
     let (floor, figure) = (median_and_spread(&alone).0, median_and_spread(&watched));
     let mut row = BenchResult::on_value(
         "viewer_hands_on_time_while_drawing",
@@ -206,7 +206,7 @@ pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
 
 /// Figures of the graphics card, or that there is none.
 pub fn card() -> Result<Vec<BenchResult>, Failure> {
-    let mut bench_renderer = BenchRenderer::new(GPU_TRIANGLES, GPU_SIZE).map_err(Failure::internal)?;
+    let mut bench_renderer = BenchRenderer::new(GPU_TRIANGLES, GPU_SIZE)?;
     if bench_renderer.gpu().is_software() {
         let none = |name: &str, better| BenchResult::on_value(name, "no GPU here", (0.0, 0.0), None, better);
         return Ok(vec![
@@ -233,7 +233,7 @@ pub fn card() -> Result<Vec<BenchResult>, Failure> {
             latencies.push(median_and_spread(&submitted).0);
         }
     }
-    bench_renderer.gpu().check().map_err(Failure::internal)?;
+    bench_renderer.gpu().check()?;
     Ok(vec![
         BenchResult::on_value(
             "viewer_gpu_frame_rate",

@@ -147,6 +147,8 @@ fn failures(out: &mut String, report: &Report) {
     notice(out, &title, summary.unkept_contacts.iter().map(ToString::to_string));
     let title = format!("Frozen bodies: {}", summary.bodies_frozen);
     notice(out, &title, summary.frozen_bodies.iter().map(ToString::to_string));
+    let cut_off = summary.cut_off_by.iter().map(|by| format!("{by} ended the run"));
+    notice(out, "Ended before its time", cut_off);
     notice(out, "What was doubtful before the start", summary.warnings.iter().cloned());
     notice(out, "What it had to do without", summary.losses.iter().cloned());
 }

@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use trocar::app::App;
 use trocar::summary::{Exit, SCHEMA};
 use trocar::tuning::{self, BASE, TuneError, Tuner, TuningSets};
+use trocar_scene::output_file::Claim;
 use trocar_scene::scenario::Scenario;
 
 use protocol::{FieldRow, Reply, Request};
@@ -18,7 +19,7 @@ pub use tuning_service::TuningService;
 use crate::args::{SessionArgs, TuneArgs, TuneCommand};
 use crate::escape::printable;
 use crate::failure::{Failure, did_you_mean};
-use crate::output;
+use crate::output::{self, replace};
 
 /// The scenario of the command line with its assigned values, and a tuner that knows the original ones.
 pub fn scenario(app: &App, args: &SessionArgs) -> Result<(Scenario, Tuner), Failure> {
@@ -60,10 +61,17 @@ pub fn tune(args: &TuneArgs) -> Result<Exit, Failure> {
 }
 
 fn attempt(args: &TuneArgs) -> Result<Exit, Failure> {
+    let export = match &args.command {
+        TuneCommand::Export { file: Some(file), force } => {
+            output::takes_stdout(args.json, [Some(file.as_path())])?;
+            Some(Claim::take(file, replace(*force))?)
+        }
+        _ => None,
+    };
     let socket = session(args.session)?;
     let reply = ask(&socket, &request(&args.command)?)?;
-    if let TuneCommand::Export { file: Some(file) } = &args.command {
-        output::write_file(file, reply.text.as_deref().unwrap_or_default().as_bytes())?;
+    if let (Some(claim), Some(text)) = (export, &reply.text) {
+        claim.write(text.as_bytes())?;
     }
     if args.json {
         let mut object = serde_json::to_value(&reply).map_err(Failure::internal)?;
@@ -196,8 +204,8 @@ fn text(command: &TuneCommand, reply: &Reply) -> String {
         TuneCommand::Status => {
             format!("{}\n{}; {}", table(&["field", "value", "scenario"]), in_use(), sets())
         }
-        TuneCommand::Export { file: Some(file) } => format!("{}: {}", file.display(), sets()),
-        TuneCommand::Export { file: None } => reply.text.clone().unwrap_or_default(),
+        TuneCommand::Export { file: Some(file), .. } => format!("{}: {}", file.display(), sets()),
+        TuneCommand::Export { file: None, .. } => reply.text.clone().unwrap_or_default(),
         TuneCommand::Save { .. } => {
             let file = reply.file.as_ref().map_or_else(String::new, |file| file.display().to_string());
             let left = reply.left_out.iter().map(|what| format!("\nleft out: {}", printable(what)));

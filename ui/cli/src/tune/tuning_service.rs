@@ -8,11 +8,11 @@ use trocar::app::App;
 use trocar::session::Session;
 use trocar::tuning::{self, Change, TuneError, Tuned, Tuner};
 use trocar_scene::Snapshot;
+use trocar_scene::output_file::{self, Replace};
 use trocar_scene::scenario::{FILE_BYTES_MAX, Scenario};
 
 use super::protocol::{FieldRow, Reply, Request};
 use super::socket::Server;
-use crate::output;
 
 /// Most fields in an answer.
 const FIELDS_MAX: usize = 10_000;
@@ -146,13 +146,16 @@ impl<'a> TuningService<'a> {
             }
         };
         // The file as it is on the disk now: it may have been edited since the start.
-        let text = match file.exists() {
+        let is_there = file.exists();
+        let text = match is_there {
             true => read(file)?,
             false => self.scenario.text().to_owned(),
         };
         let values = self.tuner.values(scene);
         let saved = tuning::save(self.app, file, &text, &values).map_err(|error| error.to_string())?;
-        output::write_file(file, saved.text.as_bytes()).map_err(|failure| failure.message)?;
+        // A new file, or the scenario's own one, which is edited.
+        let replace = if is_there { Replace::Writable } else { Replace::Never };
+        output_file::write(file, saved.text.as_bytes(), replace).map_err(|error| error.to_string())?;
         Ok((file.to_owned(), saved.left_out))
     }
 }

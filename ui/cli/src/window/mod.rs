@@ -22,6 +22,7 @@ use trocar_viewer::window::{LoopMessage, Options, Player, StereoLayout, Subject,
 
 use crate::args::{self, PictureArgs, PictureQuality, WindowArgs};
 use crate::failure::Failure;
+use crate::signals;
 
 use link::{Shared, ViewerPresence, WindowLink};
 pub use playback::Findings;
@@ -82,7 +83,7 @@ pub struct Show {
 /// Shows recordings beside each other while `check` verifies the first one on its own thread.
 ///
 /// # Errors
-/// Errors of the check, and recordings that cannot be played.
+/// Errors of the check, recordings that cannot be played, and the end by a signal.
 pub fn with_recordings(
     app: &App,
     windows: Windows,
@@ -91,6 +92,7 @@ pub fn with_recordings(
     recordings: &[Recording],
     check: impl FnOnce(&SyncSender<Findings>) -> Result<Exit, Failure> + Send,
 ) -> Result<Exit, Failure> {
+    let signals = signals::catch()?;
     let (mut links, mut window_links) = (Vec::new(), Vec::new());
     for recording in recordings {
         let first = Replay::new(recording, app.registry()).map_err(Failure::invalid)?.snapshot();
@@ -110,7 +112,8 @@ pub fn with_recordings(
             for (link, recording) in links.into_iter().zip(recordings) {
                 // Only the first recording is checked: the others have no findings.
                 let findings = findings.take().unwrap_or_else(|| sync_channel(1).1);
-                let player = move || playback::play(link, recording, app.registry(), &findings);
+                let player =
+                    move || playback::play(link, recording, app.registry(), &findings, signals.stop());
                 let thread = std::thread::Builder::new().name("playback".into());
                 players.push(thread.spawn_scoped(scope, player).map_err(Failure::internal)?);
             }
@@ -121,7 +124,12 @@ pub fn with_recordings(
                     Err(_) => return Err(Failure::internal("the thread of a playback panicked")),
                 }
             }
-            checked
+            match (checked, signals.arrived()) {
+                (Ok(Exit::Ok), Some((name, exit))) => {
+                    Err(Failure { exit, message: format!("{name} closed the window") })
+                }
+                (checked, _) => checked,
+            }
         })
     })
 }

@@ -1,6 +1,7 @@
 //! Playback of a recording under control of a window: speed, seek, loop.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
@@ -27,7 +28,7 @@ pub struct Findings {
     pub note: Note,
 }
 
-/// Plays a recording until all windows are closed.
+/// Plays a recording until all windows are closed, or `stop` is set.
 ///
 /// # Errors
 /// When it cannot be played at all; later errors are shown as notes.
@@ -36,6 +37,7 @@ pub fn play(
     recording: &Recording,
     registry: &Arc<Registry>,
     findings: &Receiver<Findings>,
+    stop: &AtomicBool,
 ) -> Result<(), RecordingError> {
     let mut player = Player::new(recording, registry)?;
     let length = recording.duration();
@@ -46,7 +48,7 @@ pub fn play(
     });
     link.show(player.replay.snapshot());
     let mut last = Instant::now();
-    while link.shared().presence() == ViewerPresence::There {
+    while link.shared().presence() == ViewerPresence::There && !stop.load(Ordering::Relaxed) {
         let runs = link.state().play_state == PlayState::Running;
         let mut requested = link.wait(if runs { FRAME.saturating_sub(last.elapsed()) } else { REST });
         while let Some(request) = requested {
@@ -192,7 +194,8 @@ mod tests {
         let shared = window_link.shared().clone();
         std::thread::scope(|scope| {
             let (recording, registry) = (&recording, app.registry());
-            let player = scope.spawn(move || play(link, recording, registry, &findings));
+            let player =
+                scope.spawn(move || play(link, recording, registry, &findings, &AtomicBool::new(false)));
             // Also when an assertion fails: the player runs as long as it has viewers.
             let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut window_link, &found)));
             shared.set_presence(ViewerPresence::Left);

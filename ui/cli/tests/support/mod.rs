@@ -19,6 +19,18 @@ pub fn trocar(folder: &Path, arguments: &[&str]) -> Output {
         .expect("the program starts")
 }
 
+/// A run of 0.1 s in virtual time.
+pub const BRIEF: [&str; 5] = ["run", "wall", "--lockstep", "--seconds", "0.1"];
+
+/// The names in a folder, in order.
+pub fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).expect("a folder");
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
 /// A folder that goes when the test is over.
 pub fn here() -> tempfile::TempDir {
     tempfile::tempdir().expect("a folder")

@@ -149,6 +149,12 @@ impl Running {
         taken.expect("it was taken").to_rgba8()
     }
 
+    /// Sends it a signal, as `kill` names it.
+    pub fn send(&self, signal: &str) {
+        let sent = Command::new("kill").args([signal, &self.child.id().to_string()]).status();
+        assert!(sent.expect("kill runs").success(), "it has ended before");
+    }
+
     /// Waits until it ends by itself: its exit code, and what it has printed.
     pub fn end(mut self) -> (Option<i32>, String) {
         use std::io::Read;
