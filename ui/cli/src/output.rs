@@ -12,16 +12,6 @@ use crate::failure::Failure;
 /// Most runs of one scenario in one folder.
 pub const RUNS_MAX: u32 = 10_000;
 
-/// Writes a file completely or not at all; an earlier one stays.
-pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    Ok(output_file::write(path, bytes, Replace::Never)?)
-}
-
-/// Checks before a long run that a file can be written.
-pub fn check_writable(path: &Path) -> Result<(), Failure> {
-    Ok(output_file::check(path, Replace::Never)?)
-}
-
 /// The scenario's name with only characters that are valid in a file name.
 pub fn file_stem(scenario: &Scenario) -> String {
     let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };

@@ -9,6 +9,7 @@ use trocar::run::task_summary;
 use trocar::summary::{Exit, Mode, RunSummary, TaskErrorSummary};
 use trocar::trace::RunTrace;
 use trocar_kernel::recorder::{Recording, RecordingError, Replay};
+use trocar_scene::output_file::Claim;
 use trocar_scene::{CollisionList, DeviceState, SimTime};
 use trocar_viewer::window::subject::{Mark, Note};
 
@@ -18,6 +19,7 @@ use crate::output::{self, in_words};
 use crate::pictures::Photographer;
 use crate::report::{self, Report};
 use crate::run_text;
+use crate::signals;
 use crate::startup::Startup;
 use crate::window::{self, Findings};
 
@@ -42,24 +44,40 @@ pub fn replay(app: &App, args: &ReplayArgs) -> Result<Exit, Failure> {
     })
 }
 
-/// Plays a recording from start to end, checks it, and returns the result.
+/// Plays a recording from start to end, or until a signal arrives, checks it, and returns the result.
 fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, Failure> {
     let mut summary = RunSummary::new("", Mode::Replay, 0);
     summary.recording = Some(args.file.display().to_string());
-    let result = attempt(app, args, &mut summary);
+    let named = [&args.report, &args.pictures.picture].map(|file| file.as_deref());
+    let stdout_is_taken = output::takes_stdout(args.json, named);
+    let result = match &stdout_is_taken {
+        Ok(_) => attempt(app, args, &mut summary),
+        Err(failure) => Err(Failure { exit: failure.exit, message: failure.message.clone() }),
+    };
     tell(findings(&summary, &result));
-    // Of a recording that is cut short, or does not replay, what is whole is told all the same.
-    let is_played = result.as_ref().map_or_else(|failure| failure.exit == Exit::Failed, |_| true);
-    if args.json {
+    // Of a recording that is cut short, or does not replay, or whose report cannot be written, what is whole is told all
+    // the same.
+    let is_played = summary.state_hash.is_some();
+    let printed = if args.json {
         summary.error = result.as_ref().err().map(|failure| failure.message.clone());
-        output::print_json(&summary)?;
+        output::print_json(&summary)
     } else if is_played {
-        output::print_text(&run_text::text(&summary))?;
         for loss in &summary.losses {
             tracing::warn!("{loss}");
         }
-    }
-    result
+        let text = run_text::text(&summary);
+        match stdout_is_taken {
+            Ok(false) => output::print_text(&text),
+            _ => {
+                output::tell(&text);
+                Ok(())
+            }
+        }
+    } else {
+        Ok(())
+    };
+    // The replay's own failure comes first.
+    result.and_then(|exit| printed.map(|()| exit))
 }
 
 /// Marks for the timeline of a recording, and a note for people.
@@ -88,9 +106,9 @@ fn progress_bar(recording: &Recording, silent: bool) -> ProgressBar {
 }
 
 fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exit, Failure> {
-    if let Some(report) = &args.report {
-        output::check_writable(report)?;
-    }
+    let signals = signals::catch()?;
+    let replace = output::replace(args.pictures.force);
+    let report = args.report.as_deref().map(|file| Claim::take(file, replace)).transpose()?;
     let begun = Instant::now();
     let startup = Startup::new(&args.file.display().to_string(), "reading the recording", args.json);
     let recording = Recording::open(&args.file).map_err(Failure::invalid)?;
@@ -104,6 +122,11 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
     let mut next = SimTime::ZERO;
     let mut force_newtons_max = 0.0_f64;
     let diverged = loop {
+        if let Some((name, exit)) = signals.arrived() {
+            bar.finish_and_clear();
+            let at = replay.time().as_secs_f64();
+            return Err(Failure { exit, message: format!("{name} ended the replay at {at:.2} s") });
+        }
         match replay.step() {
             Ok(Some(time)) => {
                 if time >= next {
@@ -124,9 +147,8 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
     };
     bar.finish_and_clear();
     trace.sample(replay.view());
-    if let Some(photographer) = photographer {
-        photographer.finish(replay.view(), summary);
-    }
+    let mut lost =
+        photographer.map_or_else(Vec::new, |photographer| photographer.finish(replay.view(), summary));
     summary.sim_secs = replay.time().as_secs_f64();
     summary.stored_hash = Some(replay.hash().to_string());
     summary.state_hash = recording.end().map(|end| end.state_hash.clone());
@@ -153,8 +175,8 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
     {
         failures.push(format!("the replay ends in another hash; recorded was {}", end.hash));
     }
-    if let Some(file) = &args.report {
-        summary.report = Some(file.display().to_string());
+    if let Some(claim) = report {
+        summary.report = Some(claim.file().display().to_string());
         let html = report::html(&Report {
             title: &format!("Replay of {}", summary.scenario),
             summary,
@@ -165,10 +187,17 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
             failures: &failures,
             force_limits: &BTreeMap::new(),
         });
-        output::write_file(file, html.as_bytes())?;
+        if let Err(error) = claim.write(html.as_bytes()) {
+            summary.report = None;
+            summary.losses.push(format!("no report: {error}"));
+            lost.push(format!("no report: {error}"));
+        }
     }
-    if failures.is_empty() {
-        return Ok(Exit::Ok);
-    }
-    Err(Failure { exit: Exit::Failed, message: failures.join("; ") })
+    let exit = match (failures.is_empty(), lost.is_empty()) {
+        (true, true) => return Ok(Exit::Ok),
+        (true, false) => Exit::Invalid,
+        (false, _) => Exit::Failed,
+    };
+    failures.extend(lost);
+    Err(Failure { exit, message: failures.join("; ") })
 }

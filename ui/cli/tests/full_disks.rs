@@ -56,6 +56,8 @@ fn on_a_full_disk_every_writing_command_says_so_and_leaves_nothing_behind() {
         (format!("{BRIEF} --no-record --no-report {small} --picture a.png"), true),
         (format!("{BRIEF} --no-record --no-report {small} --film a.png"), true),
         (format!("{BRIEF} --no-record --no-report {small} --film frames"), true),
+        ("\"$TROCAR\" replay ../r.mcap --headless --report a.html".to_owned(), true),
+        (format!("\"$TROCAR\" replay ../r.mcap {small} --film a.gif"), true),
         ("\"$TROCAR\" mesh ../face.obj --repair --out a.ply".to_owned(), false),
         ("\"$TROCAR\" mesh ../face.obj --picture a.png --size 32x24".to_owned(), false),
         ("\"$TROCAR\" gallery --scenario wall --at 0.1 --size 32x24 .".to_owned(), false),

@@ -67,6 +67,8 @@ fn writers() -> Vec<(Vec<&'static str>, &'static str)> {
         (brief(&["--report", "a.html", "--no-record"]), "a.html"),
         (brief(&[&["--picture", "a.png", "--no-record", "--no-report"], &SMALL[..]].concat()), "a.png"),
         (brief(&[&["--film", "a.gif", "--no-record", "--no-report"], &SMALL[..]].concat()), "a.gif"),
+        (vec!["replay", "r.mcap", "--headless", "--report", "b.html"], "b.html"),
+        ([&["replay", "r.mcap", "--picture", "c.png"], &SMALL[..]].concat(), "c.png"),
         (vec!["mesh", "face.obj", "--repair", "--out", "a.ply"], "a.ply"),
         (vec!["mesh", "face.obj", "--picture", "b.png", "--size", "32x24"], "b.png"),
         (vec!["gallery", "shown", "--scenario", "wall", "--at", "0.1", "--size", "32x24"], "shown/wall.png"),
@@ -271,6 +273,7 @@ mod special {
             ([&BRIEF[..], &["--record", "/dev/full", "--no-report"]].concat(), false),
             ([&BRIEF[..], &["--report", "/dev/full", "--no-record"]].concat(), true),
             ([&BRIEF[..], &pictures].concat(), true),
+            (vec!["replay", "r.mcap", "--headless", "--report", "/dev/full"], true),
             (vec!["mesh", "face.obj", "--repair", "--out", "full.ply"], false),
         ] {
             let output = trocar(folder.path(), &arguments);
