@@ -1,12 +1,12 @@
 //! `trocar recording recover`: what is whole of a cut or damaged recording, as a closed file.
 
-use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 use trocar::summary::{Exit, SCHEMA};
-use trocar_kernel::recorder::{Recording, Recovered};
+use trocar_kernel::recorder::{Recording, RecordingError, Recovered};
+use trocar_scene::output_file::Claim;
 
 use super::RecoverArgs;
 use crate::escape::printable;
@@ -16,15 +16,18 @@ use crate::output;
 /// Writes what is whole of a recording into a new file.
 pub fn recover(args: &RecoverArgs) -> Result<Exit, Failure> {
     let target = args.out.clone().unwrap_or_else(|| beside(&args.file));
-    output::check_writable(&target)?;
-    if target.exists() && !args.force {
-        return Err(Failure::invalid(format!(
-            "{}: there is a file of this name; --out names another, --force replaces it",
-            target.display()
-        )));
-    }
+    let takes_stdout = output::takes_stdout(args.json, [Some(target.as_path())])?;
     let recording = Recording::open(&args.file).map_err(Failure::invalid)?;
-    let found = written(&recording, &target)?;
+    let mut part = Claim::take(&target, output::replace(args.force))?.part()?;
+    let mut out = BufWriter::new(part.file());
+    let unwritten = |error| Failure::invalid(format!("{}: cannot be written: {error}", target.display()));
+    let found = recording.recover(&mut out).map_err(|error| match error {
+        RecordingError::Write(error) => unwritten(error),
+        error => Failure::invalid(error),
+    })?;
+    out.flush().map_err(unwritten)?;
+    drop(out);
+    part.finish()?;
     if args.json {
         output::print_json(&json!({
             "schema": SCHEMA,
@@ -36,28 +39,12 @@ pub fn recover(args: &RecoverArgs) -> Result<Exit, Failure> {
             "seconds": found.until.as_secs_f64(),
             "damage": found.damage,
         }))?;
+    } else if takes_stdout {
+        output::tell(&text(&target, &found).join("\n"));
     } else {
         output::print_text(&text(&target, &found).join("\n"))?;
     }
     Ok(Exit::Ok)
-}
-
-/// Writes the new file whole or not at all.
-fn written(recording: &Recording, target: &Path) -> Result<Recovered, Failure> {
-    let mut name = target.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let part = target.with_file_name(name);
-    let attempt = || {
-        let file = File::create_new(&part).map_err(|error| Failure::write(target, error))?;
-        let mut out = BufWriter::new(file);
-        let found = recording.recover(&mut out).map_err(Failure::invalid)?;
-        let done = out.flush().and_then(|()| std::fs::rename(&part, target));
-        done.map(|()| found).map_err(|error| Failure::write(target, error))
-    };
-    attempt().inspect_err(|_| {
-        // A part of a file is of no use; the first error is the one to tell.
-        let _ = std::fs::remove_file(&part);
-    })
 }
 
 /// `a/b.mcap` → `a/b-recovered.mcap`.
@@ -69,7 +56,7 @@ fn beside(file: &Path) -> PathBuf {
 fn text(target: &Path, found: &Recovered) -> Vec<String> {
     let mut lines: Vec<String> = found.damage.iter().map(|what| printable(what)).collect();
     lines.push(format!(
-        "{} whole chunks, {} damaged; the first {:.2} s reach into {}",
+        "{} whole chunks, {} damaged; {:.2} s are in {}",
         found.chunks,
         found.damaged_chunks,
         found.until.as_secs_f64(),

@@ -29,6 +29,9 @@ pub enum RecordingError {
         /// Why.
         source: io::Error,
     },
+    /// What is recovered from it cannot be written.
+    #[error("what is recovered cannot be written: {0}")]
+    Write(io::Error),
     /// The file is not a recording.
     #[error("recording '{}': not a recording of trocar: {what}", file.display())]
     NotARecording {

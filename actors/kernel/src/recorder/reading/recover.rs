@@ -89,7 +89,7 @@ impl Recording {
             }
             let body = self.chunk_body(*place)?;
             let records = self.records(&body);
-            recovery.chunk(place, records).map_err(io_error)?;
+            recovery.chunk(place, records).map_err(RecordingError::Write)?;
         }
         if recovery.hashes.is_none() {
             return Err(RecordingError::NotARecording {
@@ -97,7 +97,7 @@ impl Recording {
                 what: "nothing in it is whole".to_owned(),
             });
         }
-        recovery.close(self.is_complete()).map_err(io_error)
+        recovery.close(self.is_complete()).map_err(RecordingError::Write)
     }
 }
 
