@@ -6,8 +6,18 @@ use crate::support::{assert_valid, here, object, stderr, stdout, trocar};
 
 /// Records some seconds of the wall in a folder.
 fn recorded(folder: &Path, more: &[&str]) -> serde_json::Value {
-    let line =
-        ["run", "wall", "--lockstep", "--seconds", "3", "--no-report", "--json", "--record", "wall.mcap"];
+    let line = [
+        "run",
+        "wall",
+        "--lockstep",
+        "--seconds",
+        "3",
+        "--no-report",
+        "--json",
+        "--force",
+        "--record",
+        "wall.mcap",
+    ];
     let output = trocar(folder, &[&line[..], more].concat());
     assert!(output.status.success(), "{}", stderr(&output));
     object(&output)
