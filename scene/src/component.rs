@@ -1,5 +1,7 @@
 //! Components: plain serialisable types with a stable name, stored in columns.
 
+use std::fmt;
+
 use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -34,6 +36,17 @@ impl RecordPolicy {
     /// Values that are taken `hz` times a second, each number with a fraction within `tolerance`.
     pub const fn sampled(hz: f64, tolerance: f64) -> Self {
         Self::Sampled(Sampling { hz, tolerance })
+    }
+}
+
+/// `exact`, `derived`, or rate and tolerance: `sampled 60 Hz ±2.5e-7`.
+impl fmt::Display for RecordPolicy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Exact => f.write_str("exact"),
+            Self::Sampled(Sampling { hz, tolerance }) => write!(f, "sampled {hz} Hz ±{tolerance:e}"),
+            Self::Derived => f.write_str("derived"),
+        }
     }
 }
 

@@ -23,6 +23,8 @@ struct Listing {
     about: String,
     /// For controllers only.
     controller: Option<Usage>,
+    /// For components only: how a recording keeps the values.
+    recorded: Option<String>,
     /// For tissues only.
     parameters: &'static [TissueParameter],
     /// For devices only: key, values and meaning of each option.
@@ -46,6 +48,7 @@ impl Listing {
             name: name.into(),
             about: about.into(),
             controller: None,
+            recorded: None,
             parameters: &[],
             options: Vec::new(),
         }
@@ -58,6 +61,9 @@ impl Listing {
             if let (Some(object), Value::Object(usage)) = (object.as_object_mut(), usage) {
                 object.extend(usage);
             }
+        }
+        if let Some(recorded) = &self.recorded {
+            object["recorded"] = json!(recorded);
         }
         if !self.parameters.is_empty() {
             let parameter = |TissueParameter { name, unit, value, range, source }: &TissueParameter| json!({ "name": name, "unit": unit, "value": value, "range": range, "source": source });
@@ -82,6 +88,8 @@ impl Listing {
                 }
             }
         }
+        let recorded = self.recorded.iter().filter(|recorded| *recorded != "exact");
+        lines.extend(recorded.map(|recorded| format!("{}recorded: {recorded}", " ".repeat(width + 4))));
         lines.extend(self.options.iter().map(|[key, values, about]| format!("    {key}={values}: {about}")));
         for TissueParameter { name, unit, value, range: [low, high], source } in self.parameters {
             let about = format!("{value} {unit}").trim_end().to_owned();
@@ -155,7 +163,10 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
         Listed::Components => app
             .registry()
             .iter()
-            .map(|(_, entry)| Listing::new(entry.name, component_about((entry.schema)().as_ref())))
+            .map(|(_, entry)| Listing {
+                recorded: Some(entry.record.to_string()),
+                ..Listing::new(entry.name, component_about((entry.schema)().as_ref()))
+            })
             .collect(),
         Listed::Devices => {
             let device = |(usage, about): (&str, &str)| {

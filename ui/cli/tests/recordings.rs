@@ -4,11 +4,11 @@ use std::path::Path;
 
 use crate::support::{assert_valid, here, object, stderr, stdout, trocar};
 
-/// Records some seconds of the wall in a folder.
-fn recorded(folder: &Path, more: &[&str]) -> serde_json::Value {
+/// Records some seconds of a scenario in a folder.
+fn recorded(folder: &Path, scenario: &str, more: &[&str]) -> serde_json::Value {
     let line = [
         "run",
-        "wall",
+        scenario,
         "--lockstep",
         "--seconds",
         "3",
@@ -16,7 +16,7 @@ fn recorded(folder: &Path, more: &[&str]) -> serde_json::Value {
         "--json",
         "--force",
         "--record",
-        "wall.mcap",
+        "a.mcap",
     ];
     let output = trocar(folder, &[&line[..], more].concat());
     assert!(output.status.success(), "{}", stderr(&output));
@@ -26,8 +26,8 @@ fn recorded(folder: &Path, more: &[&str]) -> serde_json::Value {
 #[test]
 fn the_bytes_of_a_recording_are_counted_by_component_writer_rate_and_framing() {
     let folder = here();
-    let run = recorded(folder.path(), &[]);
-    let counted = object(&trocar(folder.path(), &["recording", "stats", "wall.mcap", "--json"]));
+    let run = recorded(folder.path(), "wall", &[]);
+    let counted = object(&trocar(folder.path(), &["recording", "stats", "a.mcap", "--json"]));
     assert_eq!(counted["bytes"], run["recording_bytes"]);
     let component = |name: &str| {
         let all = counted["components"].as_array().expect("a list");
@@ -43,7 +43,7 @@ fn the_bytes_of_a_recording_are_counted_by_component_writer_rate_and_framing() {
     let all: u64 = topics.values().map(|topic| topic["bytes"].as_u64().expect("bytes")).sum();
     assert_eq!(all + counted["framing_bytes"].as_u64().expect("bytes"), counted["bytes"].as_u64().unwrap());
     assert!(counted["committed_bytes"].as_u64() > counted["bytes"].as_u64(), "less than was committed");
-    let text = stdout(&trocar(folder.path(), &["recording", "stats", "wall.mcap"]));
+    let text = stdout(&trocar(folder.path(), &["recording", "stats", "a.mcap"]));
     for word in ["MB a minute", "times as much", "framing", "device_state", "haptics.right", "commits/s"] {
         assert!(text.contains(word), "'{word}' is missing in:\n{text}");
     }
@@ -52,11 +52,11 @@ fn the_bytes_of_a_recording_are_counted_by_component_writer_rate_and_framing() {
 #[test]
 fn an_exact_recording_is_larger_and_replays_to_the_hash_of_the_session() {
     let folder = here();
-    let sampled = recorded(folder.path(), &[]);
-    let exact = recorded(folder.path(), &["--record-exact"]);
+    let sampled = recorded(folder.path(), "peg-transfer", &[]);
+    let exact = recorded(folder.path(), "peg-transfer", &["--record-exact"]);
     assert_eq!(exact["state_hash"], sampled["state_hash"], "recording changes no hash");
     assert!(exact["recording_bytes"].as_u64() > sampled["recording_bytes"].as_u64());
-    let replayed = object(&trocar(folder.path(), &["replay", "wall.mcap", "--json"]));
+    let replayed = object(&trocar(folder.path(), &["replay", "a.mcap", "--json"]));
     assert_valid("run", &replayed);
     assert_eq!(replayed["stored_hash"], exact["state_hash"]);
 }
@@ -64,33 +64,34 @@ fn an_exact_recording_is_larger_and_replays_to_the_hash_of_the_session() {
 #[test]
 fn a_damaged_recording_is_played_told_and_recovered() {
     let folder = here();
-    let run = recorded(folder.path(), &[]);
-    let file = folder.path().join("wall.mcap");
+    let run = recorded(folder.path(), "wall", &[]);
+    let file = folder.path().join("a.mcap");
     let mut bytes = std::fs::read(&file).expect("written");
+    // As many bytes as reach into some chunk, whatever lies there.
     let at = bytes.len() / 2;
-    bytes[at] ^= 0x10;
+    bytes[at..at + 3_000].fill(0x55);
     std::fs::write(&file, &bytes).expect("written");
 
-    let replayed = trocar(folder.path(), &["replay", "wall.mcap", "--json"]);
+    let replayed = trocar(folder.path(), &["replay", "a.mcap", "--json"]);
     assert_eq!(replayed.status.code(), Some(1), "{}", stderr(&replayed));
     let summary = object(&replayed);
     assert_valid("run", &summary);
     assert!(summary["error"].as_str().expect("an error").contains("damaged at byte"), "{summary}");
     let (whole, played) = (run["sim_secs"].as_f64().unwrap(), summary["sim_secs"].as_f64().unwrap());
     assert!((whole - played).abs() < 0.05, "{played} s of {whole}");
-    let text = trocar(folder.path(), &["replay", "wall.mcap", "--headless"]);
+    let text = trocar(folder.path(), &["replay", "a.mcap", "--headless"]);
     assert!(stderr(&text).contains("damaged at byte") && !stdout(&text).is_empty(), "{}", stderr(&text));
 
-    let told = trocar(folder.path(), &["recording", "recover", "wall.mcap"]);
+    let told = trocar(folder.path(), &["recording", "recover", "a.mcap"]);
     assert!(told.status.success(), "{}", stderr(&told));
-    assert!(stdout(&told).contains("checksum") && stdout(&told).contains("1 damaged"), "{}", stdout(&told));
-    let recovered = trocar(folder.path(), &["replay", "wall-recovered.mcap", "--json"]);
+    assert!(stdout(&told).contains("at byte") && stdout(&told).contains("whole chunks"), "{}", stdout(&told));
+    let recovered = trocar(folder.path(), &["replay", "a-recovered.mcap", "--json"]);
     let error = object(&recovered)["error"].as_str().expect("an error").to_owned();
     assert!(error.contains("gap") && !error.contains("damaged at"), "{error}");
-    let again = trocar(folder.path(), &["recording", "recover", "wall.mcap", "--json"]);
+    let again = trocar(folder.path(), &["recording", "recover", "a.mcap", "--json"]);
     assert_eq!(again.status.code(), Some(4), "an earlier result stays");
-    let forced = trocar(folder.path(), &["recording", "recover", "wall.mcap", "--json", "--force"]);
-    assert_eq!(object(&forced)["damaged_chunks"], 1);
+    let forced = trocar(folder.path(), &["recording", "recover", "a.mcap", "--json", "--force"]);
+    assert!(object(&forced)["damaged_chunks"].as_u64() >= Some(1));
 }
 
 #[test]

@@ -31,11 +31,8 @@ pub(super) fn write_head(
     ]);
     for (_, entry) in scene.registry().iter() {
         let policy = match entry.record {
-            RecordPolicy::Sampled(sampling) if !exact => {
-                format!("sampled {} Hz ±{:e}", sampling.hz, sampling.tolerance)
-            }
-            RecordPolicy::Sampled(_) | RecordPolicy::Exact => "exact".to_owned(),
-            RecordPolicy::Derived => "derived".to_owned(),
+            RecordPolicy::Sampled(_) if exact => RecordPolicy::Exact,
+            policy => policy,
         };
         meta.insert(format!("{COMPONENT}{}", entry.name), format!("{:08x} {policy}", entry.key));
     }
