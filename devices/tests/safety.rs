@@ -25,7 +25,7 @@ fn force_is_clamped_to_the_limits_of_the_device_and_torque_needs_motors() {
         let sample = bench.step();
         assert!(bench.device.rendered.force.norm() <= 3.3);
         assert_eq!(bench.device.rendered.torque, Vector3::zeros());
-        assert_eq!(sample.applied, bench.device.rendered);
+        assert_eq!(sample.applied, bench.device.rendered.rounded());
     }
     let statistics = bench.monitor.sample().statistics;
     assert!((bench.device.rendered.force - Vector3::new(1.98, -2.64, 0.0)).norm() < 1e-9);
@@ -277,7 +277,7 @@ fn an_unplugged_device_feels_nothing_and_ramps_in_when_it_is_back() {
     }
     assert!(back_at.is_some());
     let sample = bench.push(&mut link, 2.0, 25 * MS);
-    assert!((sample.applied.force.x - 0.99).abs() < 1e-9, "{}", sample.applied.force.x);
+    assert!((sample.applied.force.x - 0.99).abs() < 1e-7, "{}", sample.applied.force.x);
     assert_eq!((sample.statistics.unplugs, sample.statistics.reopens), (1, 1));
 }
 
@@ -313,9 +313,9 @@ fn readings_of_nan_are_refused_and_the_force_fades_with_their_age() {
     let sampled_at_ns = bench.monitor.sample().sampled_at_ns;
     bench.faults.nan_until(bench.now_ns + 30 * MS);
     let sample = bench.push(&mut link, 2.0, 12 * MS);
-    assert!(sample.state.is_valid() && sample.state.gripper == 0.4);
+    assert!(sample.state.is_valid() && (sample.state.gripper - 0.4).abs() < 1e-9);
     assert_eq!(sample.sampled_at_ns, sampled_at_ns);
-    assert!((sample.applied.force.x - 2.0 * 8.0 / 15.0).abs() < 1e-9);
+    assert!((sample.applied.force.x - 2.0 * 8.0 / 15.0).abs() < 1e-7);
     let sample = bench.push(&mut link, 2.0, 8 * MS);
     assert_eq!((sample.applied, sample.statistics.readings_refused), (Wrench::ZERO, 20));
     let sample = bench.push(&mut link, 2.0, 70 * MS);
@@ -361,7 +361,8 @@ fn held_and_delayed_readings_state_their_age() {
     for _ in 0..49 {
         let sample = move_to(&mut bench);
         assert_eq!(sample.sampled_at_ns, bench.now_ns - 7 * MS);
-        assert_eq!(sample.state.pose_in_device.translation.x, sample.sampled_at_ns as f64 * 1e-9);
+        let off = sample.state.pose_in_device.translation.x - sample.sampled_at_ns as f64 * 1e-9;
+        assert!(off.abs() < 1e-12, "{off} m");
     }
     assert_eq!(move_to(&mut bench).sampled_at_ns, 150 * MS);
     bench.faults.hold_until(170 * MS);

@@ -100,7 +100,7 @@ fn a_disk_that_fills_up_during_a_run_leaves_score_and_summary_and_a_recording_th
     let run = "run peg-transfer --lockstep --seconds 3 --json";
     // Room for a part of the recording, and none for the report.
     let script = format!(
-        "head -c 2500000 /dev/zero >filler; \"$TROCAR\" {run}; code=$?; cp peg-transfer.mcap ../kept.mcap; (exit $code)"
+        "head -c 3080000 /dev/zero >filler; \"$TROCAR\" {run}; code=$?; cp peg-transfer.mcap ../kept.mcap; (exit $code)"
     );
     let Some(output) = on_disk(folder.path(), "mode=700", &script) else { return };
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));

@@ -33,8 +33,12 @@ const SHORT: [&str; 7] = ["run", "peg-transfer", "--lockstep", "--no-report", "-
 fn a_run_leaves_a_picture_and_a_film_and_a_replay_of_it_the_same_picture() {
     let folder = tempfile::tempdir().expect("a folder");
     let small = ["--size", "64x48", "--fps", "10", "--quality", "full"];
-    let run =
-        [&SHORT[..], &small, &["--picture", "run.png", "--film", "run.gif", "--record", "run.mcap"]].concat();
+    let run = [
+        &SHORT[..],
+        &small,
+        &["--picture", "run.png", "--film", "run.gif", "--record", "run.mcap", "--record-exact"],
+    ]
+    .concat();
     let summary = object(&trocar(folder.path(), &run, &[]));
     assert_eq!(summary["pictures"], serde_json::json!(["run.png", "run.gif"]), "{summary}");
     assert_eq!(size_of_png(&folder.path().join("run.png")), [64, 48]);

@@ -42,7 +42,7 @@ const HEADINGS: [(&str, &[&str]); 4] = [
             "quality",
         ],
     ),
-    ("Output", &["record", "no-record", "report", "no-report", "force", "json"]),
+    ("Output", &["record", "record-exact", "no-record", "report", "no-report", "force", "json"]),
 ];
 
 /// Every command with its full name, from the program down.
