@@ -13,7 +13,7 @@ use common::ply::write_ply;
 use common::vtk_xml::{styles, write_vtu};
 use common::{Order, tet_box};
 use trocar_kernel::LockstepSession;
-use trocar_kernel::recorder::{Recorder, RecorderOptions, RecordingHead};
+use trocar_kernel::recorder::{Recorder, RecorderOptions, Recording, RecordingHead};
 use trocar_kernel::spec::{ControllerSpec, SessionSpec};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::shapes;
@@ -135,6 +135,10 @@ fn main() {
     let file = corpus.join("recording/whole.mcap");
     std::fs::create_dir_all(corpus.join("recording")).expect("the corpus can be written to");
     recording(&registry, &file);
+    let bodies = Recording::open(&file).and_then(|recording| recording.bodies()).expect("just written");
+    for (number, body) in bodies.iter().enumerate() {
+        save("block", &format!("{number}"), body);
+    }
     let mut bytes = std::fs::read(&file).expect("just written");
     clear_checksums(&mut bytes);
     save("recording", "unchecked.mcap", &bytes);

@@ -57,7 +57,7 @@ fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, 
     tell(findings(&summary, &result));
     // Of a recording that is cut short, or does not replay, or whose report cannot be written, what is whole is told all
     // the same.
-    let is_played = summary.state_hash.is_some();
+    let is_played = summary.stored_hash.is_some();
     let printed = if args.json {
         summary.error = result.as_ref().err().map(|failure| failure.message.clone());
         output::print_json(&summary)
@@ -151,7 +151,7 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
         photographer.map_or_else(Vec::new, |photographer| photographer.finish(replay.view(), summary));
     summary.sim_secs = replay.time().as_secs_f64();
     summary.stored_hash = Some(replay.hash().to_string());
-    summary.state_hash = recording.end().map(|end| end.state_hash.clone());
+    summary.state_hash = Some(replay.state_hash().to_string());
     summary.task = task_summary(replay.view());
     summary.force_newtons_max = force_newtons_max;
     summary.penetration_max =

@@ -74,7 +74,7 @@ pub enum RecordingError {
     },
     /// The replay diverges from the recorded state hash.
     #[error(
-        "recording '{}', revision {revision}: the state hash is {found}, recorded was {recorded}",
+        "recording '{}', revision {revision}: the hash of what is stored is {found}, recorded was {recorded}",
         file.display()
     )]
     Diverged {

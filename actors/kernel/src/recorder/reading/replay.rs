@@ -20,6 +20,8 @@ pub struct Replay<'a> {
     registry: Arc<Registry>,
     items: Peekable<Items<'a>>,
     core: ModelCore,
+    /// The Model's hash at the end of the last block or keyframe.
+    state_hash: StateHash,
     commands: Commands,
     time: SimTime,
     gaps: Vec<Gap>,
@@ -75,6 +77,7 @@ impl<'a> Replay<'a> {
         };
         Ok(Self {
             core: load(recording, registry, &first)?,
+            state_hash: first.state_hash,
             commands: Commands::new(registry.clone(), EntityAllocator::new(0, 0)),
             registry: registry.clone(),
             recording,
@@ -98,7 +101,10 @@ impl<'a> Replay<'a> {
                 let next = self.apply(&group, next)?;
                 if next < group.len() {
                     self.block = Some((group, next));
-                } else if self.fresh {
+                    return Ok(Some(self.time));
+                }
+                self.state_hash = group.state_hash();
+                if self.fresh {
                     self.core.continue_chain(group.hash());
                 } else {
                     self.check(group.hash())?;
@@ -119,6 +125,7 @@ impl<'a> Replay<'a> {
                 }
                 Some(Item::Keyframe(keyframe)) if self.fresh => {
                     self.core = load(self.recording, &self.registry, &keyframe)?;
+                    self.state_hash = keyframe.state_hash;
                     self.time = keyframe.time;
                     self.fresh = false;
                 }
@@ -166,7 +173,11 @@ impl<'a> Replay<'a> {
     pub fn snapshot(&mut self) -> Arc<Snapshot> {
         self.core.publish()
     }
-    /// The state hash so far.
+    /// The Model's hash as it was recorded, at the end of the last block.
+    pub fn state_hash(&self) -> StateHash {
+        self.state_hash
+    }
+    /// The hash of what is stored so far.
     pub fn hash(&self) -> StateHash {
         self.core.hash()
     }

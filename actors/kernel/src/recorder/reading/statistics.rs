@@ -122,6 +122,23 @@ impl Recording {
         Ok(found)
     }
 
+    /// The unpacked bodies of its blocks and keyframes; for tests of the decoder.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    #[doc(hidden)]
+    pub fn bodies(&self) -> Result<Vec<Vec<u8>>, RecordingError> {
+        let mut bodies = Vec::new();
+        for chunk in self.log_chunks() {
+            let Ok(records) = self.records(&self.chunk_body(*chunk)?) else { continue };
+            for message in messages(&records).flatten() {
+                let Ok((packed, length)) = block::packed_body(message.data) else { continue };
+                bodies.extend(decompress_to_vec_with_limit(packed, length));
+            }
+        }
+        Ok(bodies)
+    }
+
     /// The components by their keys.
     fn named_components(&self) -> BTreeMap<u64, ComponentBytes> {
         let named = self.metadata().components.iter().filter_map(|(name, text)| {
