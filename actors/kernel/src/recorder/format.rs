@@ -8,8 +8,7 @@
 //! | topic `/trocar/commits` | [blocks](super::block): what is kept of the commits of a tenth of a second |
 //! | topic `/trocar/keyframes` | the whole scene, at the start, every few seconds, and after each gap |
 //! | topic `/trocar/gaps` | gaps: spans whose commits were not written, as JSON |
-//! | topic `/tf` | poses at 30 Hz as `foxglove.FrameTransforms`, for standard tools |
-//! | topic `/events` | events as JSON, for standard tools |
+//! | other topics | JSON for [standard tools](super::tool_channels): poses, forces, exercises, events, what is to be seen |
 //! | metadata `trocar.bytes` | on a clean close: bytes of all commits by component and writer, before anything was left out |
 //! | metadata `trocar.end` | on a clean close: revision, hashes and time at the end, completeness |
 //!
@@ -42,6 +41,13 @@ pub(super) const KEYFRAMES: &str = "/trocar/keyframes";
 pub(super) const GAPS: &str = "/trocar/gaps";
 pub(super) const TF: &str = "/tf";
 pub(super) const EVENTS: &str = "/events";
+pub(super) const HAND_LEFT: &str = "/hands/left";
+pub(super) const HAND_RIGHT: &str = "/hands/right";
+pub(super) const TASK: &str = "/task";
+pub(super) const PHASES: &str = "/task/phases";
+pub(super) const MEASURED: &str = "/measured";
+pub(super) const SCENE: &str = "/scene";
+pub(super) const SCENE_DEFORMING: &str = "/scene/deforming";
 /// Encoding of the messages with blocks.
 pub(super) const BLOCK_ENCODING: &str = "trocar-columns";
 /// Prefix of the metadata keys that list components.
@@ -54,6 +60,13 @@ pub(super) mod channel {
     pub(crate) const GAPS: u16 = 3;
     pub(crate) const TF: u16 = 4;
     pub(crate) const EVENTS: u16 = 5;
+    pub(crate) const HAND_LEFT: u16 = 6;
+    pub(crate) const HAND_RIGHT: u16 = 7;
+    pub(crate) const TASK: u16 = 8;
+    pub(crate) const PHASES: u16 = 9;
+    pub(crate) const MEASURED: u16 = 10;
+    pub(crate) const SCENE: u16 = 11;
+    pub(crate) const SCENE_DEFORMING: u16 = 12;
 }
 
 /// A part of the session that is not in the recording.

@@ -1,16 +1,14 @@
 //! Head of a recording: its metadata, its schemas and its channels.
 
-use serde_json::Value;
 use trocar_scene::{RecordPolicy, Snapshot};
 
 use super::format::{
-    BLOCK_ENCODING, COMMITS, COMPONENT, EVENTS, GAPS, KEYFRAMES, META, META_DEVICES, SCENARIO, SCHEMA, TF,
-    channel,
+    BLOCK_ENCODING, COMMITS, COMPONENT, GAPS, KEYFRAMES, META, META_DEVICES, SCENARIO, SCHEMA, channel,
 };
-use super::json_channels::{self, EVENT_SCHEMA, TF_SCHEMA};
 use super::mcap::container::Container;
-use super::mcap::records::{Channel, Schema};
+use super::mcap::records::Channel;
 use super::options::RecordingHead;
+use super::tool_channels;
 
 /// Appends the head of a recording.
 pub(super) fn write_head(
@@ -42,28 +40,13 @@ pub(super) fn write_head(
     container.attachment(SCENARIO, "application/toml", head.scenario_text.as_bytes(), out);
 }
 
-/// The schemas of the messages for standard tools.
-pub(super) fn schemas() -> Vec<Schema> {
-    let schema = |id, name, text: Value| Schema {
-        id,
-        name,
-        encoding: "jsonschema",
-        data: text.to_string().into_bytes(),
-    };
-    vec![
-        schema(1, TF_SCHEMA, json_channels::tf_schema()),
-        schema(2, EVENT_SCHEMA, json_channels::event_schema()),
-    ]
-}
-
 /// Every channel of a recording. Their numbers are part of the format.
 pub(super) fn channels() -> Vec<Channel> {
     let channel = |id, schema, topic, encoding| Channel { id, schema, topic, encoding };
-    vec![
+    let own = [
         channel(channel::COMMITS, 0, COMMITS, BLOCK_ENCODING),
         channel(channel::KEYFRAMES, 0, KEYFRAMES, BLOCK_ENCODING),
         channel(channel::GAPS, 0, GAPS, "json"),
-        channel(channel::TF, 1, TF, "json"),
-        channel(channel::EVENTS, 2, EVENTS, "json"),
-    ]
+    ];
+    own.into_iter().chain(tool_channels::channels()).collect()
 }

@@ -20,13 +20,13 @@ use super::byte_counts::ByteCounts;
 use super::columns::History;
 use super::format::{Gap, META_BYTES, META_END, PROFILE, channel};
 use super::gate::WritePermit;
-use super::head::{channels, schemas, write_head};
-use super::json_channels;
+use super::head::{channels, write_head};
 use super::life_buffers::LifeBuffers;
 use super::mcap::container::{Container, Mark, OpenChunk};
 use super::mcap::records::Compression;
 use super::open_block::{BlockMark, OpenBlock};
 use super::options::{RecorderOptions, RecordingHead};
+use super::tool_channels::{ToolChannels, schemas};
 use super::write_buffer::WriteBuffer;
 use crate::commit::CommitBuffer;
 use crate::spec::RECORDER;
@@ -76,10 +76,9 @@ pub(super) struct Journal {
     /// The hash of what is stored in closed blocks.
     stored_closed: Chain,
     time: SimTime,
-    event_cursor: u64,
-    tf_revision: Revision,
+    /// What has been told to standard tools.
+    told: ToolChannels,
     next_keyframe: SimTime,
-    next_tf: SimTime,
     next_flush: SimTime,
     /// Time of the last access by a life.
     seen: SimTime,
@@ -127,10 +126,8 @@ impl Journal {
             stored: Chain::resume(hash),
             stored_closed: Chain::resume(hash),
             time: SimTime::ZERO,
-            event_cursor: scene.events().next(),
-            tf_revision: Revision::ZERO,
+            told: ToolChannels::new(scene, options.tf_period),
             next_keyframe: SimTime::ZERO,
-            next_tf: SimTime::ZERO,
             next_flush: options.flush_period,
             seen: SimTime::ZERO,
             gap: None,
@@ -370,7 +367,7 @@ impl Journal {
         self.seal_log();
         self.take(|journal| {
             journal.log_message(channel::GAPS, &serde_json::to_vec(&gap).unwrap_or_default());
-            journal.event_cursor = snapshot.events().next();
+            journal.told.skip_events(snapshot);
             (journal.revision, journal.closed, journal.hash) =
                 (snapshot.revision(), snapshot.revision(), hash);
             journal.stored = Chain::resume(hash);
@@ -397,40 +394,26 @@ impl Journal {
         self.log_message(channel::KEYFRAMES, &buffers.message);
         self.keyframe = scene.revision();
         self.next_keyframe = self.time + self.options.keyframe_period;
-        // A viewer that starts here gets all frames.
-        self.tf_revision = Revision::ZERO;
+        self.told.begin_anew();
         Ok(())
     }
 
     fn messages_for_tools(&mut self, buffers: &mut LifeBuffers, scene: &Snapshot) {
-        let events: Vec<Value> = scene
-            .events()
-            .since(self.event_cursor)
-            .map(|(_, event)| json_channels::event(scene, event))
-            .collect();
-        self.event_cursor = scene.events().next();
-        for event in events {
-            self.tool_message(channel::EVENTS, &event);
-        }
-        if self.time >= self.next_tf {
-            // Counted from the due time, so that irregular publications do not lower the rate.
-            let next = self.next_tf + self.options.tf_period;
-            self.next_tf = if next < self.time { self.time + self.options.tf_period } else { next };
-            if let Some(transforms) = buffers.frames.transforms(scene, self.tf_revision, self.time) {
-                self.tool_message(channel::TF, &transforms);
-            }
-            self.tf_revision = scene.revision();
-        }
+        let Self { told, tools, sequence, time, .. } = self;
+        told.tell(&mut buffers.tools, scene, *time, &mut |channel, value| {
+            tool_message(tools, sequence, *time, channel, value);
+        });
+    }
+
+    /// How the session ended.
+    fn last_messages_for_tools(&mut self, scene: &Snapshot) {
+        let Self { told, tools, sequence, time, .. } = self;
+        told.end(scene, &mut |channel, value| tool_message(tools, sequence, *time, channel, value));
     }
 
     fn log_message(&mut self, channel: u16, data: &[u8]) {
         self.sequence = self.sequence.wrapping_add(1);
         self.log.message(channel, self.sequence, self.time.as_nanos(), data);
-    }
-
-    fn tool_message(&mut self, channel: u16, value: &Value) {
-        self.sequence = self.sequence.wrapping_add(1);
-        self.tools.message(channel, self.sequence, self.time.as_nanos(), value.to_string().as_bytes());
     }
 
     /// Called when a life returns to the journal at `now`: a slow disk has progressed since.
@@ -494,7 +477,10 @@ impl Journal {
                 self.committed(buffers, snapshot, &CommitBuffer::new(), hash, permit);
             } else {
                 // The last values of sampled components.
-                self.take(|journal| journal.sample(buffers, snapshot, true));
+                self.take(|journal| {
+                    journal.last_messages_for_tools(snapshot);
+                    journal.sample(buffers, snapshot, true)
+                });
             }
         }
         self.close_block(buffers);
@@ -515,4 +501,9 @@ impl Journal {
         self.write_buffer.append(&self.sealed);
         self.write_buffer.drain(permit) && self.write_buffer.sync().is_ok() && complete
     }
+}
+
+fn tool_message(tools: &mut OpenChunk, sequence: &mut u32, time: SimTime, channel: u16, value: &Value) {
+    *sequence = sequence.wrapping_add(1);
+    tools.message(channel, *sequence, time.as_nanos(), value.to_string().as_bytes());
 }

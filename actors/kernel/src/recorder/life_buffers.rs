@@ -6,10 +6,10 @@ use trocar_scene::{ComponentError, Provenance, Registry, Revision, SimTime, Snap
 
 use super::block::{BlockEncoder, CommitHead};
 use super::columns::History;
-use super::json_channels::Frames;
 use super::kept_commits::Keeper;
 use super::rounding::{Policies, Rounder};
 use super::sampler::Sampler;
+use super::tool_channels::ToolCache;
 use crate::spec::RECORDER;
 use crate::state_hash::{CommitKind, StateHash};
 
@@ -21,7 +21,7 @@ pub(super) struct LifeBuffers {
     pub(super) sampler: Sampler,
     pub(super) encoder: BlockEncoder,
     rounder: Rounder,
-    pub(super) frames: Frames,
+    pub(super) tools: ToolCache,
     /// The payload of a commit.
     pub(super) payload: Vec<u8>,
     /// The data of a message.
@@ -37,7 +37,7 @@ impl LifeBuffers {
             sampler: Sampler::new(registry, &policies, keyframe),
             encoder: BlockEncoder::new(registry),
             rounder: Rounder::new(registry, policies.clone()),
-            frames: Frames::default(),
+            tools: ToolCache::default(),
             payload: Vec::new(),
             message: Vec::new(),
             registry: registry.clone(),

@@ -16,7 +16,6 @@ mod gate;
 mod handover;
 mod head;
 mod journal;
-mod json_channels;
 mod kept_commits;
 mod life_buffers;
 mod mcap;
@@ -31,6 +30,7 @@ mod sampling_tests;
 mod supervised_tests;
 #[cfg(test)]
 pub(crate) mod tests;
+mod tool_channels;
 mod write_buffer;
 
 pub use block::rows_of_body;

@@ -8,7 +8,8 @@ use trocar_scene::SimTime;
 
 use crate::recorder::block::{self, HEADS, LEVEL};
 use crate::recorder::columns::{History, RowDecoder};
-use crate::recorder::format::{COMMITS, EVENTS, GAPS, KEYFRAMES, TF, channel};
+use crate::recorder::format::channel;
+use crate::recorder::head::channels;
 use crate::recorder::reading::chunk_items::{Message, messages};
 use crate::recorder::reading::recording::{Recording, RecordingError};
 
@@ -152,14 +153,7 @@ impl Recording {
 }
 
 fn topic(number: u16) -> &'static str {
-    match number {
-        channel::COMMITS => COMMITS,
-        channel::KEYFRAMES => KEYFRAMES,
-        channel::GAPS => GAPS,
-        channel::TF => TF,
-        channel::EVENTS => EVENTS,
-        _ => "other",
-    }
+    channels().into_iter().find(|channel| channel.id == number).map_or("other", |channel| channel.topic)
 }
 
 /// Counts the parts of a block, each with its share of the block's compressed bytes.

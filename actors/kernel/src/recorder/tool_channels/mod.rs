@@ -1,0 +1,172 @@
+//! Messages for standard tools: what a recording tells, as JSON with schemas, to programs that know nothing of Trocar.
+//!
+//! | topic | schema | when |
+//! |---|---|---|
+//! | `/tf` | `foxglove.FrameTransforms` | 30 Hz, poses that have changed |
+//! | `/events` | `trocar.Event` | as they happen |
+//! | `/hands/left`, `/hands/right` | `trocar.Hand` | 30 Hz |
+//! | `/task` | `trocar.Task` | on change, 10 Hz at most; what is judged at once |
+//! | `/task/phases` | `trocar.TaskPhase` | as they begin |
+//! | `/measured` | `trocar.Measured` | on change, 5 Hz at most |
+//! | `/scene` | `foxglove.SceneUpdate` | bodies of a fixed form: with each keyframe, and when they change |
+//! | `/scene/deforming` | `foxglove.SceneUpdate` | bodies that change their form: on change, once a second at most |
+//!
+//! No replay depends on them. A viewer that is led to a time reads the last message of each topic before it: so every
+//! message on `/scene` and `/scene/deforming` shows all bodies of its kind, and neither adds to the one before.
+
+mod cadence;
+mod coarse;
+mod drawing;
+mod events;
+mod frames;
+mod hands;
+mod measured;
+mod meshes;
+mod numbers;
+mod scene;
+mod schemas;
+mod task;
+#[cfg(test)]
+mod tests;
+
+use serde_json::Value;
+use trocar_scene::{SimTime, Snapshot};
+
+use frames::{FrameNames, Transforms};
+use hands::Hands;
+use measured::Measurements;
+use meshes::Meshes;
+use scene::Bodies;
+use task::Tasks;
+
+use super::format::{
+    EVENTS, HAND_LEFT, HAND_RIGHT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF, channel,
+};
+use super::mcap::records::{Channel, Schema};
+
+/// Takes a message of a channel.
+pub(super) type Message<'a> = dyn FnMut(u16, &Value) + 'a;
+
+/// A schema and the channels whose messages keep to it.
+struct Form {
+    /// Its number, which is part of the format.
+    id: u16,
+    name: &'static str,
+    schema: fn() -> Value,
+    /// Their numbers, which are part of the format, and topics.
+    channels: &'static [(u16, &'static str)],
+}
+
+const FORMS: [Form; 7] = [
+    Form { id: 1, name: schemas::TRANSFORMS, schema: schemas::transforms, channels: &[(channel::TF, TF)] },
+    Form { id: 2, name: schemas::EVENT, schema: schemas::event, channels: &[(channel::EVENTS, EVENTS)] },
+    Form {
+        id: 3,
+        name: schemas::HAND,
+        schema: schemas::hand,
+        channels: &[(channel::HAND_LEFT, HAND_LEFT), (channel::HAND_RIGHT, HAND_RIGHT)],
+    },
+    Form { id: 4, name: schemas::TASK, schema: schemas::task, channels: &[(channel::TASK, TASK)] },
+    Form { id: 5, name: schemas::PHASE, schema: schemas::phase, channels: &[(channel::PHASES, PHASES)] },
+    Form {
+        id: 6,
+        name: schemas::MEASURED,
+        schema: schemas::measured,
+        channels: &[(channel::MEASURED, MEASURED)],
+    },
+    Form {
+        id: 7,
+        name: schemas::SCENE,
+        schema: schemas::scene,
+        channels: &[(channel::SCENE, SCENE), (channel::SCENE_DEFORMING, SCENE_DEFORMING)],
+    },
+];
+
+/// The schemas.
+pub(super) fn schemas() -> Vec<Schema> {
+    let schema = |form: &Form| Schema {
+        id: form.id,
+        name: form.name,
+        encoding: "jsonschema",
+        data: (form.schema)().to_string().into_bytes(),
+    };
+    FORMS.iter().map(schema).collect()
+}
+
+/// The channels.
+pub(super) fn channels() -> impl Iterator<Item = Channel> {
+    FORMS.iter().flat_map(|form| {
+        let channel =
+            |(id, topic): &(u16, &'static str)| Channel { id: *id, schema: form.id, topic, encoding: "json" };
+        form.channels.iter().map(channel)
+    })
+}
+
+/// What has been told, and when the next of each is due: plain data, which survives a restart of the recorder.
+pub(super) struct ToolChannels {
+    event_cursor: u64,
+    transforms: Transforms,
+    hands: Hands,
+    tasks: Tasks,
+    measured: Measurements,
+    bodies: Bodies,
+}
+
+/// What can be found out again: each life of the recorder has its own.
+#[derive(Default)]
+pub(super) struct ToolCache {
+    names: FrameNames,
+    meshes: Meshes,
+}
+
+impl ToolChannels {
+    /// From the scene with which a recording begins.
+    pub(super) fn new(scene: &Snapshot, tf_period: SimTime) -> Self {
+        Self {
+            event_cursor: scene.events().next(),
+            transforms: Transforms::new(tf_period),
+            hands: Hands::default(),
+            tasks: Tasks::default(),
+            measured: Measurements::default(),
+            bodies: Bodies::new(scene.revision()),
+        }
+    }
+
+    /// A reader may begin here: everything that it needs is told again.
+    pub(super) fn begin_anew(&mut self) {
+        self.transforms.begin_anew();
+        self.tasks.begin_anew();
+        self.measured.begin_anew();
+        self.bodies.begin_anew();
+    }
+
+    /// Events of a gap are not told.
+    pub(super) fn skip_events(&mut self, scene: &Snapshot) {
+        self.event_cursor = scene.events().next();
+    }
+
+    /// Tells what is due of a publication.
+    pub(super) fn tell(
+        &mut self,
+        cache: &mut ToolCache,
+        scene: &Snapshot,
+        now: SimTime,
+        message: &mut Message<'_>,
+    ) {
+        for (_, event) in scene.events().since(self.event_cursor) {
+            message(channel::EVENTS, &events::event(scene, event));
+        }
+        self.event_cursor = scene.events().next();
+        self.transforms.tell(&mut cache.names, scene, now, message);
+        self.hands.tell(scene, now, message);
+        self.tasks.tell(scene, now, message);
+        self.measured.tell(scene, now, message);
+        self.bodies.tell(cache, scene, now, message);
+    }
+
+    /// Tells how the session ended, whatever is due.
+    pub(super) fn end(&mut self, scene: &Snapshot, message: &mut Message<'_>) {
+        self.tasks.tell_all(scene, message);
+        self.measured.tell_all(scene, message);
+    }
+}
