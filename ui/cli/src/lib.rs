@@ -94,7 +94,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Run(args) => run::run(app, &args),
         Command::List(args) => list::list(app, &args),
         Command::Replay(args) => replay::replay(app, &args),
-        Command::Recording { command } => recording::recording(&command),
+        Command::Recording { command } => recording::recording(app, &command),
         Command::Graph(args) => graph::graph(app, &args),
         Command::Bench(args) => bench::bench(&args),
         Command::Tune(args) => tune::tune(&args),

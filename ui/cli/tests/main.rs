@@ -10,6 +10,7 @@ mod mesh_files;
 mod output_files;
 mod own_programs;
 mod pictures;
+mod recording_export;
 mod recordings;
 mod refusals;
 mod runs;
