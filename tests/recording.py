@@ -26,9 +26,11 @@ def opened(recording: str, summary: str) -> None:
         reader = make_reader(file, validate_crcs=True)
         statistics = reader.get_summary().statistics
         channels = reader.get_summary().channels
-        counts, last, size = {}, 0, 0
-        for _schema, channel, message in reader.iter_messages():
+        counts, last, size, told = {}, 0, 0, {}
+        for schema, channel, message in reader.iter_messages():
             counts[channel.topic] = counts.get(channel.topic, 0) + 1
+            if schema is not None:
+                told.setdefault(channel.topic, []).append(by_schema(schema, message))
             last = max(last, message.log_time)
             size += len(message.data)
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
@@ -41,9 +43,54 @@ def opened(recording: str, summary: str) -> None:
     assert any(run["scenario"] in json.dumps(entry) for entry in metadata.values()), metadata.keys()
     assert attachments == ["scenario.toml"], attachments
     lives = 1 + next(row["restarts"] for row in run["controllers"] if row["name"] == "recorder")
+    check_told(told, run)
     print(f"{len(channels)} channels, {total} messages, {size} bytes, {seconds:.3f} s, {lives} lives of the recorder")
     for topic in sorted(counts):
         print(f"  {topic}: {counts[topic]}")
+
+
+def by_schema(schema, message) -> dict:
+    """A message for tools, which has the fields that its schema asks for."""
+    form = json.loads(schema.data)
+    assert schema.encoding == "jsonschema" and form["title"] == schema.name, schema.name
+    told = json.loads(message.data)
+    assert set(told) == set(form["properties"]) == set(form["required"]), (schema.name, told)
+    return told
+
+
+def check_told(told: dict, run: dict) -> None:
+    """Poses, forces, events, phases, score and what is to be seen, against the run's summary."""
+    frames = {"world"}
+    for message in told["/tf"]:
+        for one in message["transforms"]:
+            frames.add(one["child_frame_id"])
+            assert abs(sum(part**2 for part in one["rotation"].values()) - 1) < 1e-4, one
+    assert all(one["parent_frame_id"] in frames for message in told["/tf"] for one in message["transforms"])
+    assert len(frames) > 5, frames
+    for topic in ("/scene", "/scene/deforming"):
+        for message in told.get(topic, []):
+            assert message["entities"] and all(one["frame_id"] in frames for one in message["entities"]), topic
+
+    hands = [topic for topic in told if topic.startswith("/hands/")]
+    assert hands, "no hands"
+    for topic in hands:
+        assert abs(len(told[topic]) - 30 * run["sim_secs"]) <= 2, (topic, len(told[topic]))
+        force = max(message["applied_norm"] for message in told[topic])
+        assert force <= run["force_newtons_max"] + 1e-3, (topic, force)
+
+    names = {one["subject"] for one in told.get("/events", [])}
+    assert all(0 <= one["at_secs"] <= run["sim_secs"] and one["name"] for one in told.get("/events", [])), names
+
+    before = None
+    for one in told["/task/phases"]:
+        assert one["before"] == before, (one, before)
+        before = one["phase"]
+    last, task = told["/task"][-1], run["task"]
+    assert last["phase"] == before, (last, before)
+    assert abs(last["seconds"] - task["seconds"]) < 1e-3, (last["seconds"], task["seconds"])
+    assert last["errors"] == len(task["errors"]) and last["completed"] == task["completed"], (last, task)
+    score = task["score"]
+    assert last["score"] == score or abs(last["score"] - score) < 1e-4 * abs(score), (last["score"], score)
 
 
 def same(first: str, second: str) -> None:
