@@ -174,7 +174,9 @@ pub(super) fn decode(bytes: &[u8], history: &mut History) -> Result<DecodedBlock
         .map_err(|error| format!("a block that does not unpack: {error}"))?;
     let mut decoder = RowDecoder::new(history, &body);
     let mut commits = Vec::new();
-    let (mut puts, mut behind): (Vec<(u64, Vec<u8>)>, Vec<Vec<u8>>) = (Vec::new(), Vec::new());
+    // The sections of each commit's puts, with their number, and what lies behind them.
+    let mut puts: Vec<(u64, Vec<u8>)> = Vec::new();
+    let mut behind = Vec::new();
     let mut revision = base;
     while let Some((key, rows)) = decoder.next()? {
         if key == HEADS {

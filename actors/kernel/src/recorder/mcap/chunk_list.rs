@@ -90,7 +90,7 @@ fn from_summary(file: &mut File, size: u64) -> io::Result<Option<Contents>> {
         return Ok(None);
     }
     for (opcode, offset, length) in indexed(&summary) {
-        if length < HEAD || length > RECORD_MAX {
+        if !(HEAD..=RECORD_MAX).contains(&length) {
             continue;
         }
         let record = read_at(file, offset, length)?;

@@ -19,8 +19,11 @@ fn options() -> RecorderOptions {
     RecorderOptions { keyframe_period: crate::faults::secs(1.0), ..RecorderOptions::exact() }
 }
 
-/// The blocks of a file: their commits by revision, with their payloads.
-fn blocks(recording: &Recording) -> (Vec<Vec<(u64, Vec<u8>)>>, usize) {
+/// The commits of a block by revision, with their payloads.
+type Block = Vec<(u64, Vec<u8>)>;
+
+/// The blocks of a file, and how many places are damaged.
+fn blocks(recording: &Recording) -> (Vec<Block>, usize) {
     let (mut blocks, mut damage) = (Vec::new(), 0);
     for item in recording.items() {
         match item.expect("the file can be read") {
