@@ -186,7 +186,7 @@ fn of_a_recording_that_is_cut_everything_whole_is_exported() {
     let file = folder.path().join("a.mcap");
     let bytes = std::fs::read(&file).expect("a recording");
     std::fs::write(&file, &bytes[..bytes.len() / 2]).expect("written");
-    let output = trocar(folder.path(), &["recording", "export", "a.mcap", "--json"]);
+    let output = trocar(folder.path(), &["recording", "export", "a.mcap", "--force", "--json"]);
     assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
     let text = stderr(&output);
     assert!(text.contains("everything that is whole was exported") && text.contains("cut short"), "{text}");
@@ -214,7 +214,7 @@ fn no_damage_ends_an_export_in_a_panic() {
         let at = bytes.len() * place / 12;
         bytes[at..at + 3].fill(0xff);
         std::fs::write(&file, &bytes).expect("written");
-        let output = trocar(folder.path(), &["recording", "export", "a.mcap", "--json"]);
+        let output = trocar(folder.path(), &["recording", "export", "a.mcap", "--force", "--json"]);
         let text = stderr(&output);
         assert!(
             matches!(output.status.code(), Some(0 | 1 | 4)) && !text.contains("panicked"),

@@ -70,6 +70,9 @@ pub struct ExportArgs {
     /// Only values of this entity; may be given several times
     #[arg(long = "entity", value_name = "NAME")]
     pub entities: Vec<String>,
+    /// Replace tables of an earlier export
+    #[arg(long)]
+    pub force: bool,
     /// One JSON object on stdout
     #[arg(long)]
     pub json: bool,

@@ -192,8 +192,9 @@ fn attempt(app: &App, args: &ExportArgs, folder: &Path, outcome: &mut Outcome) -
             tracing::warn!("the recording has no value of '{name}'");
         }
     }
-    std::fs::create_dir_all(folder).map_err(|error| Failure::write(folder, error))?;
-    let mut tables = Tables::create(survey, folder, args.format)?;
+    std::fs::create_dir_all(folder)
+        .map_err(|error| Failure::invalid(format!("{}: cannot be written: {error}", folder.display())))?;
+    let mut tables = Tables::create(survey, folder, args.format, output::replace(args.force))?;
     let half = recording.duration().as_nanos() / 2;
     walk(&recording, registry, &selection.components, &mut |met| {
         bar.set_position(half + met.time().as_nanos() / 2);

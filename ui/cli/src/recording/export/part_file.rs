@@ -1,36 +1,33 @@
-//! A file that is there whole or not at all: it gets its name when it is finished.
+//! The file of a table: there whole or not at all. It comes to its place when it is finished.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// A file beside the one that it will be.
+use trocar_scene::output_file::{Claim, OutputError, Part, Replace};
+
+/// A buffered file beside the one that it will be.
 pub struct PartFile {
     file: BufWriter<File>,
-    part: PathBuf,
-    whole: PathBuf,
-    is_whole: bool,
+    part: Part,
 }
 
 impl PartFile {
     /// Begins a file.
-    pub fn create(whole: &Path) -> io::Result<Self> {
-        if whole.is_dir() {
-            return Err(io::ErrorKind::IsADirectory.into());
-        }
-        let mut name = whole.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".{}.part", std::process::id()));
-        let part = whole.with_file_name(name);
-        let file = BufWriter::new(File::create(&part)?);
-        Ok(Self { file, part, whole: whole.to_owned(), is_whole: false })
+    pub fn create(whole: &Path, replace: Replace) -> Result<Self, OutputError> {
+        let part = Claim::take(whole, replace)?.part()?;
+        let file = part
+            .file()
+            .try_clone()
+            .map_err(|error| OutputError { file: whole.to_owned(), reason: error.into() })?;
+        Ok(Self { file: BufWriter::new(file), part })
     }
 
-    /// Gives it its name, and returns its length.
+    /// Lets it take its place, and returns its length.
     pub fn finish(mut self) -> io::Result<u64> {
         self.file.flush()?;
         let length = self.file.get_ref().metadata()?.len();
-        std::fs::rename(&self.part, &self.whole)?;
-        self.is_whole = true;
+        self.part.finish()?;
         Ok(length)
     }
 }
@@ -44,31 +41,23 @@ impl Write for PartFile {
     }
 }
 
-impl Drop for PartFile {
-    fn drop(&mut self) {
-        if !self.is_whole {
-            // A part is of no use; nothing can be done about one that cannot be removed.
-            let _ = std::fs::remove_file(&self.part);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_file_that_is_not_finished_leaves_nothing() {
+    fn a_file_that_is_not_finished_leaves_nothing_and_an_earlier_one_stays() {
         let folder = tempfile::tempdir().unwrap();
         let name = folder.path().join("a.csv");
-        let mut file = PartFile::create(&name).unwrap();
+        let mut file = PartFile::create(&name, Replace::Never).unwrap();
         file.write_all(b"half").unwrap();
         drop(file);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        let mut file = PartFile::create(&name).unwrap();
+        let mut file = PartFile::create(&name, Replace::Never).unwrap();
         file.write_all(b"whole").unwrap();
         assert_eq!(file.finish().unwrap(), 5);
+        assert!(PartFile::create(&name, Replace::Never).is_err());
+        assert!(PartFile::create(folder.path(), Replace::Always).is_err());
         assert_eq!(std::fs::read(&name).unwrap(), b"whole");
-        assert!(PartFile::create(folder.path()).is_err());
     }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use trocar_scene::SimTime;
+use trocar_scene::output_file::Replace;
 
 use super::columns::{Cell, Columns, Kind};
 use super::csv::CsvTable;
@@ -130,7 +131,12 @@ pub struct Tables {
 
 impl Tables {
     /// Begins the files.
-    pub fn create(survey: Survey, folder: &Path, format: TableFormat) -> Result<Self, Failure> {
+    pub fn create(
+        survey: Survey,
+        folder: &Path,
+        format: TableFormat,
+        replace: Replace,
+    ) -> Result<Self, Failure> {
         let mut tables = BTreeMap::new();
         for (name, found) in survey.tables {
             let columns = found.columns();
@@ -146,7 +152,7 @@ impl Tables {
                 TableFormat::Parquet => "parquet",
             };
             let file = folder.join(format!("{name}.{ending}"));
-            let part = PartFile::create(&file).map_err(|error| Failure::write(&file, error))?;
+            let part = PartFile::create(&file, replace)?;
             let writer: Result<Box<dyn TableWriter>, String> = match format {
                 TableFormat::Csv => CsvTable::begin(part, &columns).map(|table| Box::new(table) as _),
                 TableFormat::Parquet => ParquetTable::begin(part, &columns).map(|table| Box::new(table) as _),
@@ -210,5 +216,5 @@ impl Tables {
 }
 
 fn failed(file: &Path, error: &str) -> Failure {
-    Failure::write(file, std::io::Error::other(error.to_owned()))
+    Failure::invalid(format!("{}: cannot be written: {error}", file.display()))
 }
