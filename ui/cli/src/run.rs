@@ -253,6 +253,8 @@ fn recording_loss(
         return Some(format!("no recording: {error}"));
     }
     summary.recording = Some(file.display().to_string());
+    // The run knew it by the name of a part of it, if an earlier one was overwritten.
+    summary.recording_bytes = file.metadata().ok().filter(std::fs::Metadata::is_file).map(|file| file.len());
     if summary.recording_complete {
         return None;
     }
