@@ -101,6 +101,8 @@ fn every_program_of_the_docs_is_compiled() {
         for (language, block, line) in blocks(&text) {
             match language {
                 "rust" if is_doctest || examples.iter().any(|(_, example)| example.ends_with(&block)) => {}
+                // `tests/run` runs it.
+                "python" if read("tests/read_recording.py").ends_with(&block) => {}
                 "rust" => wrong.push(format!("{name}:{line}: neither an example nor a doctest")),
                 "" | "sh" | "toml" | "mermaid" => {}
                 other => wrong.push(format!("{name}:{line}: '{other}' is a language that no test checks")),

@@ -16,7 +16,6 @@ mod late_partner;
 mod own_task;
 mod parsers;
 mod person;
-mod recordings;
 mod scenarios;
 mod sessions;
 mod soak;

@@ -13,7 +13,9 @@ const PURE: [&str; 7] = [
     "actors/tasks",
 ];
 /// Modules with a hash map that is used for look-ups only, never iterated.
-const LOOKUPS: [&str; 5] = [
+const LOOKUPS: [&str; 7] = [
+    "actors/kernel/src/recorder/columns/history.rs",
+    "actors/kernel/src/recorder/sampler.rs",
     "scene/src/registry.rs",
     "scene/src/mesh/gmsh/mod.rs",
     "scene/src/mesh/gmsh/v4.rs",
