@@ -1,8 +1,6 @@
 //! What a recording keeps: exact components to the last bit, samples within their tolerance, and in its keyframes the
 //! scene to which what it keeps leads.
 
-use std::sync::{Arc, Mutex};
-
 use proptest::prelude::*;
 use trocar_scene::random::SplitMix64;
 use trocar_scene::{
@@ -19,14 +17,10 @@ use crate::state_hash::CommitKind;
 use crate::supervision::RuntimeClass;
 use crate::testing::{Count, Pairs};
 
-/// What was put of an exact component: time, entity, value.
-type Exact = Arc<Mutex<Vec<(SimTime, Entity, u64)>>>;
-
 /// Does everything that a writer can do, at random.
 struct Chaos {
     random: SplitMix64,
     own: Vec<Entity>,
-    exact: Exact,
 }
 
 impl Controller for Chaos {
@@ -57,9 +51,7 @@ impl Controller for Chaos {
                 // Moves by less than the tolerance: nothing new to store.
                 2 => out.put(entity, Pose::at(1.0 + 1e-9 * random.unit(), 2.0, 3.0)),
                 3 | 4 => {
-                    let value = random.next_u64();
-                    self.exact.lock().unwrap().push((tick.time, entity, value));
-                    out.put(entity, Count(value));
+                    out.put(entity, Count(random.next_u64()));
                 }
                 5 => out.event("seen", entity, None, random.unit()),
                 _ => {}
@@ -76,18 +68,13 @@ impl Controller for Chaos {
     }
 }
 
-fn recorded(
-    seed: u64,
-    options: RecorderOptions,
-    plan: FaultPlan,
-) -> (Recording, SessionOutcome, Exact, Folder) {
-    let (folder, exact) = (Folder::new(), Exact::default());
+fn recorded(seed: u64, options: RecorderOptions, plan: FaultPlan) -> (Recording, SessionOutcome, Folder) {
+    let folder = Folder::new();
     let file = folder.file("a.mcap");
     let scene = scene();
     let recorder = Recorder::create(&file, &head(), scene.view(), options).expect("writable");
-    let told = exact.clone();
     let chaos = ControllerSpec::new("chaos", 1, RuntimeClass::Simulation, 500.0, move |_| {
-        Ok(Box::new(Chaos { random: SplitMix64::new(seed), own: Vec::new(), exact: told.clone() }))
+        Ok(Box::new(Chaos { random: SplitMix64::new(seed), own: Vec::new() }))
     });
     let mut spec = SessionSpec::new("toy", seed, scene, vec![chaos]);
     recorder.install(&mut spec);
@@ -95,7 +82,7 @@ fn recorded(
     let mut session = LockstepSession::new(spec).expect("starts");
     session.step_until(secs(3.0));
     let outcome = session.finish();
-    (Recording::open(&file).expect("opens"), outcome, exact, folder)
+    (Recording::open(&file).expect("opens"), outcome, folder)
 }
 
 fn options(exact: bool) -> RecorderOptions {
@@ -149,34 +136,39 @@ fn keyframes_are_what_the_commits_lead_to(recording: &Recording) -> usize {
     seen
 }
 
+/// What was put of an exact component (time, entity, value), and how many samples there are.
+fn puts_of_counts(recording: &Recording) -> (Vec<(SimTime, Entity, u64)>, usize) {
+    let mut commands = Commands::new(registry(), EntityAllocator::new(0, 0));
+    let (mut found, mut samples) = (Vec::new(), 0);
+    for item in recording.items() {
+        let Item::Commits(group) = item.expect("whole") else { continue };
+        for commit in group.commits() {
+            samples += usize::from(commit.kind == CommitKind::Sample);
+            commands.clear();
+            commands.decode(commit.payload).expect("sound");
+            for (_, puts) in commands.puts() {
+                let Some(puts) = puts.as_any().downcast_ref::<Puts<Count>>() else { continue };
+                let time = commit.provenance.time;
+                found.extend(puts.rows().iter().map(|(entity, count)| (time, *entity, count.0)));
+            }
+        }
+    }
+    (found, samples)
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(12))]
     #[test]
     fn exact_rows_come_back_to_the_last_bit_and_sampled_ones_within_their_tolerance(seed in any::<u64>()) {
-        let (recording, outcome, exact, _folder) = recorded(seed, options(false), FaultPlan::new(1));
+        let (recording, outcome, _folder) = recorded(seed, options(false), FaultPlan::new(1));
         prop_assert!(recording.is_complete());
         prop_assert!(keyframes_are_what_the_commits_lead_to(&recording) >= 3);
-        // Every put of an exact component, in order.
-        let mut commands = Commands::new(registry(), EntityAllocator::new(0, 0));
-        let (mut found, mut samples) = (Vec::new(), 0);
-        for item in recording.items() {
-            let Item::Commits(group) = item.expect("whole") else { continue };
-            for commit in group.commits() {
-                samples += usize::from(commit.kind == CommitKind::Sample);
-                commands.clear();
-                commands.decode(commit.payload).expect("sound");
-                for (_, puts) in commands.puts() {
-                    let Some(puts) = puts.as_any().downcast_ref::<Puts<Count>>() else { continue };
-                    let time = commit.provenance.time;
-                    found.extend(puts.rows().iter().map(|(entity, count)| (time, *entity, count.0)));
-                }
-            }
-        }
-        let mut expected = exact.lock().unwrap().clone();
-        // Puts of one tick come in the order of their entities.
-        expected.sort();
-        found.sort();
-        prop_assert!(found == expected, "{} puts of {}", found.len(), expected.len());
+        // Every put of an exact component, in order, as in the log of the same session.
+        let (exact, log, _folder) = recorded(seed, options(true), FaultPlan::new(1));
+        prop_assert_eq!(log.hash, outcome.hash);
+        let (found, samples) = puts_of_counts(&recording);
+        let (expected, _) = puts_of_counts(&exact);
+        prop_assert!(found.len() > 100 && found == expected, "{} puts of {}", found.len(), expected.len());
         // 60 Hz, and not every change.
         prop_assert!((100..=200).contains(&samples), "{} samples", samples);
         // The last scene.
@@ -201,7 +193,7 @@ proptest! {
     #[test]
     fn a_recorder_that_is_killed_keeps_the_same_rows(seed in any::<u64>(), at in 0.05..2.9_f64) {
         let plan = FaultPlan::new(1).at(secs(at)).kill(RECORDER);
-        let (recording, _, _, _folder) = recorded(seed, options(false), plan);
+        let (recording, _, _folder) = recorded(seed, options(false), plan);
         prop_assert!(recording.is_complete());
         prop_assert!(keyframes_are_what_the_commits_lead_to(&recording) >= 3);
         let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");
@@ -210,7 +202,7 @@ proptest! {
 
     #[test]
     fn an_exact_recording_is_the_log_of_the_session(seed in any::<u64>()) {
-        let (recording, outcome, _, _folder) = recorded(seed, options(true), FaultPlan::new(1));
+        let (recording, outcome, _folder) = recorded(seed, options(true), FaultPlan::new(1));
         prop_assert!(keyframes_are_what_the_commits_lead_to(&recording) >= 3);
         let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");
         prop_assert_eq!(replay.run_to_end().expect("agrees"), outcome.hash);
@@ -221,7 +213,7 @@ proptest! {
 
 #[test]
 fn the_file_says_how_each_component_is_kept_and_what_was_committed() {
-    let (recording, _, _, _folder) = recorded(3, options(false), FaultPlan::new(1));
+    let (recording, _, _folder) = recorded(3, options(false), FaultPlan::new(1));
     let components = &recording.metadata().components;
     assert!(components["pose"].ends_with("sampled 60 Hz ±2.5e-7"), "{}", components["pose"]);
     assert!(components["test_count"].ends_with("exact"));
@@ -231,6 +223,6 @@ fn the_file_says_how_each_component_is_kept_and_what_was_committed() {
     let parts: u64 = found.topics.values().map(|bytes| bytes.bytes).sum();
     assert_eq!(parts + found.framing, found.file);
     assert!(found.committed > Some(found.writers["chaos"].bytes - 1), "{found:?}");
-    let (exact, _, _, _folder) = recorded(3, options(true), FaultPlan::new(1));
+    let (exact, _, _folder) = recorded(3, options(true), FaultPlan::new(1));
     assert!(exact.metadata().components["pose"].ends_with("exact"));
 }
