@@ -49,7 +49,7 @@ pub enum Command {
     Run(RunArgs),
     /// List what there is: scenarios, controllers, components, devices, fault plans, suites, tissues, templates
     List(ListArgs),
-    /// Play a recording back, commit by commit, and compare the state hash
+    /// Play a recording back, and compare it with its own hashes
     Replay(ReplayArgs),
     /// Recordings: count what they hold, recover damaged ones
     Recording {

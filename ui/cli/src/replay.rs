@@ -1,4 +1,4 @@
-//! `trocar replay`: plays a recording back commit by commit, and checks its state hashes.
+//! `trocar replay`: plays back what a recording stores, and checks it by its hashes.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -88,7 +88,7 @@ fn findings(summary: &RunSummary, result: &Result<Exit, Failure>) -> Findings {
         bad: true,
     };
     let note = match result {
-        Ok(_) => Note { text: "the recording replays to its own state hashes".to_owned(), bad: false },
+        Ok(_) => Note { text: "the recording replays to its own hashes".to_owned(), bad: false },
         Err(failure) => Note { text: failure.message.clone(), bad: true },
     };
     Findings { marks: summary.task.errors.iter().map(error).collect(), note }
