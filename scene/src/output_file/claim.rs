@@ -81,15 +81,32 @@ impl Claim {
     }
 
     fn hold_old(path: PathBuf, metadata: &Metadata, replace: Replace) -> Result<Held, Reason> {
-        // An empty file may be one that another process is about to lock: it is not looked at more closely.
-        let is_asked = replace != Replace::Never || metadata.len() > 0;
+        if replace == Replace::Never && metadata.len() == 0 {
+            return Self::hold_abandoned(path, metadata);
+        }
         // One that cannot be read cannot be locked either.
-        let lock_held = if is_asked { File::open(&path).ok() } else { None };
+        let lock_held = File::open(&path).ok();
         if lock_held.as_ref().is_some_and(|old| !lock(old)) {
             return Err(Reason::Taken);
         }
         may_replace(metadata, replace)?;
         Ok(Held::Old { path, permissions: metadata.permissions(), _lock: lock_held })
+    }
+
+    /// An empty file is no result: it is what a process leaves that was killed while it held the place, and the next one
+    /// may have it. One that somebody holds, or of which no system tells whether, stays.
+    fn hold_abandoned(path: PathBuf, metadata: &Metadata) -> Result<Held, Reason> {
+        if metadata.permissions().readonly() {
+            return Err(Reason::ExistsProtected);
+        }
+        let Ok(empty) = File::open(&path) else { return Err(Reason::Exists) };
+        let is_ours = cfg!(unix) && empty.try_lock().is_ok();
+        // Its holder may have filled it or given it up since.
+        let is_empty = fs::symlink_metadata(&path).is_ok_and(|at| at.len() == 0 && is_same(&empty, &at));
+        if !(is_ours && is_empty) {
+            return Err(Reason::Exists);
+        }
+        Ok(Held::Old { path, permissions: metadata.permissions(), _lock: Some(empty) })
     }
 
     /// The place, as it was named.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | nothing | the place is claimed at once, so that no other process takes it |
 //! | a regular file | refused or replaced, as [`Replace`] says; the old one is whole until the new one is complete |
+//! | an empty file that nobody holds | is taken: a process that was killed has left it |
 //! | a link | stays a link: what it leads to is treated by these rules; one that leads nowhere is refused |
 //! | a FIFO, a character device | written to as it is; a FIFO without a reader is refused |
 //! | a directory, a block device, a socket | refused |

@@ -88,6 +88,26 @@ fn a_place_has_one_writer_from_the_check_to_the_result() {
 }
 
 #[test]
+#[cfg(unix)]
+fn an_empty_file_that_a_killed_process_left_is_no_result_and_one_that_is_held_stays() {
+    let folder = here();
+    let file = folder.path().join("a.html");
+    File::create(&file).expect("a file");
+    let claim = Claim::take(&file, Replace::Never).expect("nobody holds it");
+    assert!(refused(Claim::take(&file, Replace::Never)).contains("exists already"));
+    drop(claim);
+    assert_eq!(names(folder.path()), ["a.html"], "it is as it was");
+    write(&file, b"one", Replace::Never).expect("nobody holds it");
+    assert!(refused(write(&file, b"two", Replace::Never)).contains("exists already"));
+    let protected = folder.path().join("b.html");
+    let mut mode = File::create(&protected).and_then(|file| file.metadata()).expect("a file").permissions();
+    mode.set_readonly(true);
+    fs::set_permissions(&protected, mode).expect("its mode");
+    assert!(refused(write(&protected, b"two", Replace::Never)).contains("read-only"));
+    assert_eq!(fs::read(&file).expect("a file"), b"one");
+}
+
+#[test]
 fn what_somebody_else_wrote_in_the_meantime_stays() {
     let folder = here();
     let file = folder.path().join("a.html");

@@ -9,10 +9,11 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 use crate::support::{assert_valid, here, names, object, stderr, stdout, trocar};
+use crate::writers::{WRITERS, Workplace};
 
-/// Mounts `disk` in the folder with these options, runs a shell script in it, and leaves the names on the disk in `left`.
-/// `None` where mounting is not permitted.
-fn on_disk(folder: &Path, options: &str, script: &str) -> Option<Output> {
+/// Mounts `disk` in the folder with these options, runs a shell script in it, in which `$TROCAR` is a program of `words`, and
+/// leaves the names on the disk in `left`. `None` where mounting is not permitted.
+fn on_disk(folder: &Path, words: &str, options: &str, script: &str) -> Option<Output> {
     let disk = folder.join("disk");
     std::fs::create_dir_all(&disk).expect("a folder");
     let shell = |script: &str| {
@@ -20,7 +21,6 @@ fn on_disk(folder: &Path, options: &str, script: &str) -> Option<Output> {
             .args(["-m", "sh", "-c", script])
             .current_dir(folder)
             .env("NO_COLOR", "1")
-            .env("TROCAR", env!("CARGO_BIN_EXE_trocar"))
             .env("OPTIONS", options)
             .output()
     };
@@ -30,67 +30,61 @@ fn on_disk(folder: &Path, options: &str, script: &str) -> Option<Output> {
         return None;
     }
     // On a full disk a filler leaves no room but for a name.
+    let script = script.replace("$TROCAR", words);
     let whole = format!("{mount} && cd disk && {{ {script}\n}}; code=$?; ls -A >../left; exit $code");
     Some(shell(&whole).expect("a shell starts"))
 }
 
-const FULL: &str = "head -c 4000000 /dev/zero >filler 2>/dev/null;";
-const BRIEF: &str = "\"$TROCAR\" run wall --lockstep --seconds 0.1";
+/// The words of the program for the user of the tests.
+const OURS: &str = concat!("\"", env!("CARGO_BIN_EXE_trocar"), "\"");
 
 fn left(folder: &Path) -> Vec<String> {
     std::fs::read_to_string(folder.join("left")).expect("a list").lines().map(str::to_owned).collect()
 }
 
+/// The commands of [`WRITERS`], and those that write folders or under their usual names: with whether they tell a score.
+fn commands() -> Vec<(&'static str, bool)> {
+    let more = [
+        // A recording that cannot begin is refused before the run; everything else is told after it.
+        ("run wall --lockstep --seconds 0.1 --no-report", false),
+        ("run wall --lockstep --seconds 0.1 --no-record", true),
+        (
+            "run wall --lockstep --seconds 0.1 --no-record --no-report --size 32x24 --quality plain --film frames",
+            true,
+        ),
+        ("new sim", false),
+    ];
+    WRITERS.iter().map(|writer| (writer.words, writer.plays)).chain(more).collect()
+}
+
 #[test]
 fn on_a_full_disk_every_writing_command_says_so_and_leaves_nothing_behind() {
-    let folder = here();
-    std::fs::write(folder.path().join("face.obj"), "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n")
-        .expect("a file");
-    let record = ["run", "wall", "--lockstep", "--seconds", "0.1", "--no-report", "--record", "r.mcap"];
-    assert_eq!(trocar(folder.path(), &record).status.code(), Some(0));
-    let small = "--size 32x24 --quality plain";
-    let cases = [
-        // A recording that cannot begin is refused before the run; everything else is told after it.
-        (format!("{BRIEF} --no-report"), false),
-        (format!("{BRIEF} --no-record"), true),
-        (format!("{BRIEF} --no-record --no-report {small} --picture a.png"), true),
-        (format!("{BRIEF} --no-record --no-report {small} --film a.png"), true),
-        (format!("{BRIEF} --no-record --no-report {small} --film frames"), true),
-        ("\"$TROCAR\" replay ../r.mcap --headless --report a.html".to_owned(), true),
-        (format!("\"$TROCAR\" replay ../r.mcap {small} --film a.gif"), true),
-        ("\"$TROCAR\" mesh ../face.obj --repair --out a.ply".to_owned(), false),
-        ("\"$TROCAR\" mesh ../face.obj --picture a.png --size 32x24".to_owned(), false),
-        ("\"$TROCAR\" gallery --scenario wall --at 0.1 --size 32x24 .".to_owned(), false),
-        ("\"$TROCAR\" new sim".to_owned(), false),
-    ];
-    for (command, is_played) in cases {
-        let Some(output) = on_disk(folder.path(), "mode=700", &format!("{FULL} {command}")) else { return };
-        let told = stderr(&output);
-        assert_eq!(output.status.code(), Some(4), "{command}: {told}");
-        assert!(told.contains("No space left") && !told.contains("panicked"), "{command}: {told}");
-        assert_eq!(stdout(&output).contains("state hash"), is_played, "{command}");
-        assert_eq!(left(folder.path()), ["filler"], "{command}");
+    for workplace in Workplace::all() {
+        for (command, plays) in commands() {
+            let script = format!("head -c 4000000 /dev/zero >filler 2>/dev/null; $TROCAR {command}");
+            let words = workplace.shell_words();
+            let Some(output) = on_disk(workplace.folder(), &words, "mode=777", &script) else { return };
+            let told = stderr(&output);
+            assert_eq!(output.status.code(), Some(4), "{command}: {told}");
+            assert!(told.contains("No space left") && !told.contains("panicked"), "{command}: {told}");
+            assert_eq!(stdout(&output).contains("state hash"), plays, "{command}");
+            assert_eq!(left(workplace.folder()), ["filler"], "{command}");
+        }
     }
 }
 
 #[test]
 fn on_a_read_only_disk_everything_is_refused_before_it_runs() {
-    let folder = here();
-    std::fs::write(folder.path().join("face.obj"), "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n")
-        .expect("a file");
-    for command in [
-        BRIEF.to_owned(),
-        format!("{BRIEF} --no-record"),
-        format!("{BRIEF} --no-record --no-report --size 32x24 --picture a.png"),
-        format!("{BRIEF} --no-record --no-report --size 32x24 --film frames"),
-        "\"$TROCAR\" mesh ../face.obj --repair --out a.ply".to_owned(),
-        "\"$TROCAR\" new sim".to_owned(),
-    ] {
-        let Some(output) = on_disk(folder.path(), "ro", &command) else { return };
-        assert_eq!(output.status.code(), Some(4), "{command}: {}", stderr(&output));
-        assert!(stderr(&output).contains("Read-only file system"), "{command}: {}", stderr(&output));
-        assert_eq!(stdout(&output), "", "{command}");
-        assert_eq!(left(folder.path()), [] as [&str; 0]);
+    for workplace in Workplace::all() {
+        for (command, _) in commands() {
+            let (words, script) = (workplace.shell_words(), format!("$TROCAR {command}"));
+            let Some(output) = on_disk(workplace.folder(), &words, "mode=777,ro", &script) else { return };
+            let told = stderr(&output);
+            assert_eq!(output.status.code(), Some(4), "{command}: {told}");
+            assert!(told.contains("Read-only file system"), "{command}: {told}");
+            assert_eq!(stdout(&output), "", "{command}");
+            assert_eq!(left(workplace.folder()), [] as [&str; 0]);
+        }
     }
 }
 
@@ -100,9 +94,9 @@ fn a_disk_that_fills_up_during_a_run_leaves_score_and_summary_and_a_recording_th
     let run = "run peg-transfer --lockstep --seconds 3 --json";
     // Room for a part of the recording, and none for the report.
     let script = format!(
-        "head -c 3080000 /dev/zero >filler; \"$TROCAR\" {run}; code=$?; cp peg-transfer.mcap ../kept.mcap; (exit $code)"
+        "head -c 3080000 /dev/zero >filler; $TROCAR {run}; code=$?; cp peg-transfer.mcap ../kept.mcap; (exit $code)"
     );
-    let Some(output) = on_disk(folder.path(), "mode=700", &script) else { return };
+    let Some(output) = on_disk(folder.path(), OURS, "mode=700", &script) else { return };
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
     let summary = object(&output);
     assert_valid("run", &summary);

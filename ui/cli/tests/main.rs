@@ -16,3 +16,5 @@ mod refusals;
 mod runs;
 mod support;
 mod templates;
+#[cfg(target_os = "linux")]
+mod writers;

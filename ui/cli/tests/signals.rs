@@ -1,5 +1,6 @@
 //! Signals to a session: it ends in good order, with the exit code of the signal.
 
+use std::io::Write;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -95,6 +96,51 @@ fn a_person_reads_who_ended_a_run_and_a_second_signal_ends_it_with_the_same_code
     wait_for_session(folder.path());
     send(&child, "-TERM");
     let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).stderr(Stdio::null()).status();
+    assert_eq!(end(child).status.code(), Some(143));
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_run_that_is_killed_leaves_a_recording_to_read_and_no_name_that_is_lost() {
+    let _alone = alone();
+    let folder = here();
+    let named = ["run", "wall", "--headless", "--record", "a.mcap", "--report", "a.html"];
+    let child = start(folder.path(), &named, &[]);
+    wait_for_session(folder.path());
+    let sessions = folder.path().join("run");
+    std::thread::sleep(Duration::from_secs(2));
+    send(&child, "-KILL");
+    assert_eq!(end(child).status.code(), None);
+    std::fs::remove_dir_all(sessions).expect("its socket goes");
+    // The file that held the report's name is empty, and the next run has the name.
+    assert_eq!(std::fs::metadata(folder.path().join("a.html")).expect("it held the name").len(), 0);
+    let again = ["run", "wall", "--lockstep", "--seconds", "0.1", "--no-record", "--report", "a.html"];
+    let next = trocar(folder.path(), &again);
+    assert_eq!(next.status.code(), Some(0), "{}", stderr(&next));
+    assert!(std::fs::read(folder.path().join("a.html")).expect("a report").ends_with(b"</html>\n"));
+    let recovered = trocar(folder.path(), &["recording", "recover", "a.mcap", "--json"]);
+    let seconds = object(&recovered)["seconds"].as_f64();
+    assert!(seconds.is_some_and(|seconds| seconds >= 1.0), "of two seconds: {seconds:?}");
+    assert_eq!(names(folder.path()), ["a-recovered.mcap", "a.html", "a.mcap"]);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_run_whose_reader_takes_nothing_ends_with_the_second_signal() {
+    let _alone = alone();
+    let folder = here();
+    let fifo = folder.path().join("fifo");
+    assert!(Command::new("mkfifo").arg(&fifo).status().expect("mkfifo runs").success());
+    // Nobody takes out what is in there, and little more fits in.
+    let mut held = std::fs::File::options().read(true).write(true).open(&fifo).expect("a FIFO");
+    held.write_all(&[0; 60_000]).expect("room");
+    let run = ["run", "wall", "--lockstep", "--seconds", "0.1", "--no-record", "--report", "fifo"];
+    let mut child = start(folder.path(), &run, &[]);
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(child.try_wait().expect("a child").is_none(), "the report waits for its reader");
+    send(&child, "-TERM");
+    std::thread::sleep(Duration::from_millis(100));
+    send(&child, "-TERM");
     assert_eq!(end(child).status.code(), Some(143));
 }
 

@@ -190,6 +190,8 @@ fn a_running_session_is_tuned_from_another_terminal() {
     assert!(!kept().contains("[sets.d]"));
     assert_eq!(session.tune(&["export", "kept.toml", "--force"]).status.code(), Some(0));
     assert!(kept().contains("[sets.d]"));
+    let printed = trocar(session.folder.path(), &["tune", "export", "-"]);
+    assert_eq!(printed.stdout, kept().as_bytes(), "stdout holds the sets and nothing else");
     if Path::new("/dev/full").exists() {
         assert!(session.refused(&["export", "/dev/full"]).contains("No space left"));
     }

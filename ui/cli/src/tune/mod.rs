@@ -61,12 +61,12 @@ pub fn tune(args: &TuneArgs) -> Result<Exit, Failure> {
 }
 
 fn attempt(args: &TuneArgs) -> Result<Exit, Failure> {
-    let export = match &args.command {
+    let (export, stdout_is_taken) = match &args.command {
         TuneCommand::Export { file: Some(file), force } => {
-            output::takes_stdout(args.json, [Some(file.as_path())])?;
-            Some(Claim::take(file, replace(*force))?)
+            let is_stdout = output::takes_stdout(args.json, [Some(file.as_path())])?;
+            (Some(Claim::take(file, replace(*force))?), is_stdout)
         }
-        _ => None,
+        _ => (None, false),
     };
     let socket = session(args.session)?;
     let reply = ask(&socket, &request(&args.command)?)?;
@@ -77,6 +77,8 @@ fn attempt(args: &TuneArgs) -> Result<Exit, Failure> {
         let mut object = serde_json::to_value(&reply).map_err(Failure::internal)?;
         object["schema"] = json!(SCHEMA);
         output::print_json(&object)?;
+    } else if stdout_is_taken {
+        output::tell(&text(&args.command, &reply));
     } else {
         output::print_text(&text(&args.command, &reply))?;
     }
