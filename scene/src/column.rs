@@ -14,8 +14,8 @@ use std::sync::Arc;
 
 use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
-use crate::leaves::Leaves;
 use crate::time::Revision;
+use crate::values::leaves::Leaves;
 
 const BITS: u32 = 6;
 const MASK: u64 = (1 << BITS) - 1;

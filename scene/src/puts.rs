@@ -8,8 +8,8 @@ use std::any::Any;
 use crate::column::{Column, ErasedColumn, encode};
 use crate::component::{Component, ComponentError};
 use crate::entity::Entity;
-use crate::leaves::Leaves;
 use crate::time::Revision;
+use crate::values::leaves::Leaves;
 
 /// The puts of one component.
 pub struct Puts<T> {

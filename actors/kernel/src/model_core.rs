@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use trocar_scene::{
     Access, AccessOverlap, Batch, Commands, ComponentError, ComponentId, Entity, Provenance, RecordPolicy,
-    Registry, Revision, SectionMap, SimTime, Snapshot, Store, WriterId, WriterRules,
+    Registry, Revision, SectionMap, SimTime, Snapshot, Store, WriterId, WriterRules, varint,
 };
 
 use crate::admission::TRANSFERS_MAX;
@@ -505,7 +505,7 @@ fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>, map
         let keys = rules.contributes().iter().map(|id| registry.entry(*id));
         keys.filter(|entry| entry.record != RecordPolicy::Derived)
     };
-    let mut put = |value: u64| write_varint(value, out);
+    let mut put = |value: u64| varint::write(value, out);
     // Spawns, despawns.
     put(0);
     put(0);
@@ -521,13 +521,4 @@ fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>, map
     out.push(0);
     map.puts_end = out.len() as u32;
     out.extend([0, 0]);
-}
-
-/// Postcard's unsigned integers: seven bits a byte, least significant first.
-fn write_varint(mut value: u64, out: &mut Vec<u8>) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
 }

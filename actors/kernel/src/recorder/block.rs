@@ -11,10 +11,10 @@ use miniz_oxide::deflate::compress_to_vec;
 use miniz_oxide::inflate::decompress_to_vec_with_limit;
 use trocar_scene::{
     Commands, ComponentError, ComponentId, LeafKind, LeafRun, Leaves, Provenance, Registry, Revision,
-    SimTime, WriterId,
+    SimTime, WriterId, varint,
 };
 
-use super::columns::{Cursor, History, RowDecoder, RowEncoder, write_varint};
+use super::columns::{Cursor, History, RowDecoder, RowEncoder};
 use crate::state_hash::{CommitKind, StateHash};
 
 /// The key of the commits' heads; those of components have 32 bits.
@@ -134,8 +134,8 @@ impl BlockEncoder {
         }
         out.extend_from_slice(&stored.0);
         out.extend_from_slice(&state.0);
-        write_varint(base.0, out);
-        write_varint(body.len() as u64, out);
+        varint::write(base.0, out);
+        varint::write(body.len() as u64, out);
         out.extend(compress_to_vec(&body, LEVEL));
         self.count = 0;
     }
@@ -196,16 +196,16 @@ pub(super) fn decode(bytes: &[u8], history: &mut History) -> Result<DecodedBlock
                 .get_mut(commit as usize)
                 .ok_or_else(|| format!("a row of commit {commit} of {}", commits.len()))?;
             *count += 1;
-            write_varint(key, section);
-            write_varint(rows.len() as u64, section);
+            varint::write(key, section);
+            varint::write(rows.len() as u64, section);
             for row in rows {
-                write_varint(row.entity, section);
+                varint::write(row.entity, section);
                 section.extend_from_slice(&row.value);
             }
         }
     }
     for (commit, ((count, section), behind)) in commits.iter_mut().zip(puts.into_iter().zip(behind)) {
-        write_varint(count, &mut commit.payload);
+        varint::write(count, &mut commit.payload);
         commit.payload.extend(section);
         commit.payload.extend(behind);
     }

@@ -1,9 +1,8 @@
 //! Kept commits: what a recording keeps of each of the Model's commits. Sampled components are left out; their values
 //! come from the [`Sampler`](super::sampler::Sampler).
 
-use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry};
+use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry, varint};
 
-use super::columns::write_varint;
 use super::rounding::{Policies, Rounder};
 use crate::commit::{Commit, Sections};
 
@@ -57,13 +56,13 @@ impl Keeper {
             // What is created has all its components at once.
             self.commands.clear();
             self.commands.decode(commit.payload)?;
-            write_varint(sections.puts.len() as u64, out);
+            varint::write(sections.puts.len() as u64, out);
             for (component, puts) in self.commands.puts() {
-                write_varint(u64::from(self.commands.registry().entry(component).key), out);
-                write_varint(puts.len() as u64, out);
+                varint::write(u64::from(self.commands.registry().entry(component).key), out);
+                varint::write(puts.len() as u64, out);
                 for index in 0..puts.len() {
                     self.rounder.put_row(component, puts, index)?;
-                    write_varint(puts.entity(index).to_bits(), out);
+                    varint::write(puts.entity(index).to_bits(), out);
                     out.extend_from_slice(&self.rounder.bytes);
                 }
             }
@@ -71,7 +70,7 @@ impl Keeper {
             if count == 0 && !removes && behind == [0; 2] {
                 return Ok(None);
             }
-            write_varint(count as u64, out);
+            varint::write(count as u64, out);
             for put in kept() {
                 out.extend_from_slice(&commit.payload[put.start as usize..put.end as usize]);
             }

@@ -4,10 +4,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use trocar_scene::{
-    ComponentError, ComponentId, Entity, RecordPolicy, Registry, Revision, SimTime, Snapshot,
+    ComponentError, ComponentId, Entity, RecordPolicy, Registry, Revision, SimTime, Snapshot, varint,
 };
 
-use super::columns::write_varint;
 use super::rounding::{Policies, Rounder};
 
 /// One sampled component.
@@ -90,7 +89,7 @@ impl Sampler {
                     let digest = digest(&rounder.bytes);
                     if found && sampled.stored.insert(entity, digest) != Some(digest) {
                         rows += 1;
-                        write_varint(entity.to_bits(), &mut section);
+                        varint::write(entity.to_bits(), &mut section);
                         section.extend_from_slice(&rounder.bytes);
                     }
                 });
@@ -101,8 +100,8 @@ impl Sampler {
             }
             if rows > 0 {
                 count += 1;
-                write_varint(u64::from(sampled.key), &mut sections);
-                write_varint(rows, &mut sections);
+                varint::write(u64::from(sampled.key), &mut sections);
+                varint::write(rows, &mut sections);
                 sections.extend_from_slice(&section);
             }
         }
@@ -110,7 +109,7 @@ impl Sampler {
             return Ok(false);
         }
         out.extend([0; 3]);
-        write_varint(count, out);
+        varint::write(count, out);
         out.extend(sections);
         out.extend([0; 2]);
         Ok(true)

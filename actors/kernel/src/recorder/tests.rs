@@ -12,7 +12,7 @@ use trocar_scene::{
 };
 
 use super::mcap::container::{CHECKSUM, checksum};
-use super::reading::recording::metadata_record;
+use super::reading::metadata::metadata_record;
 use super::{Item, Recorder, RecorderOptions, Recording, RecordingError, RecordingHead, Replay};
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultPlan, secs};

@@ -1,11 +1,11 @@
 //! Decoder of the rows of a component in a block. Bytes from outside: everything is checked, and memory stays
 //! proportional to the bytes read.
 
-use trocar_scene::{LeafKind, LeafRun, Leaves};
+use trocar_scene::{LeafKind, LeafRun, Leaves, varint};
 
 use super::grid::Grid;
 use super::history::{History, Shape};
-use super::planes::{Cursor, unzigzag};
+use super::planes::Cursor;
 use super::prediction::{BlockRows, bits};
 
 /// Most parts of the shapes of all rows of a component in a block. What has no leaves takes no bytes of its own, so
@@ -131,7 +131,7 @@ fn deltas(cursor: &mut Cursor<'_>, count: usize) -> Result<Vec<i64>, String> {
     let deltas = cursor.planes(count)?.into_iter();
     Ok(deltas
         .map(|delta| {
-            last = last.wrapping_add(unzigzag(delta));
+            last = last.wrapping_add(varint::unzigzag(delta));
             last
         })
         .collect())
@@ -167,7 +167,7 @@ fn read_leaves(cursor: &mut Cursor<'_>, rows: &mut BlockRows<'_>) -> Result<(), 
 }
 
 fn fill(rows: &mut BlockRows<'_>, row: usize, leaf: usize, kinds: &[LeafKind], grid: Grid, rest: u64) {
-    let found = rows.predict(row, leaf, kinds, grid).wrapping_add(unzigzag(rest));
+    let found = rows.predict(row, leaf, kinds, grid).wrapping_add(varint::unzigzag(rest));
     let at = rows.places[row].start + leaf;
     rows.bits[at] = bits(kinds[leaf], grid, found);
 }

@@ -1,10 +1,10 @@
 //! Encoder of the rows of one component in a block.
 
-use trocar_scene::{LeafRun, Leaves};
+use trocar_scene::{LeafRun, Leaves, varint};
 
 use super::grid::GridFinder;
 use super::history::History;
-use super::planes::{write_planes, write_varint, zigzag};
+use super::planes::write_planes;
 use super::prediction::{BlockRows, whole};
 
 /// Rows of one component, collected for a block.
@@ -64,18 +64,18 @@ impl RowEncoder {
             shapes.push(shape);
             entities.push(entity);
         }
-        write_varint(self.key, out);
-        write_varint(self.rows.len() as u64, out);
-        write_varint(new_shapes.len() as u64, out);
+        varint::write(self.key, out);
+        varint::write(self.rows.len() as u64, out);
+        varint::write(new_shapes.len() as u64, out);
         for number in new_shapes {
             let runs = &component.shapes[number as usize].runs;
-            write_varint(runs.len() as u64, out);
+            varint::write(runs.len() as u64, out);
             for run in runs {
                 out.push(run.kind as u8);
-                write_varint(u64::from(run.count), out);
+                varint::write(u64::from(run.count), out);
             }
         }
-        write_varint(new_entities.len() as u64, out);
+        varint::write(new_entities.len() as u64, out);
         new_entities.iter().for_each(|entity| out.extend_from_slice(&entity.to_le_bytes()));
 
         let mut rows = BlockRows::new(component);
@@ -112,7 +112,7 @@ impl RowEncoder {
 fn write_deltas(numbers: impl Iterator<Item = i64>, out: &mut Vec<u8>) {
     let mut last = 0;
     let deltas: Vec<u64> =
-        numbers.map(|number| zigzag(number - std::mem::replace(&mut last, number))).collect();
+        numbers.map(|number| varint::zigzag(number - std::mem::replace(&mut last, number))).collect();
     write_planes(&deltas, out);
 }
 
@@ -132,7 +132,7 @@ fn write_leaves(rows: &BlockRows<'_>, out: &mut Vec<u8>) {
             }
             for (row, place) in rows.places.iter().enumerate() {
                 let found = whole(kinds[leaf], grid, rows.bits[place.start + leaf]);
-                rest.push(zigzag(found.wrapping_sub(rows.predict(row, leaf, &kinds, grid))));
+                rest.push(varint::zigzag(found.wrapping_sub(rows.predict(row, leaf, &kinds, grid))));
             }
         }
     } else {
@@ -150,7 +150,7 @@ fn write_leaves(rows: &BlockRows<'_>, out: &mut Vec<u8>) {
             let kinds = rows.kinds(row);
             for leaf in 0..place.leaves {
                 let found = whole(kinds[leaf], grid, rows.bits[place.start + leaf]);
-                rest.push(zigzag(found.wrapping_sub(rows.predict(row, leaf, &kinds, grid))));
+                rest.push(varint::zigzag(found.wrapping_sub(rows.predict(row, leaf, &kinds, grid))));
             }
         }
     }

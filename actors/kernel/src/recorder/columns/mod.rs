@@ -26,7 +26,7 @@ mod prediction;
 pub(super) use decoder::RowDecoder;
 pub(super) use encoder::RowEncoder;
 pub(super) use history::History;
-pub(super) use planes::{Cursor, write_varint};
+pub(super) use planes::Cursor;
 
 /// Rows of up to this many leaves have a grid for each of their columns.
 const COLUMNS_MAX: usize = 256;

@@ -1,23 +1,5 @@
 //! Planes of bytes: the lowest bytes of many numbers, then the next ones; and the reader of both planes and varints.
 
-/// Appends an unsigned number: seven bits a byte, least significant first.
-pub(in super::super) fn write_varint(mut value: u64, out: &mut Vec<u8>) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-/// Small numbers of either sign as small unsigned ones.
-pub(super) fn zigzag(value: i64) -> u64 {
-    ((value << 1) ^ (value >> 63)) as u64
-}
-
-pub(super) fn unzigzag(value: u64) -> i64 {
-    (value >> 1) as i64 ^ -((value & 1) as i64)
-}
-
 /// Appends the number of planes and the planes. There is at least one for any numbers, so that what is read is never
 /// more than eight times what was written.
 pub(super) fn write_planes(values: &[u64], out: &mut Vec<u8>) {
@@ -89,6 +71,7 @@ impl<'a> Cursor<'a> {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use trocar_scene::varint;
 
     use super::*;
 
@@ -98,12 +81,12 @@ mod tests {
             let values: Vec<u64> = values.iter().map(|value| value >> bits).collect();
             let mut out = Vec::new();
             write_planes(&values, &mut out);
-            values.iter().for_each(|value| write_varint(*value, &mut out));
+            values.iter().for_each(|value| varint::write(*value, &mut out));
             let mut cursor = Cursor(&out);
             prop_assert_eq!(&cursor.planes(values.len()).expect("whole"), &values);
             for value in &values {
                 prop_assert_eq!(cursor.varint().expect("whole"), *value);
-                prop_assert_eq!(unzigzag(zigzag(*value as i64)), *value as i64);
+                prop_assert_eq!(varint::unzigzag(varint::zigzag(*value as i64)), *value as i64);
             }
             prop_assert!(cursor.0.is_empty() && cursor.varint().is_err());
         }

@@ -3,138 +3,25 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use thiserror::Error;
 use trocar_scene::{Component, ComponentError, Entity, EntityAllocator, Registry, SimTime, Snapshot};
 
-use crate::recorder::format::{COMPONENT, META, META_BYTES, META_DEVICES, META_END, SCENARIO, SCHEMA};
-use crate::recorder::mcap::bytes::Bytes;
+use super::chunk_items::{self, Item, parse_chunk};
+use super::error::RecordingError;
+use super::metadata::{Metadata, RecordingEnd, RecordingMetadata};
+use crate::recorder::format::SCHEMA;
 use crate::recorder::mcap::chunk_list::{ChunkPlace, Contents, contents};
-use crate::recorder::mcap::container::{CHECKSUM, checksum};
-use crate::recorder::mcap::records::{MAGIC, op};
-use crate::recorder::reading::chunk_items::{self, Item, parse_chunk};
-use crate::state_hash::StateHash;
-
-/// A file that cannot be used as a recording.
-#[derive(Debug, Error)]
-pub enum RecordingError {
-    /// The file cannot be read.
-    #[error("recording '{}': {source}", file.display())]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// What is recovered from it cannot be written.
-    #[error("what is recovered cannot be written: {0}")]
-    Write(io::Error),
-    /// The file is not a recording.
-    #[error("recording '{}': not a recording of trocar: {what}", file.display())]
-    NotARecording {
-        /// The file.
-        file: PathBuf,
-        /// What is missing.
-        what: String,
-    },
-    /// Another version of the format.
-    #[error(
-        "recording '{}', metadata 'trocar': schema {found} (written by version {version}); this version \
-         reads schema {SCHEMA}",
-        file.display()
-    )]
-    Schema {
-        /// The file.
-        file: PathBuf,
-        /// The version found.
-        found: String,
-        /// Which version of trocar wrote it.
-        version: String,
-    },
-    /// Components that this session does not know.
-    #[error("recording '{}': unknown components: {names}", file.display())]
-    UnknownComponents {
-        /// The file.
-        file: PathBuf,
-        /// Their names.
-        names: String,
-    },
-    /// A damaged part.
-    #[error("recording '{}', byte {offset}: {message}", file.display())]
-    Damaged {
-        /// The file.
-        file: PathBuf,
-        /// Where the part begins.
-        offset: u64,
-        /// What is wrong with it.
-        message: String,
-    },
-    /// The replay diverges from the recorded state hash.
-    #[error(
-        "recording '{}', revision {revision}: the hash of what is stored is {found}, recorded was {recorded}",
-        file.display()
-    )]
-    Diverged {
-        /// The file.
-        file: PathBuf,
-        /// Where.
-        revision: u64,
-        /// Hash of the replay.
-        found: StateHash,
-        /// Recorded hash.
-        recorded: StateHash,
-    },
-}
-
-/// Metadata at the head of a recording.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct RecordingMetadata {
-    /// Version of trocar that wrote it.
-    pub version: String,
-    /// Name of the scenario.
-    pub scenario: String,
-    /// The scenario's text.
-    pub scenario_text: String,
-    /// The session's seed.
-    pub seed: u64,
-    /// The station's number.
-    pub station: u16,
-    /// How it was run.
-    pub mode: String,
-    /// NAME → key and policy of every component of the session.
-    pub components: BTreeMap<String, String>,
-    /// Capabilities of each device, as JSON.
-    pub devices: BTreeMap<String, String>,
-    /// Further metadata.
-    pub extra: BTreeMap<String, String>,
-}
-
-/// Final metadata of a clean close.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RecordingEnd {
-    /// The last revision.
-    pub revision: u64,
-    /// The hash of what is stored, at the end.
-    pub hash: String,
-    /// The Model's hash at the end.
-    pub state_hash: String,
-    /// The time at the end.
-    pub time: SimTime,
-    /// Whether the recording has no gaps.
-    pub complete: bool,
-}
+use crate::recorder::mcap::records::MAGIC;
 
 /// An opened recording.
 #[derive(Debug)]
 pub struct Recording {
     path: PathBuf,
     size: u64,
-    metadata: RecordingMetadata,
-    bytes: BTreeMap<String, String>,
-    end: Option<RecordingEnd>,
+    metadata: Metadata,
     /// Chunks with blocks, keyframes and gaps.
     chunks: Vec<ChunkPlace>,
     /// Chunks with messages for tools.
@@ -167,9 +54,7 @@ impl Recording {
         let mut recording = Self {
             path: path.to_owned(),
             size,
-            metadata: RecordingMetadata::default(),
-            bytes: BTreeMap::new(),
-            end: None,
+            metadata: Metadata::default(),
             chunks,
             tool_chunks,
             truncation,
@@ -177,21 +62,16 @@ impl Recording {
             damage,
         };
         recording.unchecked = recording.has_no_checksums()?;
-        let mut schema = None;
         for (opcode, offset, body) in records {
-            let noted = match opcode {
-                op::METADATA => recording.note_metadata(&body, &mut schema),
-                _ => recording.note_attachment(&body),
-            };
-            if let Err(message) = noted {
+            if let Err(message) = recording.metadata.note(opcode, &body) {
                 recording.damage.push((offset, message));
             }
         }
-        match schema {
+        match recording.metadata.schema.take() {
             Some(found) if found != SCHEMA => Err(RecordingError::Schema {
                 file: path.to_owned(),
                 found,
-                version: recording.metadata.version,
+                version: recording.metadata.head.version,
             }),
             // Where the head is damaged, the chunks can be read all the same.
             None if recording.damage.is_empty() || recording.chunks.is_empty() => {
@@ -207,11 +87,11 @@ impl Recording {
     }
     /// The metadata at its head.
     pub fn metadata(&self) -> &RecordingMetadata {
-        &self.metadata
+        &self.metadata.head
     }
     /// The final metadata, after a clean close.
     pub fn end(&self) -> Option<&RecordingEnd> {
-        self.end.as_ref()
+        self.metadata.end.as_ref()
     }
     /// Bytes in the file.
     pub fn size(&self) -> u64 {
@@ -220,7 +100,7 @@ impl Recording {
     /// After a clean close: bytes of all commits before anything was left out, as `component.NAME`, `writer.NAME` and
     /// `rest`, each with the number of puts or commits and their bytes.
     pub fn committed_bytes(&self) -> &BTreeMap<String, String> {
-        &self.bytes
+        &self.metadata.bytes
     }
     /// Damaged places outside the chunks; damage within them is found as they are read.
     pub fn damage(&self) -> impl Iterator<Item = String> + '_ {
@@ -234,7 +114,7 @@ impl Recording {
     pub fn is_complete(&self) -> bool {
         self.truncation.is_none()
             && self.damage.is_empty()
-            && self.end.as_ref().is_some_and(|end| end.complete)
+            && self.metadata.end.as_ref().is_some_and(|end| end.complete)
     }
     /// The latest time in the recording.
     pub fn duration(&self) -> SimTime {
@@ -333,7 +213,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError::UnknownComponents`].
     pub fn check_components(&self, registry: &Registry) -> Result<(), RecordingError> {
-        let names = self.metadata.components.keys();
+        let names = self.metadata.head.components.keys();
         let unknown: Vec<&str> =
             names.map(String::as_str).filter(|name| registry.by_name(name).is_err()).collect();
         if unknown.is_empty() {
@@ -358,58 +238,6 @@ impl Recording {
             }
             items
         })
-    }
-
-    fn note_metadata(&mut self, body: &[u8], schema: &mut Option<String>) -> Result<(), String> {
-        let (name, mut map) = metadata_record(body)?;
-        let number = |map: &mut BTreeMap<String, String>, key: &str| {
-            let text = map.remove(key).unwrap_or_default();
-            text.parse::<u64>().map_err(|_| format!("metadata '{name}': {key} is '{text}', not a number"))
-        };
-        match name.as_str() {
-            META => {
-                *schema = Some(map.remove("schema").unwrap_or_default());
-                self.metadata.version = map.remove("version").unwrap_or_default();
-                self.metadata.scenario = map.remove("scenario").unwrap_or_default();
-                self.metadata.mode = map.remove("mode").unwrap_or_default();
-                self.metadata.seed = number(&mut map, "seed")?;
-                let station = number(&mut map, "station")?;
-                self.metadata.station =
-                    u16::try_from(station).map_err(|_| format!("metadata '{name}': station is {station}"))?;
-                for (key, value) in map {
-                    match key.strip_prefix(COMPONENT) {
-                        Some(name) => self.metadata.components.insert(name.to_owned(), value),
-                        None => self.metadata.extra.insert(key, value),
-                    };
-                }
-            }
-            META_DEVICES => self.metadata.devices = map,
-            META_BYTES => self.bytes = map,
-            META_END => {
-                self.end = Some(RecordingEnd {
-                    revision: number(&mut map, "revision")?,
-                    time: SimTime(number(&mut map, "time_ns")?),
-                    hash: map.remove("hash").unwrap_or_default(),
-                    state_hash: map.remove("state_hash").unwrap_or_default(),
-                    complete: map.remove("complete").as_deref() == Some("true"),
-                });
-            }
-            _ => {}
-        }
-        Ok(())
-    }
-
-    fn note_attachment(&mut self, body: &[u8]) -> Result<(), String> {
-        let mut body = Bytes(body);
-        body.take(16)?;
-        let name = body.text()?;
-        let _media_type = body.text()?;
-        let length = body.u64()?;
-        let data = body.take(length)?;
-        if name == SCENARIO {
-            self.metadata.scenario_text = String::from_utf8_lossy(data).into_owned();
-        }
-        Ok(())
     }
 
     fn read_chunk(&self, index: usize) -> Result<Vec<Item>, RecordingError> {
@@ -469,23 +297,5 @@ impl Recording {
 
     pub(in crate::recorder) fn undecodable(&self, revision: u64, error: &ComponentError) -> RecordingError {
         self.damaged(0, format!("the commit of revision {revision}: {error}"))
-    }
-}
-
-/// Name and pairs of a metadata record, checked by the checksum among them.
-pub(in crate::recorder) fn metadata_record(
-    body: &[u8],
-) -> Result<(String, BTreeMap<String, String>), String> {
-    let mut body = Bytes(body);
-    let name = body.text()?;
-    let length = body.u32()?;
-    let mut pairs = Bytes(body.take(u64::from(length))?);
-    let mut map = BTreeMap::new();
-    while !pairs.0.is_empty() {
-        map.insert(pairs.text()?, pairs.text()?);
-    }
-    match map.remove(CHECKSUM) {
-        Some(found) if found != checksum(&map) => Err(format!("metadata '{name}': its checksum is wrong")),
-        _ => Ok((name, map)),
     }
 }

@@ -6,6 +6,8 @@ use std::io::{self, Write};
 
 use trocar_scene::{Revision, SimTime};
 
+use super::error::RecordingError;
+use super::recording::Recording;
 use crate::recorder::columns::History;
 use crate::recorder::format::{Gap, META, META_END, PROFILE, SCENARIO, SCHEMA, channel};
 use crate::recorder::head::channels;
@@ -14,7 +16,6 @@ use crate::recorder::mcap::chunk_list::{ChunkPlace, contents};
 use crate::recorder::mcap::container::{Container, OpenChunk};
 use crate::recorder::mcap::records::{Compression, op};
 use crate::recorder::reading::chunk_items::{self, Item, Message, parse_message};
-use crate::recorder::reading::recording::{Recording, RecordingError};
 use crate::recorder::tool_channels::schemas;
 use crate::state_hash::StateHash;
 
@@ -208,7 +209,7 @@ impl Recovery<'_> {
 
 /// Copies a metadata record, unless it is the one of a clean close.
 fn copy_metadata(container: &mut Container, body: &[u8], out: &mut Vec<u8>) -> Result<String, String> {
-    let (name, pairs) = crate::recorder::reading::recording::metadata_record(body)?;
+    let (name, pairs) = super::metadata::metadata_record(body)?;
     if name != META_END {
         container.metadata(&name, &pairs, out);
     }

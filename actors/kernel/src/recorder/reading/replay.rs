@@ -6,10 +6,11 @@ use std::sync::Arc;
 
 use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
+use super::error::RecordingError;
+use super::recording::Recording;
 use crate::model_core::ModelCore;
 use crate::recorder::format::{Gap, Group};
 use crate::recorder::reading::chunk_items::{Item, Keyframe};
-use crate::recorder::reading::recording::{Recording, RecordingError};
 use crate::state_hash::StateHash;
 
 type Items<'a> = Box<dyn Iterator<Item = Result<Item, RecordingError>> + 'a>;

@@ -6,12 +6,13 @@ use miniz_oxide::deflate::compress_to_vec;
 use miniz_oxide::inflate::decompress_to_vec_with_limit;
 use trocar_scene::SimTime;
 
+use super::error::RecordingError;
+use super::recording::Recording;
 use crate::recorder::block::{self, HEADS, LEVEL};
 use crate::recorder::columns::{History, RowDecoder};
 use crate::recorder::format::channel;
 use crate::recorder::head::channels;
 use crate::recorder::reading::chunk_items::{Message, messages};
-use crate::recorder::reading::recording::{Recording, RecordingError};
 
 /// Things and their bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

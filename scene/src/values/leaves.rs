@@ -7,6 +7,8 @@ use std::fmt;
 
 use serde::ser::{self, Serialize, Serializer};
 
+use super::compound_serialisers::walk_compounds;
+use super::varint;
 use crate::component::ComponentError;
 
 /// Kind of a leaf, or of what stands between leaves.
@@ -112,7 +114,7 @@ impl Leaves {
             match run.kind {
                 LeafKind::None => out.push(0),
                 LeafKind::Some => out.push(1),
-                LeafKind::Sequence | LeafKind::Variant => varint(u64::from(run.count), out),
+                LeafKind::Sequence | LeafKind::Variant => varint::write(u64::from(run.count), out),
                 kind => {
                     for leaf in bits.by_ref().take(run.count as usize) {
                         encode_leaf(kind, leaf, &mut text, out);
@@ -148,27 +150,18 @@ fn round_to(value: f64, step: f64, kind: LeafKind) -> f64 {
 fn encode_leaf(kind: LeafKind, leaf: u64, text: &mut &[u8], out: &mut Vec<u8>) {
     match kind {
         LeafKind::Bool | LeafKind::U8 | LeafKind::I8 => out.push(leaf as u8),
-        LeafKind::Unsigned => varint(leaf, out),
-        LeafKind::Signed => varint((leaf << 1) ^ ((leaf as i64 >> 63) as u64), out),
+        LeafKind::Unsigned => varint::write(leaf, out),
+        LeafKind::Signed => varint::write(varint::zigzag(leaf as i64), out),
         LeafKind::F32 => out.extend_from_slice(&(f64::from_bits(leaf) as f32).to_le_bytes()),
         LeafKind::F64 => out.extend_from_slice(&leaf.to_le_bytes()),
         _ => {
-            varint(leaf, out);
+            varint::write(leaf, out);
             let length = usize::try_from(leaf).unwrap_or(usize::MAX).min(text.len());
             let (this, rest) = text.split_at(length);
             out.extend_from_slice(this);
             *text = rest;
         }
     }
-}
-
-/// Postcard's unsigned integers: seven bits a byte, least significant first.
-fn varint(mut value: u64, out: &mut Vec<u8>) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
 }
 
 /// A value that has no leaves of these kinds.
@@ -324,31 +317,7 @@ impl Serializer for &mut Walker<'_> {
     }
 }
 
-macro_rules! compound {
-    ($($trait:ident { $($method:ident($($name:ty)?)),* })*) => {
-        $(impl ser::$trait for &mut Walker<'_> {
-            type Ok = ();
-            type Error = Unsuitable;
-            $(fn $method<T: Serialize + ?Sized>(
-                &mut self,
-                $(_: $name,)?
-                value: &T,
-            ) -> Result<(), Unsuitable> {
-                value.serialize(&mut **self)
-            })*
-            fn end(self) -> Result<(), Unsuitable> { Ok(()) }
-        })*
-    };
-}
-compound! {
-    SerializeSeq { serialize_element() }
-    SerializeTuple { serialize_element() }
-    SerializeTupleStruct { serialize_field() }
-    SerializeTupleVariant { serialize_field() }
-    SerializeMap { serialize_key(), serialize_value() }
-    SerializeStruct { serialize_field(&'static str) }
-    SerializeStructVariant { serialize_field(&'static str) }
-}
+walk_compounds!(Walker<'_>, Unsuitable);
 
 #[cfg(test)]
 mod tests {

@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::ser::{self, Serialize, Serializer};
 
+use super::compound_serialisers::walk_compounds;
 use crate::component::ComponentError;
 
 /// Refuses a value that contains a NaN or an infinity anywhere. Allocates nothing.
@@ -171,43 +172,7 @@ impl Serializer for &mut Walker {
     }
 }
 
-macro_rules! compound {
-    ($($trait:ident { $($method:ident),* })*) => {
-        $(impl ser::$trait for &mut Walker {
-            type Ok = ();
-            type Error = Found;
-            $(fn $method<T: Serialize + ?Sized>(&mut self, value: &T) -> Result<(), Found> {
-                value.serialize(&mut **self)
-            })*
-            fn end(self) -> Result<(), Found> { Ok(()) }
-        })*
-    };
-}
-compound! {
-    SerializeSeq { serialize_element }
-    SerializeTuple { serialize_element }
-    SerializeTupleStruct { serialize_field }
-    SerializeTupleVariant { serialize_field }
-    SerializeMap { serialize_key, serialize_value }
-}
-
-macro_rules! compound_struct {
-    ($($trait:ident),*) => {
-        $(impl ser::$trait for &mut Walker {
-            type Ok = ();
-            type Error = Found;
-            fn serialize_field<T: Serialize + ?Sized>(
-                &mut self,
-                _: &'static str,
-                value: &T,
-            ) -> Result<(), Found> {
-                value.serialize(&mut **self)
-            }
-            fn end(self) -> Result<(), Found> { Ok(()) }
-        })*
-    };
-}
-compound_struct!(SerializeStruct, SerializeStructVariant);
+walk_compounds!(Walker, Found);
 
 #[cfg(test)]
 mod tests {
