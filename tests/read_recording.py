@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 forces = {}
 with open("peg-transfer.mcap", "rb") as file:
     for schema, channel, message in make_reader(file).iter_messages():
-        if schema is None:  # Trocar's own
+        if schema is None or schema.encoding != "jsonschema":  # Trocar's own
             continue
         told, seconds = json.loads(message.data), message.log_time * 1e-9
         if schema.name == "trocar.Hand":
@@ -14,5 +14,5 @@ with open("peg-transfer.mcap", "rb") as file:
         elif schema.name == "trocar.TaskPhase":
             print(f"{seconds:7.2f} s  {told['phase']}")
         elif schema.name == "trocar.Task":
-            score = told["score"]
+            score = told.get("score")
 print(forces, score)

@@ -1,9 +1,9 @@
 //! Block: the commits of a tenth of a second as one message, in columns; a keyframe is a block with one commit.
 //!
 //! ```text
-//! stored hash (32) ‖ state hash (32) ‖ revision ‖ length of the body ‖ deflate(body)
-//! body = rows of the commits' heads ‖ rows of each component, ordered by NAME
+//! columns = rows of the commits' heads ‖ rows of each component, ordered by NAME
 //! ```
+//! They are deflated, and lie in a [`BlockMessage`] with the hashes.
 //! A commit's payload is cut into three parts: what lies before its puts, the puts, and what lies behind them. Without
 //! its values the scene of a keyframe is laid out in the same three parts.
 
@@ -14,6 +14,7 @@ use trocar_scene::{
     SimTime, WriterId, varint,
 };
 
+use super::block_message::BlockMessage;
 use super::columns::{Cursor, History, RowDecoder, RowEncoder};
 use crate::state_hash::{CommitKind, StateHash};
 
@@ -132,11 +133,9 @@ impl BlockEncoder {
         for rows in self.rows.iter_mut().filter(|rows| !rows.is_empty()) {
             rows.finish(history, &mut body);
         }
-        out.extend_from_slice(&stored.0);
-        out.extend_from_slice(&state.0);
-        varint::write(base.0, out);
-        varint::write(body.len() as u64, out);
-        out.extend(compress_to_vec(&body, LEVEL));
+        let packed = compress_to_vec(&body, LEVEL);
+        let (revision, unpacked) = (base.0, body.len() as u64);
+        BlockMessage { stored, state, revision, unpacked, packed: &packed }.write(out);
         self.count = 0;
     }
 }
@@ -167,8 +166,7 @@ pub(super) struct DecodedBlock {
 /// # Errors
 /// What is wrong with the bytes.
 pub(super) fn decode(bytes: &[u8], history: &mut History) -> Result<DecodedBlock, String> {
-    let (stored, state, mut cursor) = hashes(bytes)?;
-    let base = cursor.varint()?;
+    let BlockMessage { stored, state, revision: base, .. } = BlockMessage::parse(bytes)?;
     let (packed, length) = packed_body(bytes)?;
     let body = decompress_to_vec_with_limit(packed, length)
         .map_err(|error| format!("a block that does not unpack: {error}"))?;
@@ -214,22 +212,11 @@ pub(super) fn decode(bytes: &[u8], history: &mut History) -> Result<DecodedBlock
 
 /// The packed body of a block, and how many bytes it unpacks to.
 pub(super) fn packed_body(bytes: &[u8]) -> Result<(&[u8], usize), String> {
-    let (_, _, mut cursor) = hashes(bytes)?;
-    cursor.varint()?;
-    let length = cursor.varint()?;
-    let packed = cursor.0;
+    let BlockMessage { unpacked: length, packed, .. } = BlockMessage::parse(bytes)?;
     if length > BODY_MAX || length > DEFLATE_MAX * (packed.len() as u64 + 1) {
         return Err(format!("a block of {length} bytes in {} packed ones", packed.len()));
     }
     Ok((packed, length as usize))
-}
-
-/// The stored hash and the state hash after a block, without decoding it.
-pub(super) fn hashes(bytes: &[u8]) -> Result<(StateHash, StateHash, Cursor<'_>), String> {
-    let mut cursor = Cursor(bytes);
-    let mut hash = || Ok::<_, String>(StateHash(cursor.take(32)?.try_into().unwrap_or([0; 32])));
-    let (stored, state) = (hash()?, hash()?);
-    Ok((stored, state, cursor))
 }
 
 /// How many rows some unpacked bodies hold, each with those before it as its history; for tests of the decoder.

@@ -5,7 +5,7 @@
 //! | metadata `trocar` | schema and version of this format, scenario, seed, station, components and how each is kept |
 //! | metadata `trocar.devices` | capabilities of each device, as JSON |
 //! | attachment `scenario.toml` | the scenario's text |
-//! | topic `/trocar/commits` | [blocks](super::block): what is kept of the commits of a tenth of a second |
+//! | topic `/trocar/commits` | [blocks](super::block), as [messages](super::block_message) of Protocol Buffers: what is kept of the commits of a tenth of a second |
 //! | topic `/trocar/keyframes` | the whole scene, at the start, every few seconds, and after each gap |
 //! | topic `/trocar/gaps` | gaps: spans whose commits were not written, as JSON |
 //! | other topics | JSON for [standard tools](super::tool_channels): poses, forces, exercises, events, what is to be seen |
@@ -40,6 +40,7 @@ pub(super) const COMMITS: &str = "/trocar/commits";
 pub(super) const KEYFRAMES: &str = "/trocar/keyframes";
 pub(super) const GAPS: &str = "/trocar/gaps";
 pub(super) const TF: &str = "/tf";
+pub(super) const TF_STATIC: &str = "/tf_static";
 pub(super) const EVENTS: &str = "/events";
 pub(super) const HAND_LEFT: &str = "/hands/left";
 pub(super) const HAND_RIGHT: &str = "/hands/right";
@@ -48,8 +49,6 @@ pub(super) const PHASES: &str = "/task/phases";
 pub(super) const MEASURED: &str = "/measured";
 pub(super) const SCENE: &str = "/scene";
 pub(super) const SCENE_DEFORMING: &str = "/scene/deforming";
-/// Encoding of the messages with blocks.
-pub(super) const BLOCK_ENCODING: &str = "trocar-columns";
 /// Prefix of the metadata keys that list components.
 pub(super) const COMPONENT: &str = "component.";
 
@@ -67,6 +66,7 @@ pub(super) mod channel {
     pub(crate) const MEASURED: u16 = 10;
     pub(crate) const SCENE: u16 = 11;
     pub(crate) const SCENE_DEFORMING: u16 = 12;
+    pub(crate) const TF_STATIC: u16 = 13;
 }
 
 /// A part of the session that is not in the recording.

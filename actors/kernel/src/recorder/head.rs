@@ -2,13 +2,11 @@
 
 use trocar_scene::{RecordPolicy, Snapshot};
 
-use super::format::{
-    BLOCK_ENCODING, COMMITS, COMPONENT, GAPS, KEYFRAMES, META, META_DEVICES, SCENARIO, SCHEMA, channel,
-};
+use super::format::{COMMITS, COMPONENT, GAPS, KEYFRAMES, META, META_DEVICES, SCENARIO, SCHEMA, channel};
 use super::mcap::container::Container;
-use super::mcap::records::Channel;
+use super::mcap::records::{Channel, Schema};
 use super::options::RecordingHead;
-use super::tool_channels;
+use super::{block_message, tool_channels};
 
 /// Appends the head of a recording.
 pub(super) fn write_head(
@@ -40,12 +38,22 @@ pub(super) fn write_head(
     container.attachment(SCENARIO, "application/toml", head.scenario_text.as_bytes(), out);
 }
 
+/// Number of the schema of blocks.
+const BLOCK_SCHEMA: u16 = 8;
+
+/// Every schema of a recording.
+pub(super) fn schemas() -> Vec<Schema> {
+    let (name, data) = (block_message::NAME, block_message::schema());
+    let block = Schema { id: BLOCK_SCHEMA, name, encoding: "protobuf", data };
+    tool_channels::schemas().into_iter().chain([block]).collect()
+}
+
 /// Every channel of a recording. Their numbers are part of the format.
 pub(super) fn channels() -> Vec<Channel> {
     let channel = |id, schema, topic, encoding| Channel { id, schema, topic, encoding };
     let own = [
-        channel(channel::COMMITS, 0, COMMITS, BLOCK_ENCODING),
-        channel(channel::KEYFRAMES, 0, KEYFRAMES, BLOCK_ENCODING),
+        channel(channel::COMMITS, BLOCK_SCHEMA, COMMITS, "protobuf"),
+        channel(channel::KEYFRAMES, BLOCK_SCHEMA, KEYFRAMES, "protobuf"),
         channel(channel::GAPS, 0, GAPS, "json"),
     ];
     own.into_iter().chain(tool_channels::channels()).collect()

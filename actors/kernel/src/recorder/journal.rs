@@ -20,13 +20,13 @@ use super::byte_counts::ByteCounts;
 use super::columns::History;
 use super::format::{Gap, META_BYTES, META_END, PROFILE, channel};
 use super::gate::WritePermit;
-use super::head::{channels, write_head};
+use super::head::{channels, schemas, write_head};
 use super::life_buffers::LifeBuffers;
 use super::mcap::container::{Container, Mark, OpenChunk};
 use super::mcap::records::Compression;
 use super::open_block::{BlockMark, OpenBlock};
 use super::options::{RecorderOptions, RecordingHead};
-use super::tool_channels::{ToolChannels, schemas};
+use super::tool_channels::ToolChannels;
 use super::write_buffer::WriteBuffer;
 use crate::commit::CommitBuffer;
 use crate::spec::RECORDER;
@@ -142,6 +142,7 @@ impl Journal {
         journal.seal_tools();
         let mut buffers = journal.buffers();
         journal.keyframe(&mut buffers, scene).map_err(|error| error.to_string())?;
+        journal.messages_for_tools(&mut buffers, scene);
         journal.flush(permit);
         journal.write_buffer.refusal.take().map_or(Ok(journal), |error| Err(error.to_string()))
     }

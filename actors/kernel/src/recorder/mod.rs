@@ -7,6 +7,7 @@
 //! The recorder is a supervised controller. Data that must survive its restarts is kept in the handover as plain data.
 
 mod block;
+mod block_message;
 mod byte_counts;
 mod columns;
 mod commit_sink;

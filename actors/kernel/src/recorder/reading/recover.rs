@@ -10,13 +10,12 @@ use super::error::RecordingError;
 use super::recording::Recording;
 use crate::recorder::columns::History;
 use crate::recorder::format::{Gap, META, META_END, PROFILE, SCENARIO, SCHEMA, channel};
-use crate::recorder::head::channels;
+use crate::recorder::head::{channels, schemas};
 use crate::recorder::mcap::bytes::Bytes;
 use crate::recorder::mcap::chunk_list::{ChunkPlace, contents};
 use crate::recorder::mcap::container::{Container, OpenChunk};
 use crate::recorder::mcap::records::{Compression, op};
 use crate::recorder::reading::chunk_items::{self, Item, Message, parse_message};
-use crate::recorder::tool_channels::schemas;
 use crate::state_hash::StateHash;
 
 /// What a recovery found.

@@ -1,6 +1,8 @@
-//! `/tf`: poses as frames. Every entity with a pose is one, and so is each jaw of an instrument.
+//! `/tf` and `/tf_static`: poses as frames. Every entity with a pose is one, and so is each jaw of an instrument.
+//!
+//! A frame stands on `/tf_static` until it has moved, and from then on in every message on `/tf`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use serde_json::{Value, json};
@@ -18,6 +20,9 @@ const WORLD: &str = "world";
 const DEPTH_MAX: usize = 64;
 /// Places after the point of a jaw's angle \[rad\]: a smaller change is not told.
 const JAW_PLACES: i32 = 3;
+
+/// Most frames in a message.
+const FRAMES_MAX: usize = 2_000;
 
 /// The frames of the jaws: their sides as [`instrument_from_hinge`] takes them, and the ends of their names.
 pub(super) const JAWS: [(f64, &str); 2] = [(1.0, "jaw_a"), (-1.0, "jaw_b")];
@@ -58,25 +63,31 @@ impl FrameNames {
     }
 }
 
+/// A frame: an entity's own, or that of one of its [`JAWS`].
+type Frame = (Entity, Option<usize>);
+
 /// What has been told of the frames.
 pub(super) struct Transforms {
     cadence: Cadence,
     since: Revision,
-    /// Angles of jaws as they were told, in units of their last place.
-    jaws: BTreeMap<Entity, i64>,
+    is_anew: bool,
+    /// Frames that have not moved, as they were told.
+    resting: BTreeMap<Frame, Value>,
+    /// Frames that have moved since the recording began, or came later.
+    moving: BTreeSet<Frame>,
 }
 
 impl Transforms {
     pub(super) fn new(period: SimTime) -> Self {
-        Self { cadence: Cadence::new(period), since: Revision::ZERO, jaws: BTreeMap::new() }
+        let (resting, moving) = (BTreeMap::new(), BTreeSet::new());
+        Self { cadence: Cadence::new(period), since: Revision::ZERO, is_anew: true, resting, moving }
     }
 
     pub(super) fn begin_anew(&mut self) {
-        self.since = Revision::ZERO;
-        self.jaws.clear();
+        self.is_anew = true;
     }
 
-    /// Tells the frames that have changed.
+    /// Tells the frames that have moved.
     pub(super) fn tell(
         &mut self,
         names: &mut FrameNames,
@@ -88,65 +99,83 @@ impl Transforms {
             return;
         }
         names.forget_absent(scene);
-        let mut transforms = Vec::new();
-        for (entity, pose) in scene.iter_changed::<Pose>(self.since) {
-            let parent = scene.get::<Parent>(entity).map(|parent| parent.0);
-            let parent = names.frame(scene, parent).to_owned();
-            let child = names.name(scene, entity);
-            transforms.push(transform(now, &parent, child, &pose.translation, &pose.rotation));
+        let is_first = self.since == Revision::ZERO;
+        let mut is_told = self.is_anew;
+        let mut resting = BTreeMap::new();
+        for frame in changed(scene, if self.is_anew { Revision::ZERO } else { self.since }) {
+            if self.moving.contains(&frame) {
+                is_told = true;
+                continue;
+            }
+            let Some(place) = place(names, scene, frame) else { continue };
+            if is_first || self.resting.get(&frame) == Some(&place) {
+                resting.insert(frame, place);
+            } else {
+                self.moving.insert(frame);
+                is_told = true;
+            }
         }
-        self.jaws.retain(|entity, _| scene.get::<Instrument>(*entity).is_some());
-        for (entity, jaws) in scene.iter_changed::<JawState>(self.since) {
-            self.tell_jaws(names, scene, now, (entity, jaws.angle), &mut transforms);
+        if self.is_anew {
+            self.resting = resting;
+            self.moving.retain(|frame| place(names, scene, *frame).is_some());
+            let transforms = self.resting.values().take(FRAMES_MAX).map(|place| stamped(place.clone(), now));
+            tell_all(channel::TF_STATIC, transforms, message);
         }
-        // An instrument whose jaws nobody moves has them all the same.
-        for (entity, _) in scene.iter_changed::<Instrument>(self.since) {
-            let angle = scene.get::<JawState>(entity).map_or(0.0, |jaws| jaws.angle);
-            self.tell_jaws(names, scene, now, (entity, angle), &mut transforms);
+        if is_told {
+            let moving = self.moving.iter().take(FRAMES_MAX);
+            let transforms = moving.filter_map(|frame| Some(stamped(place(names, scene, *frame)?, now)));
+            tell_all(channel::TF, transforms, message);
         }
-        if !transforms.is_empty() {
-            message(channel::TF, &json!({"transforms": transforms}));
-        }
-        self.since = scene.revision();
-    }
-
-    /// The frames of the jaws of an instrument whose opening has changed.
-    fn tell_jaws(
-        &mut self,
-        names: &mut FrameNames,
-        scene: &Snapshot,
-        now: SimTime,
-        (entity, angle): (Entity, f64),
-        transforms: &mut Vec<Value>,
-    ) {
-        let Some(instrument) = scene.get::<Instrument>(entity) else { return };
-        let told = (angle * 10_f64.powi(JAW_PLACES)).round() as i64;
-        if !instrument.kind.has_jaws() || self.jaws.insert(entity, told) == Some(told) {
-            return;
-        }
-        let name = names.frame(scene, Some(entity)).to_owned();
-        for (side, jaw) in JAWS {
-            let Isometry3 { translation, rotation } =
-                instrument_from_hinge(instrument.jaw_length, side, rounded(angle, JAW_PLACES));
-            let child = format!("{}/{jaw}", names.name(scene, entity));
-            transforms.push(transform(now, &name, &child, &translation.vector, &rotation));
-        }
+        (self.since, self.is_anew) = (scene.revision(), false);
     }
 }
 
+fn tell_all(channel: u16, transforms: impl Iterator<Item = Value>, message: &mut Message<'_>) {
+    let transforms: Vec<Value> = transforms.collect();
+    if !transforms.is_empty() {
+        message(channel, &json!({"transforms": transforms}));
+    }
+}
+
+/// The frames that something was written to.
+fn changed(scene: &Snapshot, since: Revision) -> BTreeSet<Frame> {
+    let poses = scene.iter_changed::<Pose>(since).map(|(entity, _)| entity);
+    let parents = scene.iter_changed::<Parent>(since).map(|(entity, _)| entity);
+    // An instrument whose jaws nobody moves has them all the same.
+    let jaws = scene.iter_changed::<JawState>(since).map(|(entity, _)| entity);
+    let instruments = scene.iter_changed::<Instrument>(since).map(|(entity, _)| entity);
+    let jaws = jaws.chain(instruments).flat_map(|entity| (0..JAWS.len()).map(move |jaw| (entity, Some(jaw))));
+    poses.chain(parents).map(|entity| (entity, None)).chain(jaws).collect()
+}
+
+/// Where a frame lies, without the time; `None` when there is no such frame.
+fn place(names: &mut FrameNames, scene: &Snapshot, (entity, jaw): Frame) -> Option<Value> {
+    let Some(jaw) = jaw else {
+        let pose = scene.get::<Pose>(entity)?;
+        let parent = scene.get::<Parent>(entity).map(|parent| parent.0);
+        let parent = names.frame(scene, parent).to_owned();
+        return Some(transform(&parent, names.name(scene, entity), &pose.translation, &pose.rotation));
+    };
+    let instrument = scene.get::<Instrument>(entity).filter(|instrument| instrument.kind.has_jaws())?;
+    let angle = scene.get::<JawState>(entity).map_or(0.0, |jaws| rounded(jaws.angle, JAW_PLACES));
+    let (side, name) = JAWS[jaw];
+    let Isometry3 { translation, rotation } = instrument_from_hinge(instrument.jaw_length, side, angle);
+    let parent = names.frame(scene, Some(entity)).to_owned();
+    let child = format!("{}/{name}", names.name(scene, entity));
+    Some(transform(&parent, &child, &translation.vector, &rotation))
+}
+
 /// `parent_from_child`.
-fn transform(
-    now: SimTime,
-    parent: &str,
-    child: &str,
-    translation: &Vector3<f64>,
-    rotation: &UnitQuaternion<f64>,
-) -> Value {
+fn transform(parent: &str, child: &str, translation: &Vector3<f64>, rotation: &UnitQuaternion<f64>) -> Value {
     json!({
-        "timestamp": stamp(now),
         "parent_frame_id": parent,
         "child_frame_id": child,
         "translation": vector(translation, POSE),
         "rotation": quaternion(rotation.quaternion(), POSE)
     })
+}
+
+fn stamped(mut transform: Value, now: SimTime) -> Value {
+    transform["timestamp"] = stamp(now);
+    transform
 }

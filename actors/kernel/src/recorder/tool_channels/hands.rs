@@ -4,9 +4,9 @@ use serde_json::json;
 use trocar_scene::{DeviceForce, DeviceState, Hand, JawState, Side, SimTime, Snapshot};
 
 use super::super::format::channel;
-use super::Message;
 use super::cadence::Cadence;
 use super::numbers::{FORCE, rounded, vector};
+use super::{Message, without_nulls};
 
 /// From one message of a hand to the next.
 const PERIOD: SimTime = SimTime(33_333_333);
@@ -49,7 +49,7 @@ impl Hands {
                 "buttons": device.buttons,
                 "connected": device.connected
             });
-            message(number, &told);
+            message(number, &without_nulls(told));
         }
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! | topic | schema | when |
 //! |---|---|---|
-//! | `/tf` | `foxglove.FrameTransforms` | 30 Hz, poses that have changed |
+//! | `/tf` | `foxglove.FrameTransforms` | 30 Hz while something moves: every frame that has moved so far |
+//! | `/tf_static` | `foxglove.FrameTransforms` | with each keyframe: every frame that has not moved so far |
 //! | `/events` | `trocar.Event` | as they happen |
 //! | `/hands/left`, `/hands/right` | `trocar.Hand` | 30 Hz |
 //! | `/task` | `trocar.Task` | on change, 10 Hz at most; what is judged at once |
@@ -12,7 +13,7 @@
 //! | `/scene/deforming` | `foxglove.SceneUpdate` | bodies that change their form: on change, once a second at most |
 //!
 //! No replay depends on them. A viewer that is led to a time reads the last message of each topic before it: so every
-//! message on `/scene` and `/scene/deforming` shows all bodies of its kind, and neither adds to the one before.
+//! message on a topic with frames or bodies shows all of its kind, and none adds to the one before.
 
 mod cadence;
 mod coarse;
@@ -40,12 +41,20 @@ use scene::Bodies;
 use task::Tasks;
 
 use super::format::{
-    EVENTS, HAND_LEFT, HAND_RIGHT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF, channel,
+    EVENTS, HAND_LEFT, HAND_RIGHT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF, TF_STATIC, channel,
 };
 use super::mcap::records::{Channel, Schema};
 
 /// Takes a message of a channel.
 pub(super) type Message<'a> = dyn FnMut(u16, &Value) + 'a;
+
+/// A message without the fields that have no value.
+fn without_nulls(mut message: Value) -> Value {
+    if let Value::Object(fields) = &mut message {
+        fields.retain(|_, value| !value.is_null());
+    }
+    message
+}
 
 /// A schema and the channels whose messages keep to it.
 struct Form {
@@ -58,7 +67,12 @@ struct Form {
 }
 
 const FORMS: [Form; 7] = [
-    Form { id: 1, name: schemas::TRANSFORMS, schema: schemas::transforms, channels: &[(channel::TF, TF)] },
+    Form {
+        id: 1,
+        name: schemas::TRANSFORMS,
+        schema: schemas::transforms,
+        channels: &[(channel::TF, TF), (channel::TF_STATIC, TF_STATIC)],
+    },
     Form { id: 2, name: schemas::EVENT, schema: schemas::event, channels: &[(channel::EVENTS, EVENTS)] },
     Form {
         id: 3,
@@ -154,7 +168,7 @@ impl ToolChannels {
         message: &mut Message<'_>,
     ) {
         for (_, event) in scene.events().since(self.event_cursor) {
-            message(channel::EVENTS, &events::event(scene, event));
+            message(channel::EVENTS, &without_nulls(events::event(scene, event)));
         }
         self.event_cursor = scene.events().next();
         self.transforms.tell(&mut cache.names, scene, now, message);

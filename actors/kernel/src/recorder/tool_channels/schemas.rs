@@ -1,4 +1,5 @@
-//! JSON schemas of the messages. Those of well-known types have the fields that their users look for.
+//! JSON schemas of the messages. Those of well-known types have the fields that their users look for. Each field has one
+//! type: a field without a value is left out, since viewers know no null.
 
 use serde_json::{Value, json};
 
@@ -12,12 +13,18 @@ pub(super) const MEASURED: &str = "trocar.Measured";
 
 /// An object of which every field is there.
 fn object(title: &str, fields: &[(&str, Value)]) -> Value {
+    object_with(title, fields, &[])
+}
+
+/// An object of which every field is there but for some that have no value at times.
+fn object_with(title: &str, fields: &[(&str, Value)], optional: &[&str]) -> Value {
+    let required = fields.iter().map(|(name, _)| *name).filter(|name| !optional.contains(name));
     let properties = fields.iter().map(|(name, field)| ((*name).to_owned(), field.clone()));
     json!({
         "title": title,
         "type": "object",
         "properties": Value::Object(properties.collect()),
-        "required": fields.iter().map(|(name, _)| *name).collect::<Vec<_>>()
+        "required": required.collect::<Vec<_>>()
     })
 }
 
@@ -39,8 +46,10 @@ fn number(text: &str) -> Value {
     json!({"type": "number", "description": text})
 }
 
-fn number_or_null(text: &str) -> Value {
-    json!({"type": ["number", "null"], "description": text})
+/// One of some whole numbers, each with its name.
+fn choice(title: &str, names: &[&str]) -> Value {
+    let one = |(number, name): (usize, &&str)| json!({"title": name, "const": number});
+    json!({"title": title, "oneOf": names.iter().enumerate().map(one).collect::<Vec<_>>()})
 }
 
 fn whole(text: &str) -> Value {
@@ -98,26 +107,27 @@ pub(super) fn transforms() -> Value {
         ],
     );
     described(
-        "Poses as frames: lengths in metres, rotations as unit quaternions. Those that have changed.",
+        "Poses as frames: lengths in metres, rotations as unit quaternions.",
         object(TRANSFORMS, &[("transforms", list(transform))]),
     )
 }
 
 pub(super) fn event() -> Value {
-    object(
+    object_with(
         EVENT,
         &[
             ("name", text()),
             ("subject", text()),
-            ("object", json!({"type": ["string", "null"]})),
+            ("object", described("what else it concerns, if anything", text())),
             ("value", number("a number that belongs to the event")),
             ("at_secs", number("when [s]")),
         ],
+        &["object"],
     )
 }
 
 pub(super) fn hand() -> Value {
-    object(
+    object_with(
         HAND,
         &[
             ("hand", text()),
@@ -128,10 +138,11 @@ pub(super) fn hand() -> Value {
             ("commanded", described("force that was commanded, in the device's axes [N]", vector())),
             ("commanded_norm", number("its magnitude [N]")),
             ("gripper", number("opening of the device's gripper [rad]")),
-            ("jaw", number_or_null("full opening of the instrument's jaws [rad]")),
+            ("jaw", number("full opening of the instrument's jaws, if it has any [rad]")),
             ("buttons", whole("one bit per button")),
             ("connected", yes_or_no()),
         ],
+        &["jaw"],
     )
 }
 
@@ -141,7 +152,7 @@ pub(super) fn task() -> Value {
         "additionalProperties": quantities("name and value"),
         "description": "at the end: of each hand, or of the outcome"
     });
-    object(
+    object_with(
         TASK,
         &[
             ("exercise", text()),
@@ -150,29 +161,31 @@ pub(super) fn task() -> Value {
             ("done", whole("steps that are done")),
             ("steps", whole("steps in all")),
             ("seconds", number("on the exercise's own clock [s]")),
-            ("score", number_or_null("0 to 100, at the end; not clinically validated")),
+            ("score", number("0 to 100, once the exercise is over; not clinically validated")),
             ("score_kind", text()),
             ("errors", whole("errors so far")),
-            ("last_error", json!({"type": ["string", "null"]})),
+            ("last_error", described("the kind of the last error, if any", text())),
             ("over", yes_or_no()),
             ("completed", yes_or_no()),
             ("cut_off", yes_or_no()),
             ("metrics", metrics),
         ],
+        &["score", "last_error"],
     )
 }
 
 pub(super) fn phase() -> Value {
-    object(
+    object_with(
         PHASE,
         &[
             ("exercise", text()),
             ("task", text()),
             ("phase", described("the phase that begins", text())),
-            ("before", json!({"type": ["string", "null"], "description": "the phase that ends"})),
+            ("before", described("the phase that ends, if there was one", text())),
             ("done", whole("steps that are done")),
             ("seconds", number("on the exercise's own clock [s]")),
         ],
+        &["before"],
     )
 }
 
@@ -206,7 +219,7 @@ pub(super) fn scene() -> Value {
         ]
     };
     let line = [
-        ("type", described("0 a strip, 1 a loop, 2 pairs of points", json!({"enum": [0, 1, 2]}))),
+        ("type", choice("foxglove.LineType", &["LINE_STRIP", "LINE_LOOP", "LINE_LIST"])),
         ("thickness", number("[m]")),
         ("scale_invariant", yes_or_no()),
     ];
@@ -233,7 +246,7 @@ pub(super) fn scene() -> Value {
             ("models", none("foxglove.ModelPrimitive")),
         ],
     );
-    let kind = described("0 the entity of that id, 1 all", json!({"enum": [0, 1]}));
+    let kind = choice("foxglove.SceneEntityDeletionType", &["MATCHING_ID", "ALL"]);
     let deletion = object(
         "foxglove.SceneEntityDeletion",
         &[("timestamp", seconds("time")), ("type", kind), ("id", text())],

@@ -6,9 +6,9 @@ use serde_json::{Value, json};
 use trocar_scene::{Entity, Revision, SimTime, Snapshot, TaskState};
 
 use super::super::format::channel;
-use super::Message;
 use super::cadence::Cadence;
 use super::numbers::{FORCE, rounded, significant};
+use super::{Message, without_nulls};
 
 /// From one message to the next, where nothing but the clock has changed.
 const PERIOD: SimTime = SimTime::from_millis(100);
@@ -89,14 +89,14 @@ impl Tasks {
 }
 
 fn phase(scene: &Snapshot, entity: Entity, task: &TaskState, before: Option<&str>) -> Value {
-    json!({
+    without_nulls(json!({
         "exercise": scene.name(entity),
         "task": task.task,
         "phase": task.phase,
         "before": before,
         "done": task.done,
         "seconds": rounded(task.seconds, FORCE)
-    })
+    }))
 }
 
 fn state(scene: &Snapshot, entity: Entity, task: &TaskState) -> Value {
@@ -106,7 +106,7 @@ fn state(scene: &Snapshot, entity: Entity, task: &TaskState) -> Value {
             metrics.iter().map(|(name, value)| (name, significant(*value))).collect();
         (hand, metrics)
     });
-    json!({
+    without_nulls(json!({
         "exercise": scene.name(entity),
         "task": task.task,
         "phase": task.phase,
@@ -122,5 +122,5 @@ fn state(scene: &Snapshot, entity: Entity, task: &TaskState) -> Value {
         "completed": task.completed,
         "cut_off": task.cut_off,
         "metrics": metrics.collect::<BTreeMap<_, _>>()
-    })
+    }))
 }

@@ -11,7 +11,7 @@ use trocar_scene::{
     VertexPositions, VisualMaterial,
 };
 
-use super::super::format::{HAND_LEFT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF};
+use super::super::format::{HAND_LEFT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF, TF_STATIC};
 use super::{FORMS, Form, ToolCache, ToolChannels, channels};
 
 const fn entity(number: u32) -> Entity {
@@ -171,6 +171,27 @@ fn every_message_keeps_to_the_schema_of_its_topic() {
     }
 }
 
+/// Viewers read less than JSON Schema: each field has one type, and a choice has numbers with names.
+#[test]
+fn schemas_are_of_the_kind_that_viewers_read() {
+    fn check(schema: &Value, at: &str) {
+        match (schema.get("type"), schema.get("oneOf").and_then(Value::as_array)) {
+            (Some(Value::String(_)), None) => {}
+            (None, Some(choices)) => {
+                assert!(choices.iter().all(|one| one["const"].is_u64() && one["title"].is_string()), "{at}");
+            }
+            _ => panic!("{at}: {schema}"),
+        }
+        for (name, field) in schema.get("properties").and_then(Value::as_object).into_iter().flatten() {
+            check(field, &format!("{at}.{name}"));
+        }
+        for part in ["items", "additionalProperties"].iter().filter_map(|part| schema.get(part)) {
+            check(part, &format!("{at}[]"));
+        }
+    }
+    FORMS.iter().for_each(|form| check(&(form.schema)(), form.name));
+}
+
 #[test]
 fn well_known_types_have_the_fields_that_viewers_look_for() {
     let fields = |schema: &Value| {
@@ -217,15 +238,16 @@ fn every_frame_has_a_name_of_its_own_and_a_parent_that_is_a_frame() {
         out.put(ROD, Pose::at(0.123_456_789, -1e-9, 0.0));
     });
     let messages = told.after(10, |_| {});
-    let transforms = of(&messages, TF)[0]["transforms"].as_array().expect("a list").clone();
+    assert!(of(&messages, TF).is_empty(), "nothing has moved");
+    let transforms = of(&messages, TF_STATIC)[0]["transforms"].as_array().expect("a list").clone();
     let name = |of: &Value, which: &str| of[which].as_str().expect("a name").to_owned();
     let children: Vec<String> = transforms.iter().map(|one| name(one, "child_frame_id")).collect();
     let wanted =
-        ["grasper", "board", "world (0:0:6)", "grasper (0:0:7)", "0:0:8", "grasper/jaw_a", "grasper/jaw_b"];
+        ["grasper", "grasper/jaw_a", "grasper/jaw_b", "board", "world (0:0:6)", "grasper (0:0:7)", "0:0:8"];
     assert_eq!(children, wanted);
     let parents: Vec<String> = transforms.iter().map(|one| name(one, "parent_frame_id")).collect();
-    assert_eq!(parents, ["world", "world", "board", "world", "world", "grasper", "grasper"]);
-    assert_eq!(transforms[4]["translation"], json!({"x": 0.123457, "y": 0.0, "z": 0.0}));
+    assert_eq!(parents, ["world", "grasper", "grasper", "world", "board", "world", "world"]);
+    assert_eq!(transforms[6]["translation"], json!({"x": 0.123457, "y": 0.0, "z": 0.0}));
     // Everything that is to be seen lies in one of them.
     let frames: BTreeSet<String> = children.into_iter().chain(["world".to_owned()]).collect();
     for message in of(&messages, SCENE) {
@@ -233,10 +255,43 @@ fn every_frame_has_a_name_of_its_own_and_a_parent_that_is_a_frame() {
             assert!(frames.contains(&name(entity, "frame_id")), "{}", entity["frame_id"]);
         }
     }
-    // Jaws that hardly move are not told again.
+}
+
+#[test]
+fn a_frame_rests_until_it_has_moved_and_each_message_has_all_of_its_kind() {
+    let mut told = Told::new(fill);
+    let children = |messages: &Messages, topic: &str| {
+        let told = of(messages, topic);
+        assert!(told.len() <= 1, "{told:?}");
+        let list = told
+            .first()
+            .map_or(Vec::new(), |message| message["transforms"].as_array().expect("a list").clone());
+        list.iter().map(|one| one["child_frame_id"].as_str().expect("a name").to_owned()).collect::<Vec<_>>()
+    };
+    let all = ["grasper", "grasper/jaw_a", "grasper/jaw_b", "board"];
+    assert_eq!(children(&told.after(10, |_| {}), TF_STATIC), all);
+    // Jaws that hardly move, and a pose that is put again as it is, rest.
     let jaw = |angle| JawState { angle, ..JawState::default() };
-    assert!(of(&told.after(40, |out| out.put(INSTRUMENT, jaw(0.500_1))), TF).is_empty());
-    assert_eq!(of(&told.after(40, |out| out.put(INSTRUMENT, jaw(0.51))), TF).len(), 1);
+    let still = told.after(40, |out| {
+        out.put(INSTRUMENT, jaw(0.500_1));
+        out.put(BOARD, Pose::at(0.0, 0.0, 0.0));
+    });
+    assert!(children(&still, TF).is_empty() && children(&still, TF_STATIC).is_empty());
+    assert_eq!(children(&told.after(40, |out| out.put(INSTRUMENT, jaw(0.51))), TF), all[1..3]);
+    // What has moved is told with everything that moves; what comes later moves.
+    let moved = told.after(40, |out| {
+        out.put(INSTRUMENT, Pose::at(0.0, 0.0, 0.3));
+        out.put(BALL, Pose::at(0.0, 0.0, 0.1));
+    });
+    assert_eq!(children(&moved, TF), ["grasper", "grasper/jaw_a", "grasper/jaw_b", "ball"]);
+    // Where a reader may begin both are told, and what is gone no longer.
+    told.channels.begin_anew();
+    let anew = told.after(40, |out| out.despawn(BALL));
+    assert_eq!(
+        (children(&anew, TF_STATIC), children(&anew, TF)),
+        (vec!["board".to_owned()], all[..3].iter().map(|name| (*name).to_owned()).collect())
+    );
+    assert!(children(&told.after(40, |_| {}), TF).is_empty(), "nothing has moved");
 }
 
 #[test]
@@ -318,7 +373,7 @@ fn what_is_judged_is_told_at_once_and_the_clock_ten_times_a_second() {
         (&of(&next, PHASES)[0]["phase"], &of(&next, PHASES)[0]["before"]),
         (&json!("lift"), &json!("reach"))
     );
-    assert_eq!(of(&next, TASK)[0]["score"], Value::Null);
+    assert_eq!(of(&next, TASK)[0].get("score"), None, "what has no value is left out");
     let error = TaskError { kind: "drop_in_view".into(), at_secs: 1.0, entity: None };
     let end = TaskState {
         over: true,
