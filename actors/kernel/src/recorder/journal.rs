@@ -266,6 +266,7 @@ impl Journal {
     ) -> Result<(), ComponentError> {
         for (commit, sections) in commits.with_sections() {
             self.counts.add(&commit, &sections);
+            self.told.met(commit.provenance.writer, commit.writer);
             let mut payload = std::mem::take(&mut buffers.payload);
             let kept = buffers.keeper.keep(&commit, &sections, &mut payload);
             if let Ok(Some(kept)) = &kept {

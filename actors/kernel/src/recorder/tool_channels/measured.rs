@@ -9,6 +9,7 @@ use super::super::format::channel;
 use super::Message;
 use super::cadence::Cadence;
 use super::numbers::significant;
+use super::writers::WriterNames;
 
 /// Least time from one message of a controller to the next.
 const PERIOD: SimTime = SimTime::from_millis(200);
@@ -31,23 +32,29 @@ impl Measurements {
     }
 
     /// Tells what has changed.
-    pub(super) fn tell(&mut self, scene: &Snapshot, now: SimTime, message: &mut Message<'_>) {
+    pub(super) fn tell(
+        &mut self,
+        scene: &Snapshot,
+        writers: &WriterNames,
+        now: SimTime,
+        message: &mut Message<'_>,
+    ) {
         if self.cadence.is_due(now) {
-            self.tell_changed(scene, message);
+            self.tell_changed(scene, writers, message);
         }
     }
 
     /// Tells everything.
-    pub(super) fn tell_all(&mut self, scene: &Snapshot, message: &mut Message<'_>) {
+    pub(super) fn tell_all(&mut self, scene: &Snapshot, writers: &WriterNames, message: &mut Message<'_>) {
         self.begin_anew();
-        self.tell_changed(scene, message);
+        self.tell_changed(scene, writers, message);
     }
 
-    fn tell_changed(&mut self, scene: &Snapshot, message: &mut Message<'_>) {
+    fn tell_changed(&mut self, scene: &Snapshot, writers: &WriterNames, message: &mut Message<'_>) {
         for (entity, measured) in scene.iter_changed::<Measured>(self.since) {
             let values = measured.values.iter().map(|(name, value)| (name, significant(*value)));
             let values: BTreeMap<_, _> = values.collect();
-            message(channel::MEASURED, &json!({"controller": scene.name(entity), "values": values}));
+            message(channel::MEASURED, &json!({"controller": writers.name(scene, entity), "values": values}));
         }
         self.since = scene.revision();
     }

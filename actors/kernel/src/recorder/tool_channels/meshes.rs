@@ -7,6 +7,7 @@ use trocar_scene::mesh::TetData;
 use trocar_scene::{Entity, LineMesh, Revision, Snapshot, SurfaceMesh, TetMesh, VertexPositions};
 
 use super::coarse::{Coarse, coarsen};
+use super::decimate::decimate;
 
 /// Bodies with more vertices are left out: the recorder has no time for them.
 const VERTICES_MAX: usize = 200_000;
@@ -72,11 +73,12 @@ fn made(scene: &Snapshot, entity: Entity, count: usize, most: usize) -> Option<C
     if let Some(line) = scene.get::<LineMesh>(entity) {
         return Some(CoarseMesh::Line(Arc::new(coarsen(&line.segments, count, most)), line.radius));
     }
+    let positions = &scene.get::<VertexPositions>(entity)?.positions;
     let coarse = match (scene.get::<SurfaceMesh>(entity), scene.get::<TetMesh>(entity)) {
-        (Some(mesh), _) => coarsen(&mesh.triangles, count, most),
+        (Some(mesh), _) => decimate(&mesh.triangles, positions, most),
         (None, Some(volume)) => {
             let tets = volume.tets.to_vec();
-            coarsen(&TetData { tets, ..TetData::default() }.boundary_triangles(), count, most)
+            decimate(&TetData { tets, ..TetData::default() }.boundary_triangles(), positions, most)
         }
         (None, None) => return None,
     };

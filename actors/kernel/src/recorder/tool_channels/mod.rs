@@ -17,6 +17,7 @@
 
 mod cadence;
 mod coarse;
+mod decimate;
 mod drawing;
 mod events;
 mod frames;
@@ -29,9 +30,10 @@ mod schemas;
 mod task;
 #[cfg(test)]
 mod tests;
+mod writers;
 
 use serde_json::Value;
-use trocar_scene::{SimTime, Snapshot};
+use trocar_scene::{SimTime, Snapshot, WriterId};
 
 use frames::{FrameNames, Transforms};
 use hands::Hands;
@@ -39,6 +41,7 @@ use measured::Measurements;
 use meshes::Meshes;
 use scene::Bodies;
 use task::Tasks;
+use writers::WriterNames;
 
 use super::format::{
     EVENTS, HAND_LEFT, HAND_RIGHT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF, TF_STATIC, channel,
@@ -119,6 +122,7 @@ pub(super) fn channels() -> impl Iterator<Item = Channel> {
 /// What has been told, and when the next of each is due: plain data, which survives a restart of the recorder.
 pub(super) struct ToolChannels {
     event_cursor: u64,
+    writers: WriterNames,
     transforms: Transforms,
     hands: Hands,
     tasks: Tasks,
@@ -138,12 +142,18 @@ impl ToolChannels {
     pub(super) fn new(scene: &Snapshot, tf_period: SimTime) -> Self {
         Self {
             event_cursor: scene.events().next(),
+            writers: WriterNames::default(),
             transforms: Transforms::new(tf_period),
             hands: Hands::default(),
             tasks: Tasks::default(),
             measured: Measurements::default(),
             bodies: Bodies::new(scene.revision()),
         }
+    }
+
+    /// A commit of this writer is recorded.
+    pub(super) fn met(&mut self, writer: WriterId, name: &str) {
+        self.writers.met(writer, name);
     }
 
     /// A reader may begin here: everything that it needs is told again.
@@ -168,19 +178,19 @@ impl ToolChannels {
         message: &mut Message<'_>,
     ) {
         for (_, event) in scene.events().since(self.event_cursor) {
-            message(channel::EVENTS, &without_nulls(events::event(scene, event)));
+            message(channel::EVENTS, &without_nulls(events::event(scene, &self.writers, event)));
         }
         self.event_cursor = scene.events().next();
         self.transforms.tell(&mut cache.names, scene, now, message);
         self.hands.tell(scene, now, message);
-        self.tasks.tell(scene, now, message);
-        self.measured.tell(scene, now, message);
+        self.tasks.tell(scene, &self.writers, now, message);
+        self.measured.tell(scene, &self.writers, now, message);
         self.bodies.tell(cache, scene, now, message);
     }
 
     /// Tells how the session ended, whatever is due.
     pub(super) fn end(&mut self, scene: &Snapshot, message: &mut Message<'_>) {
-        self.tasks.tell_all(scene, message);
-        self.measured.tell_all(scene, message);
+        self.tasks.tell_all(scene, &self.writers, message);
+        self.measured.tell_all(scene, &self.writers, message);
     }
 }

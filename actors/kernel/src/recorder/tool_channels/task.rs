@@ -8,6 +8,7 @@ use trocar_scene::{Entity, Revision, SimTime, Snapshot, TaskState};
 use super::super::format::channel;
 use super::cadence::Cadence;
 use super::numbers::{FORCE, rounded, significant};
+use super::writers::WriterNames;
 use super::{Message, without_nulls};
 
 /// From one message to the next, where nothing but the clock has changed.
@@ -56,7 +57,13 @@ impl Tasks {
     }
 
     /// Tells what has changed.
-    pub(super) fn tell(&mut self, scene: &Snapshot, now: SimTime, message: &mut Message<'_>) {
+    pub(super) fn tell(
+        &mut self,
+        scene: &Snapshot,
+        writers: &WriterNames,
+        now: SimTime,
+        message: &mut Message<'_>,
+    ) {
         let is_due = self.cadence.is_due(now);
         // The entity of a writer is in no list of entities: what counts is the row.
         self.judged.retain(|entity, _| scene.get::<TaskState>(*entity).is_some());
@@ -66,10 +73,13 @@ impl Tasks {
             let is_newer = scene.changed::<TaskState>(entity).is_some_and(|revision| revision > self.since);
             let is_judged = before != Some(&judged);
             if before.is_none_or(|before| before.phase != judged.phase) {
-                message(channel::PHASES, &phase(scene, entity, task, before.map(|before| &*before.phase)));
+                message(
+                    channel::PHASES,
+                    &phase(writers.name(scene, entity), task, before.map(|before| &*before.phase)),
+                );
             }
             if is_judged || (is_due && is_newer) {
-                message(channel::TASK, &state(scene, entity, task));
+                message(channel::TASK, &state(writers.name(scene, entity), task));
             }
             if is_judged {
                 self.judged.insert(entity, judged);
@@ -81,16 +91,16 @@ impl Tasks {
     }
 
     /// Tells everything.
-    pub(super) fn tell_all(&mut self, scene: &Snapshot, message: &mut Message<'_>) {
+    pub(super) fn tell_all(&mut self, scene: &Snapshot, writers: &WriterNames, message: &mut Message<'_>) {
         for (entity, task) in scene.iter::<TaskState>() {
-            message(channel::TASK, &state(scene, entity, task));
+            message(channel::TASK, &state(writers.name(scene, entity), task));
         }
     }
 }
 
-fn phase(scene: &Snapshot, entity: Entity, task: &TaskState, before: Option<&str>) -> Value {
+fn phase(exercise: String, task: &TaskState, before: Option<&str>) -> Value {
     without_nulls(json!({
-        "exercise": scene.name(entity),
+        "exercise": exercise,
         "task": task.task,
         "phase": task.phase,
         "before": before,
@@ -99,7 +109,7 @@ fn phase(scene: &Snapshot, entity: Entity, task: &TaskState, before: Option<&str
     }))
 }
 
-fn state(scene: &Snapshot, entity: Entity, task: &TaskState) -> Value {
+fn state(exercise: String, task: &TaskState) -> Value {
     // Metrics are many, and final only at the end.
     let metrics = task.metrics.iter().filter(|_| task.over).map(|(hand, metrics)| {
         let metrics: BTreeMap<_, _> =
@@ -107,7 +117,7 @@ fn state(scene: &Snapshot, entity: Entity, task: &TaskState) -> Value {
         (hand, metrics)
     });
     without_nulls(json!({
-        "exercise": scene.name(entity),
+        "exercise": exercise,
         "task": task.task,
         "phase": task.phase,
         "done": task.done,

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use trocar_scene::{
     Commands, DeviceForce, DeviceState, Entity, EntityAllocator, Hand, Instrument, JawState, LineMesh,
     Measured, Name, Parent, Pose, Registry, Shape, Side, SimTime, Store, SurfaceMesh, TaskError, TaskState,
-    VertexPositions, VisualMaterial,
+    VertexPositions, VisualMaterial, WriterId,
 };
 
 use super::super::format::{HAND_LEFT, MEASURED, PHASES, SCENE, SCENE_DEFORMING, TASK, TF, TF_STATIC};
@@ -356,8 +356,13 @@ fn forces_are_told_with_their_magnitudes() {
 #[test]
 fn what_is_judged_is_told_at_once_and_the_clock_ten_times_a_second() {
     let mut told = Told::new(fill);
+    told.channels.met(WriterId(3), "judge");
     let first = told.after(10, |_| {});
-    assert_eq!(of(&first, PHASES)[0]["phase"], "reach");
+    assert_eq!(
+        (&of(&first, PHASES)[0]["phase"], &of(&first, PHASES)[0]["exercise"]),
+        (&json!("reach"), &json!("judge"))
+    );
+    assert_eq!(of(&first, MEASURED)[0]["controller"], "judge");
     assert_eq!(of(&first, MEASURED)[0]["values"], json!({"cut_area_m2": 1.23457e-4}));
     let at = |phase: &str, seconds| TaskState { seconds, ..task(phase) };
     let ticks: usize = (1..100)

@@ -1,12 +1,12 @@
 //! Everything that a recording holds, in order, as it is stored: each value with the time of the batch that wrote it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use serde_json::Value;
 use trocar_kernel::recorder::{Item, Recording};
 use trocar_scene::{
-    Commands, ComponentId, Entity, EntityAllocator, Event, Registry, SimTime, Snapshot, Store,
+    Commands, ComponentId, Entity, EntityAllocator, Event, Registry, SimTime, Snapshot, Store, WriterId,
 };
 
 use crate::failure::Failure;
@@ -78,6 +78,7 @@ pub fn walk(
         time: SimTime::ZERO,
         damage: Vec::new(),
     };
+    let station = recording.metadata().station;
     let mut fresh = true;
     for item in recording.items() {
         match item.map_err(Failure::invalid)? {
@@ -109,6 +110,7 @@ pub fn walk(
             Item::Commits(group) => {
                 for commit in group.commits() {
                     let time = commit.provenance.time;
+                    walk.names.met(station, commit.provenance.writer, commit.writer, walk.store.view());
                     if let Err(what) = walk.decode(commit.payload) {
                         fresh = true;
                         walk.damaged(
@@ -212,9 +214,19 @@ impl Walk<'_> {
 #[derive(Default)]
 struct Names {
     names: BTreeMap<Entity, String>,
+    writers: BTreeSet<Entity>,
 }
 
 impl Names {
+    /// The entity of a writer has the writer's name.
+    fn met(&mut self, station: u16, writer: WriterId, name: &str, scene: &Snapshot) {
+        let entity = Entity::of_writer(station, writer.0);
+        if self.writers.insert(entity) {
+            let is_taken = scene.find(name).is_some();
+            self.names.insert(entity, if is_taken { format!("{name} ({entity})") } else { name.to_owned() });
+        }
+    }
+
     fn of(&mut self, scene: &Snapshot, entity: Entity) -> String {
         let name = self.names.entry(entity).or_insert_with(|| {
             let name = scene.name(entity);
