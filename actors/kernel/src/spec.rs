@@ -286,6 +286,8 @@ pub enum FaultKind {
     Corrupt,
     /// No message passes.
     Partition,
+    /// So many bytes per second pass; the others wait in a queue.
+    RateLimit,
     /// The handle's ring takes no batch.
     QueueFull,
     /// Numbers in the batches become NaN.
@@ -298,7 +300,7 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// All of them, in the order of the design.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Kill,
         Self::Stall,
         Self::Slow,
@@ -309,6 +311,7 @@ impl FaultKind {
         Self::Reorder,
         Self::Corrupt,
         Self::Partition,
+        Self::RateLimit,
         Self::QueueFull,
         Self::Nan,
         Self::DiskFull,
@@ -327,6 +330,7 @@ impl FaultKind {
             Self::Reorder => "reorder",
             Self::Corrupt => "corrupt",
             Self::Partition => "partition",
+            Self::RateLimit => "rate_limit",
             Self::QueueFull => "queue_full",
             Self::Nan => "nan",
             Self::DiskFull => "disk_full",
@@ -336,7 +340,10 @@ impl FaultKind {
     /// Whether it affects messages in flight.
     pub const fn is_of_link(self) -> bool {
         use FaultKind as K;
-        matches!(self, K::Drop | K::Delay | K::Duplicate | K::Reorder | K::Corrupt | K::Partition)
+        matches!(
+            self,
+            K::Drop | K::Delay | K::Duplicate | K::Reorder | K::Corrupt | K::Partition | K::RateLimit
+        )
     }
     /// Whether it affects the recorder's disk rather than the recorder.
     pub const fn is_of_disk(self) -> bool {
@@ -365,13 +372,22 @@ pub struct FaultOrder {
     pub kind: FaultKind,
     /// `true` when it begins (or strikes once), `false` when it heals.
     pub begins: bool,
-    /// Length of a stall, extra time per step of `slow`, extra latency of `delay`; ignored by the others.
+    /// Length of a stall, extra time per step of `slow`, extra latency of `delay`, longest wait in the queue of
+    /// `rate_limit`; ignored by the others.
     pub span: SimTime,
     /// Variation of the extra latency of `delay`, ±.
     pub jitter: SimTime,
+    /// Whether the messages of `delay` overtake each other when a later one has the shorter delay.
+    pub independent: bool,
+    /// Extra latencies of `delay`, one after the other, each for [`Self::every`], over and over again.
+    pub delays: Vec<SimTime>,
+    /// How long each of the delays holds.
+    pub every: SimTime,
+    /// Mean number of messages in a row that `drop` loses; 0: each by itself.
+    pub burst: f64,
     /// Probability per message or batch, 0 to 1, for the kinds that affect a share of them.
     pub probability: f64,
-    /// Write rate of a slow disk [bytes/s]; ignored by the others.
+    /// Write rate of a slow disk, rate of a limited link [bytes/s]; ignored by the others.
     pub bytes_per_sec: f64,
     /// Seed of this fault's own randomness.
     pub seed: u64,

@@ -67,6 +67,7 @@ pub fn random_plan(scenario: &Scenario, seed: u64) -> FaultPlan {
             FaultKind::Corrupt => at.corrupt(target, share),
             FaultKind::Delay => at.jitter(target, secs(0.1 * share), secs(0.05 * share)),
             FaultKind::DiskSlow => at.disk_slow(1e5 * share),
+            FaultKind::RateLimit => at.rate_limit(target, 1e5 * share, secs(0.1 * share)),
             kind => at.fault(kind, target),
         };
     }
@@ -208,6 +209,7 @@ mod tests {
             FaultKind::Reorder,
             FaultKind::Corrupt,
             FaultKind::Partition,
+            FaultKind::RateLimit,
             FaultKind::QueueFull,
             FaultKind::Nan,
             FaultKind::DiskFull,

@@ -33,6 +33,10 @@ fn read_back(batch: &Batch, bytes: &[u8], mut empty: Commands) -> Option<Box<Bat
 }
 
 impl Message for BatchInFlight {
+    fn bytes(&self) -> usize {
+        encoded(&self.batch).map_or(0, |bytes| bytes.len())
+    }
+
     fn duplicate(&self) -> Option<Self> {
         // Its buffers return to the writer, which allocates entities from them.
         let batch = second_of(&self.batch, self.batch.commands.another())?;

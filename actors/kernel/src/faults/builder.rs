@@ -81,6 +81,28 @@ impl FaultAt {
     pub fn drop(self, target: &str, probability: f64) -> FaultPlan {
         self.having(FaultKind::Drop, target, |fault| fault.probability = probability)
     }
+    /// Loses the share `probability` (0 to 1) of the target's messages, `messages` of them in a row on average.
+    pub fn bursts(self, target: &str, probability: f64, messages: f64) -> FaultPlan {
+        self.having(FaultKind::Drop, target, |fault| {
+            (fault.probability, fault.burst) = (probability, messages);
+        })
+    }
+    /// Delays each of the target's messages by itself, by `delay` ± `jitter`, so that they overtake each other.
+    pub fn scatter(self, target: &str, delay: SimTime, jitter: SimTime) -> FaultPlan {
+        self.having(FaultKind::Delay, target, |fault| {
+            (fault.delay, fault.jitter, fault.independent) = (delay, jitter.min(delay), true);
+        })
+    }
+    /// Delays the target's messages by these delays, one after the other, each for `every`, over and over again.
+    pub fn delay_trace(self, target: &str, delays: Vec<SimTime>, every: SimTime) -> FaultPlan {
+        self.having(FaultKind::Delay, target, |fault| (fault.delays, fault.every) = (delays, every))
+    }
+    /// Lets `bytes_per_sec` of the target's messages pass; the others wait, at most for `queue`.
+    pub fn rate_limit(self, target: &str, bytes_per_sec: f64, queue: SimTime) -> FaultPlan {
+        self.having(FaultKind::RateLimit, target, |fault| {
+            (fault.bytes_per_sec, fault.queue) = (bytes_per_sec, queue);
+        })
+    }
     /// Delays the target's messages by `delay`.
     pub fn delay(self, target: &str, delay: SimTime) -> FaultPlan {
         self.jitter(target, delay, SimTime::ZERO)
@@ -128,6 +150,11 @@ impl FaultAt {
             probability: 1.0,
             delay: SimTime::ZERO,
             jitter: SimTime::ZERO,
+            independent: false,
+            delays: Vec::new(),
+            every: SimTime::ZERO,
+            burst: 0.0,
+            queue: SimTime::ZERO,
             bytes_per_sec: 0.0,
         });
         plan

@@ -1,11 +1,13 @@
-//! Fault model of a network link: loss, delay, duplication, reordering, corruption and partition.
+//! Fault model of a network link: loss, also in bursts, delay, also along a measured trace, duplication, reordering,
+//! corruption, a limited rate with its queue, and partition.
 //!
 //! Sans-IO and generic over the message, after NetEm (Hemminger, "Network emulation with NetEm", 2005): messages go in
 //! with the time at which they were sent, and come out when they are due. Results depend only on the seeds of the
 //! faults and on the messages, so the same messages at the same times give the same result.
 //!
 //! Corruption flips bits in a message's encoding, and its checksum then refuses it, as a receiver's would. A delayed
-//! message keeps its place in the queue; only `reorder` lets later messages overtake.
+//! message keeps its place in the queue; only `reorder` and independent delays let later messages overtake. Bursts follow
+//! the model of Gilbert (1960) and Elliott (1963): in its bad state the link loses every message, in its good state none.
 
 use std::collections::VecDeque;
 
@@ -14,8 +16,8 @@ use trocar_scene::random::SplitMix64;
 
 use crate::spec::{FaultKind, FaultOrder};
 
-/// Most messages in flight on one link; further messages are lost and counted.
-pub const LINK_WAITING_MAX: usize = 1_024;
+/// Most messages in flight on one link: those of two hands at 1 kHz for eight seconds. Further ones are lost and counted.
+pub const LINK_WAITING_MAX: usize = 16_384;
 /// Longest time that a message held for reordering waits for the next message.
 const OVERTAKEN_MAX: SimTime = SimTime::from_millis(100);
 /// Most bits flipped in a corrupted message.
@@ -23,6 +25,8 @@ const FLIPS_MAX: u64 = 3;
 
 /// A message that can travel over a link.
 pub trait Message: Sized {
+    /// Bytes that it takes on the link.
+    fn bytes(&self) -> usize;
     /// A duplicate; `None` when the message cannot be duplicated.
     fn duplicate(&self) -> Option<Self>;
     /// The message as received after `noise` changed its encoded bytes; `None` when the receiver refuses it.
@@ -54,17 +58,66 @@ impl LinkCounts {
 /// One active fault of the link.
 #[derive(Clone, Debug)]
 struct ActiveFault {
-    index: u32,
-    kind: FaultKind,
-    span: SimTime,
-    jitter: SimTime,
-    probability: f64,
+    order: FaultOrder,
     random: SplitMix64,
+    /// When the first message met it.
+    begun: Option<SimTime>,
+    /// Whether a burst of losses goes on.
+    in_burst: bool,
+    /// When a limited link has sent what it was given.
+    free_at: SimTime,
 }
 
 impl ActiveFault {
+    fn new(order: &FaultOrder) -> Self {
+        Self {
+            random: SplitMix64::new(order.seed),
+            begun: None,
+            in_burst: false,
+            free_at: SimTime::ZERO,
+            order: order.clone(),
+        }
+    }
+
     fn strikes(&mut self, kind: FaultKind) -> bool {
-        self.kind == kind && self.random.unit() < self.probability
+        if self.order.kind != kind {
+            return false;
+        }
+        let unit = self.random.unit();
+        if self.order.burst < 1.0 {
+            return unit < self.order.probability;
+        }
+        // So that bursts have their mean length, and the share of the time in them is the share that is lost.
+        let lost = self.order.probability;
+        let ends = 1.0 / self.order.burst;
+        let begins = ends * lost / (1.0 - lost).max(f64::MIN_POSITIVE);
+        self.in_burst = if self.in_burst { unit >= ends } else { unit < begins };
+        self.in_burst
+    }
+
+    /// The latency that the fault adds to a message of `bytes` bytes that is sent at `now`; `None` when its queue is full.
+    fn latency(&mut self, now: SimTime, bytes: impl Fn() -> usize) -> Option<SimTime> {
+        let FaultOrder { kind, span, jitter, delays, every, bytes_per_sec, .. } = &self.order;
+        match kind {
+            FaultKind::Delay if !delays.is_empty() => {
+                let since = now.since(*self.begun.get_or_insert(now));
+                let place = since.as_nanos() / every.as_nanos().max(1);
+                Some(delays[(place % delays.len() as u64) as usize])
+            }
+            FaultKind::Delay => {
+                let spread = jitter.as_secs_f64() * (2.0 * self.random.unit() - 1.0);
+                Some(SimTime::from_secs_f64(span.as_secs_f64() + spread))
+            }
+            FaultKind::RateLimit => {
+                let begins = now.max(self.free_at);
+                if begins.since(now) > *span {
+                    return None;
+                }
+                self.free_at = begins + SimTime::from_secs_f64(bytes() as f64 / bytes_per_sec);
+                Some(self.free_at.since(now))
+            }
+            _ => Some(SimTime::ZERO),
+        }
     }
 }
 
@@ -98,16 +151,9 @@ impl<M: Message> LinkFaults<M> {
         if !order.kind.is_of_link() {
             return;
         }
-        self.active.retain(|fault| fault.index != order.index);
+        self.active.retain(|fault| fault.order.index != order.index);
         if order.begins {
-            self.active.push(ActiveFault {
-                index: order.index,
-                kind: order.kind,
-                span: order.span,
-                jitter: order.jitter,
-                probability: order.probability,
-                random: SplitMix64::new(order.seed),
-            });
+            self.active.push(ActiveFault::new(order));
         } else if let Some(overtaken) = &mut self.overtaken {
             // No later message may come, so the held one is due at once.
             overtaken.due = SimTime::ZERO;
@@ -141,7 +187,8 @@ impl<M: Message> LinkFaults<M> {
 
     /// Sends a message at `now`, which must not decrease. [`Self::due`] returns it if it arrives.
     pub fn send(&mut self, now: SimTime, message: M) {
-        if self.active.iter().any(|fault| fault.kind == FaultKind::Partition) || self.strikes(FaultKind::Drop)
+        if self.active.iter().any(|fault| fault.order.kind == FaultKind::Partition)
+            || self.strikes(FaultKind::Drop)
         {
             self.counts.lost += 1;
             return;
@@ -150,7 +197,10 @@ impl<M: Message> LinkFaults<M> {
             self.counts.corrupted += 1;
             return;
         };
-        let late = self.delay();
+        let Some(late) = self.latency(now, &message) else {
+            self.counts.lost += 1;
+            return;
+        };
         let due = now + late;
         if late > SimTime::ZERO {
             self.counts.delayed += 1;
@@ -224,20 +274,25 @@ impl<M: Message> LinkFaults<M> {
         Some(message)
     }
 
-    /// Total delay of a message: each delay fault's latency plus uniform jitter.
-    fn delay(&mut self) -> SimTime {
+    /// Sum of what all faults add to a message's latency; `None` when a queue is full.
+    fn latency(&mut self, now: SimTime, message: &M) -> Option<SimTime> {
         let mut late = SimTime::ZERO;
-        for fault in self.active.iter_mut().filter(|fault| fault.kind == FaultKind::Delay) {
-            let spread = fault.jitter.as_secs_f64() * (2.0 * fault.random.unit() - 1.0);
-            late += SimTime::from_secs_f64(fault.span.as_secs_f64() + spread);
+        for fault in &mut self.active {
+            late += fault.latency(now, || message.bytes())?;
         }
-        late
+        Some(late)
     }
 
-    /// Queues a message behind all messages in flight: a link is first-in, first-out.
+    /// Queues a message: behind all messages in flight, since a link is first-in, first-out, unless delays are independent.
     fn line_up(&mut self, due: SimTime, message: M) {
         if self.waiting.len() >= LINK_WAITING_MAX {
             self.counts.lost += 1;
+            return;
+        }
+        if self.active.iter().any(|fault| fault.order.independent) {
+            let place = self.waiting.partition_point(|waiting| waiting.due <= due);
+            self.counts.reordered += u64::from(place < self.waiting.len());
+            self.waiting.insert(place, Waiting { due, message });
             return;
         }
         let due = self.waiting.back().map_or(due, |last| due.max(last.due));
@@ -254,6 +309,9 @@ mod tests {
     #[derive(Clone, Debug, PartialEq)]
     struct Letter(u64);
     impl Message for Letter {
+        fn bytes(&self) -> usize {
+            100
+        }
         fn duplicate(&self) -> Option<Self> {
             Some(self.clone())
         }
@@ -273,6 +331,10 @@ mod tests {
             begins: true,
             span: secs(span),
             jitter: secs(jitter),
+            independent: false,
+            delays: Vec::new(),
+            every: SimTime::ZERO,
+            burst: 0.0,
             probability,
             bytes_per_sec: 0.0,
             seed: 7 + u64::from(index),
@@ -328,6 +390,71 @@ mod tests {
         assert!(late.iter().all(|late| (10..=31).contains(late)), "{:?}", late.iter().max());
         assert!(late.iter().any(|late| *late < 18) && late.iter().any(|late| *late > 25));
         assert_eq!(link.counts().delayed, 1_000);
+    }
+
+    #[test]
+    fn losses_in_bursts_have_their_share_and_their_length() {
+        let mut link = LinkFaults::default();
+        link.apply(&FaultOrder { burst: 8.0, ..order(0, FaultKind::Drop, 0.1, 0.0, 0.0) });
+        let mut arrived = Vec::new();
+        for number in 0..200_000 {
+            link.send(SimTime::ZERO, Letter(number));
+            arrived.extend(link.due(SimTime::ZERO).map(|Letter(number)| number));
+        }
+        let gaps: Vec<u64> =
+            arrived.windows(2).map(|pair| pair[1] - pair[0] - 1).filter(|gap| *gap > 0).collect();
+        let lost = gaps.iter().sum::<u64>() as f64;
+        let (share, length) = (lost / 200_000.0, lost / gaps.len() as f64);
+        // Of 2,500 bursts of 8 ± 7.5 each; three standard deviations.
+        assert!((0.093..0.107).contains(&share) && (7.5..8.5).contains(&length), "{share} {length}");
+    }
+
+    #[test]
+    fn with_independent_delays_messages_overtake_each_other() {
+        let mut link = LinkFaults::default();
+        link.apply(&FaultOrder { independent: true, ..order(0, FaultKind::Delay, 1.0, 0.020, 0.020) });
+        let arrived = second(&mut link);
+        assert_eq!(arrived.len(), 1_000);
+        let late: Vec<u64> = arrived.iter().map(|(number, at)| at - number).collect();
+        let mean = late.iter().sum::<u64>() as f64 / 1_000.0;
+        // Uniform from 0 to 40 ms, seen half a millisecond later on average: no queue holds the others up.
+        assert!(late.iter().all(|late| *late <= 41) && (19.0..22.0).contains(&mean), "{mean}");
+        let overtaken = arrived.windows(2).filter(|pair| pair[0].0 > pair[1].0).count();
+        assert!(overtaken > 300 && link.counts().reordered > 300, "{overtaken}");
+    }
+
+    #[test]
+    fn delays_follow_their_trace_over_and_over() {
+        let mut link = LinkFaults::default();
+        let delays = [5, 20, 1].map(SimTime::from_millis).to_vec();
+        let trace = FaultOrder { delays, every: secs(0.1), ..order(0, FaultKind::Delay, 1.0, 0.0, 0.0) };
+        link.apply(&trace);
+        let arrived = second(&mut link);
+        assert!(arrived.iter().map(|(number, _)| *number).eq(0..1_000), "they keep their order");
+        for (number, at) in arrived {
+            let delay = [5, 20, 1][(number / 100 % 3) as usize];
+            // What was sent just before keeps the next ones up.
+            let earliest = number + delay;
+            assert!(at == earliest || (number % 100 < 20 && at > earliest), "{number} at {at}");
+        }
+    }
+
+    #[test]
+    fn a_limited_link_passes_its_rate_and_queues_for_so_long() {
+        let mut link = LinkFaults::default();
+        // 100 bytes a millisecond come, 60 pass.
+        let limit = FaultOrder { bytes_per_sec: 60_000.0, ..order(0, FaultKind::RateLimit, 1.0, 0.050, 0.0) };
+        link.apply(&limit);
+        let arrived = second(&mut link);
+        assert!(arrived.is_sorted());
+        // A second and the queue's 50 ms.
+        assert!((625..=635).contains(&arrived.len()), "{}", arrived.len());
+        assert_eq!(arrived.len() as u64 + link.counts().lost, 1_000);
+        let late = arrived.iter().map(|(number, at)| at - number).max();
+        assert!(late.is_some_and(|late| (50..=53).contains(&late)), "{late:?}");
+        // Beneath its rate it is no hindrance but for the time that a message takes.
+        link.apply(&FaultOrder { bytes_per_sec: 200_000.0, ..limit });
+        assert!(second(&mut link).iter().all(|(number, at)| at - number <= 1));
     }
 
     #[test]
@@ -392,10 +519,10 @@ mod tests {
     fn the_line_is_bounded_and_what_does_not_fit_is_counted() {
         let mut link = LinkFaults::default();
         link.apply(&order(0, FaultKind::Delay, 1.0, 10.0, 0.0));
-        for number in 0..2_000 {
+        for number in 0..20_000 {
             link.send(SimTime::ZERO, Letter(number));
         }
-        assert_eq!((link.len(), link.counts().lost), (LINK_WAITING_MAX, 2_000 - LINK_WAITING_MAX as u64));
+        assert_eq!((link.len(), link.counts().lost), (LINK_WAITING_MAX, 20_000 - LINK_WAITING_MAX as u64));
         assert_eq!(link.next_due(), Some(secs(10.0)));
     }
 

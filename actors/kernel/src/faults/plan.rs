@@ -55,7 +55,17 @@ pub struct FaultSpec {
     pub delay: SimTime,
     /// [`FaultKind::Delay`]: variation of the delay, ±; at most the delay itself.
     pub jitter: SimTime,
-    /// [`FaultKind::DiskSlow`]: write rate of the disk [bytes/s].
+    /// [`FaultKind::Delay`]: each message has its own delay, so that they overtake each other.
+    pub independent: bool,
+    /// [`FaultKind::Delay`]: a measured trace: extra latencies, one after the other, over and over again.
+    pub delays: Vec<SimTime>,
+    /// [`FaultKind::Delay`]: how long each of [`Self::delays`] holds.
+    pub every: SimTime,
+    /// [`FaultKind::Drop`]: mean number of messages that are lost in a row; 0: each by itself.
+    pub burst: f64,
+    /// [`FaultKind::RateLimit`]: longest wait in the queue; what would wait longer is lost.
+    pub queue: SimTime,
+    /// [`FaultKind::DiskSlow`], [`FaultKind::RateLimit`]: rate of the disk or the link [bytes/s].
     pub bytes_per_sec: f64,
 }
 
@@ -245,6 +255,31 @@ target = "haptics.left"
 kind = "corrupt"
 probability = 0.75
 [[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "drop"
+probability = 0.02
+burst_messages = 5
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "delay"
+delay_secs = 0.05
+jitter_secs = 0.05
+independent = true
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "delay"
+delays_secs = [0.15, 0.2]
+every_secs = 0.5
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "rate_limit"
+bytes_per_sec = 1e5
+queue_secs = 0.2
+[[fault]]
 at_secs = 8.0
 target = "haptics.left"
 kind = "partition"
@@ -283,6 +318,18 @@ model_restarts_max = 0
             .reorder("haptics.left", 0.5)
             .at(secs(7.0))
             .corrupt("haptics.left", 0.75)
+            .at(secs(7.0))
+            .bursts("haptics.left", 0.02, 5.0)
+            .at(secs(7.0))
+            .scatter("haptics.left", SimTime::from_millis(50), SimTime::from_millis(50))
+            .at(secs(7.0))
+            .delay_trace(
+                "haptics.left",
+                vec![SimTime::from_millis(150), SimTime::from_millis(200)],
+                secs(0.5),
+            )
+            .at(secs(7.0))
+            .rate_limit("haptics.left", 1e5, SimTime::from_millis(200))
             .at(secs(8.0))
             .partition("haptics.left")
             .at(secs(9.0))
@@ -351,6 +398,27 @@ model_restarts_max = 0
         assert!(error(&fault("kind = 'drop'\nprobability = 1.5")).contains("between 0 and 1"));
         assert!(error(&fault("kind = 'delay'\ndelay_secs = 0.1\njitter_secs = 0.2")).contains("more than"));
         assert!(error(&fault("kind = 'drop'\nprobability = 1\njitter_secs = 0.2")).contains("jitter_secs"));
+        let drop = |rest: &str| error(&fault(&format!("kind = 'drop'\nprobability = 0.9\n{rest}")));
+        assert!(drop("burst_messages = 0.5").contains("between 1 and"));
+        assert!(
+            drop("burst_messages = 2").contains("at least 9.0"),
+            "so much is not lost in so short bursts"
+        );
+        assert!(drop("independent = true").contains("means nothing"));
+        let delay = |rest: &str| error(&fault(&format!("kind = 'delay'\n{rest}")));
+        assert!(
+            delay("jitter_secs = 0").contains("delay_secs")
+                && delay("delays_secs = []\nevery_secs = 1").contains("has 0 delays")
+        );
+        assert!(delay("delay_secs = 1\ndelays_secs = [1]\nevery_secs = 1").contains("not both"));
+        assert!(delay("delays_secs = [0.1, -1]\nevery_secs = 1").contains("seconds"));
+        assert!(
+            delay("delays_secs = [0.1]").contains("every_secs")
+                && delay("delay_secs = 1\nevery_secs = 1").contains("every_secs")
+        );
+        assert!(delay("delays_secs = [0.1]\nevery_secs = 0").contains("every_secs"));
+        assert!(error(&fault("kind = 'rate_limit'\nbytes_per_sec = 1")).contains("queue_secs"));
+        assert!(error(&fault("kind = 'rate_limit'\nbytes_per_sec = 0\nqueue_secs = 1")).contains("above 0"));
         assert!(error(&fault("kind = 'disk_slow'")).contains("needs it"));
         assert!(error(&fault("kind = 'disk_slow'\nbytes_per_sec = -1")).contains("bytes per second"));
         assert!(error(&fault("kind = 'stall'\nfor_secs = -1")).contains("for_secs"));

@@ -13,8 +13,12 @@ use crate::spec::FaultKind;
 
 /// Latest time of a fault, in seconds: well beyond any session, well within the clock.
 const MAX_SECS: f64 = 1e6;
-/// Fastest slow disk, in bytes per second: beyond any disk.
+/// Fastest slow disk or link, in bytes per second: beyond any.
 const MAX_BYTES_PER_SEC: f64 = 1e12;
+/// Most messages that are lost in a row on average.
+const MAX_BURST: f64 = 1e4;
+/// Most delays of a trace.
+const MAX_DELAYS: usize = 100_000;
 
 /// Whether a fault of this kind can heal, and so may have `for_secs`.
 const fn can_heal(kind: FaultKind) -> bool {
@@ -50,6 +54,11 @@ struct FileFault {
     probability: Option<f64>,
     delay_secs: Option<f64>,
     jitter_secs: Option<f64>,
+    independent: Option<bool>,
+    delays_secs: Option<Vec<f64>>,
+    every_secs: Option<f64>,
+    burst_messages: Option<f64>,
+    queue_secs: Option<f64>,
     bytes_per_sec: Option<f64>,
 }
 
@@ -140,11 +149,20 @@ impl FileFault {
         only("for_secs", self.for_secs.is_some(), can_heal(kind))?;
         only("step_secs", self.step_secs.is_some(), kind == FaultKind::Slow)?;
         needed("step_secs", self.step_secs.is_none(), kind == FaultKind::Slow)?;
-        only("delay_secs", self.delay_secs.is_some(), kind == FaultKind::Delay)?;
-        needed("delay_secs", self.delay_secs.is_none(), kind == FaultKind::Delay)?;
-        only("jitter_secs", self.jitter_secs.is_some(), kind == FaultKind::Delay)?;
-        only("bytes_per_sec", self.bytes_per_sec.is_some(), kind == FaultKind::DiskSlow)?;
-        needed("bytes_per_sec", self.bytes_per_sec.is_none(), kind == FaultKind::DiskSlow)?;
+        let (is_delay, is_trace) = (kind == FaultKind::Delay, self.delays_secs.is_some());
+        let is_rate = matches!(kind, FaultKind::DiskSlow | FaultKind::RateLimit);
+        only("delay_secs", self.delay_secs.is_some(), is_delay)?;
+        needed("delay_secs", self.delay_secs.is_none(), is_delay && !is_trace)?;
+        only("jitter_secs", self.jitter_secs.is_some(), is_delay && !is_trace)?;
+        only("independent", self.independent.is_some(), is_delay)?;
+        only("delays_secs", is_trace, is_delay)?;
+        only("every_secs", self.every_secs.is_some(), is_delay && is_trace)?;
+        needed("every_secs", self.every_secs.is_none(), is_delay && is_trace)?;
+        only("burst_messages", self.burst_messages.is_some(), kind == FaultKind::Drop)?;
+        only("bytes_per_sec", self.bytes_per_sec.is_some(), is_rate)?;
+        needed("bytes_per_sec", self.bytes_per_sec.is_none(), is_rate)?;
+        only("queue_secs", self.queue_secs.is_some(), kind == FaultKind::RateLimit)?;
+        needed("queue_secs", self.queue_secs.is_none(), kind == FaultKind::RateLimit)?;
         only("probability", self.probability.is_some(), takes_probability(kind))?;
         needed("probability", self.probability.is_none(), takes_probability(kind))?;
         let probability = self.probability.unwrap_or(1.0);
@@ -152,7 +170,35 @@ impl FileFault {
             let problem = format!("{probability} is not between 0 and 1");
             return Err(value_error(file, &id, "probability", &problem));
         }
+        let wrong = |key, problem: String| Err(value_error(file, &id, key, &problem));
+        if let Some(burst) = self.burst_messages {
+            if !(1.0..=MAX_BURST).contains(&burst) {
+                return wrong("burst_messages", format!("{burst} is not between 1 and {MAX_BURST}"));
+            }
+            // A good message stands between two bursts.
+            if probability > burst / (burst + 1.0) {
+                let least = probability / (1.0 - probability);
+                let problem = format!("of {probability} lost, at least {least:.1} are in a row on average");
+                return wrong("burst_messages", problem);
+            }
+        }
+        let delays = self.delays_secs.unwrap_or_default();
+        if is_trace && (delays.is_empty() || delays.len() > MAX_DELAYS) {
+            return wrong("delays_secs", format!("has {} delays, not 1 to {MAX_DELAYS}", delays.len()));
+        }
+        if is_trace && self.delay_secs.is_some() {
+            return wrong("delay_secs", "say either this or delays_secs, not both".to_owned());
+        }
+        let delays =
+            delays.into_iter().map(|delay| time("delays_secs", delay)).collect::<Result<Vec<_>, _>>()?;
+        let every = time("every_secs", self.every_secs.unwrap_or(0.0))?;
+        if is_trace && every == SimTime::ZERO {
+            return wrong("every_secs", "must be above 0".to_owned());
+        }
         let bytes_per_sec = self.bytes_per_sec.unwrap_or(0.0);
+        if kind == FaultKind::RateLimit && bytes_per_sec == 0.0 {
+            return wrong("bytes_per_sec", "must be above 0: 'partition' lets nothing pass".to_owned());
+        }
         if !(0.0..=MAX_BYTES_PER_SEC).contains(&bytes_per_sec) {
             let problem =
                 format!("{bytes_per_sec} is not between 0 and {MAX_BYTES_PER_SEC} bytes per second");
@@ -197,6 +243,11 @@ impl FileFault {
             step: time("step_secs", self.step_secs.unwrap_or(0.0))?,
             delay: time("delay_secs", delay)?,
             jitter: time("jitter_secs", jitter)?,
+            independent: self.independent.unwrap_or(false),
+            delays,
+            every,
+            burst: self.burst_messages.unwrap_or(0.0),
+            queue: time("queue_secs", self.queue_secs.unwrap_or(0.0))?,
             bytes_per_sec,
             target: self.target,
             kind,

@@ -63,13 +63,16 @@ impl TargetClass {
                 K::Reorder,
                 K::Corrupt,
                 K::Partition,
+                K::RateLimit,
             ],
             Self::Device => &[K::Kill, K::Stall, K::Unplug, K::Nan],
             Self::Model => &[K::Kill, K::Stall],
             Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull, K::DiskSlow],
             // For a viewer, `unplug` takes away the graphics device.
             Self::Viewer => &[K::Kill, K::Unplug],
-            Self::Link => &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition],
+            Self::Link => {
+                &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition, K::RateLimit]
+            }
         }
     }
 }
@@ -217,6 +220,7 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
     let span = match fault.kind {
         FaultKind::Slow => fault.step,
         FaultKind::Delay => fault.delay,
+        FaultKind::RateLimit => fault.queue,
         // A stall without a duration lasts for ever; the supervisor replaces the thread.
         FaultKind::Stall => fault.lasting.unwrap_or(SimTime(u64::MAX)),
         _ => SimTime::ZERO,
@@ -228,6 +232,10 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
         begins: true,
         span,
         jitter: fault.jitter,
+        independent: fault.independent,
+        delays: fault.delays.clone(),
+        every: fault.every,
+        burst: fault.burst,
         probability: fault.probability,
         bytes_per_sec: fault.bytes_per_sec,
         seed: seed_of(seed, index),

@@ -29,6 +29,10 @@ const SHARE: f64 = 0.5;
 const DELAY: SimTime = SimTime::from_millis(20);
 const JITTER: SimTime = SimTime::from_millis(10);
 
+/// What a limited link passes [bytes/s]: a part of what the hand sends; and how long its queue is.
+const RATE: f64 = 50_000.0;
+const QUEUE: SimTime = SimTime::from_millis(20);
+
 fn of_kind(kind: FaultKind, at: FaultAt) -> FaultPlan {
     match kind {
         FaultKind::Drop => at.drop(WHO, SHARE),
@@ -36,20 +40,25 @@ fn of_kind(kind: FaultKind, at: FaultAt) -> FaultPlan {
         FaultKind::Duplicate => at.duplicate(WHO, SHARE),
         FaultKind::Reorder => at.reorder(WHO, SHARE),
         FaultKind::Corrupt => at.corrupt(WHO, SHARE),
+        FaultKind::RateLimit => at.rate_limit(WHO, RATE, QUEUE),
         _ => at.partition(WHO),
     }
 }
 
 /// Longest recovery once the link is good again \[ms\]: batches that were delayed before arrive late.
 fn bar(kind: FaultKind) -> f64 {
-    let late = if kind == FaultKind::Delay { DELAY + JITTER } else { SimTime::ZERO };
+    let late = match kind {
+        FaultKind::Delay => DELAY + JITTER,
+        FaultKind::RateLimit => QUEUE,
+        _ => SimTime::ZERO,
+    };
     RESUME_MS_MAX + late.as_secs_f64() * 1e3
 }
 
 /// Number of batches that this kind of fault affected, by the writer's row.
 fn touched(kind: FaultKind, row: &ControllerReport) -> u64 {
     match kind {
-        FaultKind::Delay | FaultKind::Reorder => row.delayed,
+        FaultKind::Delay | FaultKind::Reorder | FaultKind::RateLimit => row.delayed,
         FaultKind::Duplicate => row.duplicated,
         _ => row.lost,
     }
