@@ -1,5 +1,6 @@
 //! Snapshots: the scene at one revision, shared and immutable.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::Isometry3;
@@ -16,6 +17,9 @@ use crate::time::{Revision, SimTime};
 /// Longest chain of parents that is followed; a cycle ends there.
 const MAX_DEPTH: usize = 64;
 
+/// The highest counter that each spawner of a station has ever given to an entity.
+pub(crate) type Spawned = BTreeMap<(u16, u16), u32>;
+
 /// The scene at one revision. Cloning it shares everything.
 #[derive(Clone)]
 pub struct Snapshot {
@@ -24,6 +28,7 @@ pub struct Snapshot {
     pub(crate) time: SimTime,
     pub(crate) columns: Vec<Arc<dyn ErasedColumn>>,
     pub(crate) alive: Arc<Column<()>>,
+    pub(crate) spawned: Arc<Spawned>,
     pub(crate) events: Arc<EventLog>,
     pub(crate) retouches: u64,
 }
@@ -85,11 +90,10 @@ impl Snapshot {
     pub fn entities(&self) -> impl Iterator<Item = Entity> {
         self.alive.iter().map(|(entity, ())| entity)
     }
-    /// The first counter above all those that entities of this spawner have: a session that continues from a snapshot
-    /// must not reuse an id.
+    /// The first counter above all those that entities of this spawner have ever had, also of those that are gone: a
+    /// session that continues from a snapshot must not reuse an id.
     pub fn first_free(&self, station: u16, spawner: u16) -> u32 {
-        let own = |entity: &Entity| entity.station() == station && entity.spawner() == spawner;
-        self.entities().filter(own).map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1)
+        self.spawned.get(&(station, spawner)).map_or(1, |highest| highest.saturating_add(1))
     }
     /// The entity of that name; the lowest one if several have it. Walks all names: not for a hot path.
     pub fn find(&self, name: &str) -> Option<Entity> {
@@ -159,7 +163,7 @@ impl Snapshot {
         serde_json::Value::Object(rows.collect())
     }
 
-    /// Appends the whole scene in canonical order: revision, time, entities, then for each component that
+    /// Appends the whole scene in canonical order: revision, time, entities, spawners, then for each component that
     /// has rows its key, their number, and (entity, value) each. [`crate::Store::load`] reads it back.
     ///
     /// # Errors
@@ -183,13 +187,15 @@ impl Snapshot {
         self.encode_events(out)
     }
 
-    /// The part of [`Self::encode`] before the components: revision, time and entities.
+    /// The part of [`Self::encode`] before the components: revision, time, entities, and the highest counter of each
+    /// spawner.
     ///
     /// # Errors
     /// When memory is short.
     pub fn encode_entities(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
         encode(&(self.revision, self.time, self.alive.len() as u32), out)?;
-        self.entities().try_for_each(|entity| encode(&entity, out))
+        self.entities().try_for_each(|entity| encode(&entity, out))?;
+        encode(&*self.spawned, out)
     }
 
     /// The part of [`Self::encode`] behind the components: the recent events.

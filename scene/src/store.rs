@@ -11,7 +11,7 @@ use crate::component::ComponentError;
 use crate::entity::Entity;
 use crate::event::EventLog;
 use crate::registry::{ComponentId, Registry};
-use crate::snapshot::Snapshot;
+use crate::snapshot::{Snapshot, Spawned};
 use crate::time::{Revision, SimTime};
 
 /// Why a batch was not applied; none of it was.
@@ -69,6 +69,7 @@ impl Store {
                 time: SimTime::ZERO,
                 columns,
                 alive: Arc::new(Column::default()),
+                spawned: Arc::default(),
                 events: Arc::new(EventLog::default()),
                 retouches: 0,
             },
@@ -167,6 +168,7 @@ impl Store {
         self.current.time = self.current.time.max(time);
         for entity in commands.spawns() {
             Arc::make_mut(&mut self.current.alive).put(*entity, (), revision);
+            note_spawned(&mut self.current.spawned, *entity);
         }
         let columns = &mut self.current.columns;
         commands.puts_mut(|id, puts| puts.apply(exclusive(&mut columns[usize::from(id.0)]), revision));
@@ -241,6 +243,17 @@ impl Store {
                 return Err(no_room("the list of entities"));
             }
             alive.put(entity, (), revision);
+            note_spawned(&mut store.current.spawned, entity);
+            rest = after;
+        }
+        let (spawners, mut rest) = take::<u32>(rest)?;
+        let mut last = None;
+        for _ in 0..spawners {
+            let ((station, spawner, counter), after) = take::<(u16, u16, u32)>(rest)?;
+            let highest = Entity::new(station, spawner, counter);
+            // Of two entities with one spawner the second has the higher counter, which is no order of spawners.
+            ascending("the list of spawners", &mut last, Entity::of_writer(station, spawner))?;
+            note_spawned(&mut store.current.spawned, highest);
             rest = after;
         }
         let allocator = crate::entity::EntityAllocator::new(0, crate::entity::SCENARIO_SPAWNER);
@@ -282,6 +295,14 @@ impl Store {
 
 /// Largest revision and event number that a file may state, so that counters cannot overflow.
 const NUMBER_MAX: u64 = 1 << 62;
+
+/// Remembers the counter of an entity, so that no other one gets it when this one is gone.
+fn note_spawned(spawned: &mut Arc<Spawned>, entity: Entity) {
+    let spawner = (entity.station(), entity.spawner());
+    if spawned.get(&spawner).is_none_or(|highest| *highest < entity.counter()) {
+        Arc::make_mut(spawned).insert(spawner, entity.counter());
+    }
+}
 
 fn no_room(what: &str) -> ComponentError {
     ComponentError::Malformed(format!(

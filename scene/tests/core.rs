@@ -106,3 +106,29 @@ fn the_encoding_of_a_batch_and_of_a_scene_round_trips() {
     loaded.view().encode(&mut again).unwrap();
     assert_eq!(whole, again);
 }
+
+#[test]
+fn the_number_of_an_entity_that_is_gone_is_never_given_again() {
+    let (registry, mut store, mut commands, rules) = scene();
+    let spawner = |entity: Entity| (entity.station(), entity.spawner());
+    let first_free = |scene: &Snapshot, (station, spawner)| scene.first_free(station, spawner);
+    let (first, last) = (commands.spawn(), commands.spawn());
+    let of = spawner(last);
+    commands.seal();
+    assert_eq!(first_free(store.view(), of), 1);
+    apply(&mut store, &mut commands, &rules).unwrap();
+    commands.clear();
+    commands.despawn(last);
+    commands.despawn(first);
+    commands.seal();
+    apply(&mut store, &mut commands, &rules).unwrap();
+    assert!(!store.view().contains(last));
+    assert_eq!(first_free(store.view(), of), last.counter() + 1);
+    // Also by a session that continues from a snapshot, or from a keyframe.
+    assert_eq!(first_free(Store::from_snapshot(store.view()).view(), of), last.counter() + 1);
+    let mut whole = Vec::new();
+    store.view().encode(&mut whole).unwrap();
+    let (loaded, _) = Store::load(&registry, &whole).unwrap();
+    assert_eq!(first_free(loaded.view(), of), last.counter() + 1);
+    assert_eq!(first_free(loaded.view(), (9, 9)), 1);
+}

@@ -127,6 +127,8 @@ fn scattered_keyframe(alive: &[Entity], named: &[Entity]) -> Vec<u8> {
     let mut out = Vec::new();
     put(&mut out, &(1u64, 0u64, alive.len() as u32));
     alive.iter().for_each(|entity| put(&mut out, entity));
+    // No spawners, one component.
+    put(&mut out, &0u32);
     put(&mut out, &1u32);
     put(&mut out, &(key("name"), named.len() as u32));
     named.iter().for_each(|entity| put(&mut out, &(*entity, "")));
@@ -233,14 +235,20 @@ fn what_is_out_of_order_or_beyond_counting_is_refused() {
         let error = Store::load(&registry(), &scattered_keyframe(&alive, &named)).err().expect("refused");
         assert!(error.to_string().contains("comes after"), "{error}");
     }
+    let mut spawners = Vec::new();
+    for number in [1, 0, 0, 2, 0, 7, 5, 0, 7, 6, 0, 0, 0] {
+        spawners.extend(postcard::to_stdvec(&number).expect("encodes"));
+    }
+    let error = Store::load(&registry(), &spawners).err().expect("refused");
+    assert!(error.to_string().contains("the list of spawners"), "{error}");
     let mut late = Vec::new();
-    for number in [u64::MAX, 0, 0, 0, 0, 0] {
+    for number in [u64::MAX, 0, 0, 0, 0, 0, 0] {
         late.extend(postcard::to_stdvec(&number).expect("encodes"));
     }
     let error = Store::load(&registry(), &late).err().expect("refused");
     assert!(error.to_string().contains("revision"), "{error}");
     let mut events = Vec::new();
-    for number in [1, 0, 0, 0, u64::MAX, 0] {
+    for number in [1, 0, 0, 0, 0, u64::MAX, 0] {
         events.extend(postcard::to_stdvec(&number).expect("encodes"));
     }
     let error = Store::load(&registry(), &events).err().expect("refused");
