@@ -69,7 +69,8 @@ type Frame = (Entity, Option<usize>);
 /// What has been told of the frames.
 pub(super) struct Transforms {
     cadence: Cadence,
-    since: Revision,
+    /// What has been told; `None` before anything was.
+    since: Option<Revision>,
     is_anew: bool,
     /// Frames that have not moved, as they were told.
     resting: BTreeMap<Frame, Value>,
@@ -80,7 +81,7 @@ pub(super) struct Transforms {
 impl Transforms {
     pub(super) fn new(period: SimTime) -> Self {
         let (resting, moving) = (BTreeMap::new(), BTreeSet::new());
-        Self { cadence: Cadence::new(period), since: Revision::ZERO, is_anew: true, resting, moving }
+        Self { cadence: Cadence::new(period), since: None, is_anew: true, resting, moving }
     }
 
     pub(super) fn begin_anew(&mut self) {
@@ -99,10 +100,11 @@ impl Transforms {
             return;
         }
         names.forget_absent(scene);
-        let is_first = self.since == Revision::ZERO;
+        let is_first = self.since.is_none();
+        let since = self.since.filter(|_| !self.is_anew).unwrap_or(Revision::ZERO);
         let mut is_told = self.is_anew;
         let mut resting = BTreeMap::new();
-        for frame in changed(scene, if self.is_anew { Revision::ZERO } else { self.since }) {
+        for frame in changed(scene, since) {
             if self.moving.contains(&frame) {
                 is_told = true;
                 continue;
@@ -126,7 +128,7 @@ impl Transforms {
             let transforms = moving.filter_map(|frame| Some(stamped(place(names, scene, *frame)?, now)));
             tell_all(channel::TF, transforms, message);
         }
-        (self.since, self.is_anew) = (scene.revision(), false);
+        (self.since, self.is_anew) = (Some(scene.revision()), false);
     }
 }
 

@@ -295,6 +295,19 @@ fn a_frame_rests_until_it_has_moved_and_each_message_has_all_of_its_kind() {
 }
 
 #[test]
+fn frames_that_come_into_an_empty_scene_are_told_at_once() {
+    let mut told = Told::new(|_| {});
+    told.store = Store::new(told.store.view().registry().clone());
+    let mut nothing = |_: u16, _: &Value| panic!("there is nothing to tell");
+    told.channels.tell(&mut told.cache, told.store.view(), SimTime::ZERO, &mut nothing);
+    let first = told.after(40, |out| {
+        out.spawn();
+        out.put(INSTRUMENT, Pose::at(0.0, 0.0, 0.1));
+    });
+    assert_eq!(of(&first, TF)[0]["transforms"].as_array().map(Vec::len), Some(1));
+}
+
+#[test]
 fn each_message_of_the_scene_shows_everything_and_deletes_what_is_gone() {
     let mut told = Told::new(fill);
     let first = told.after(10, bend);
