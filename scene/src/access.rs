@@ -31,6 +31,8 @@ pub struct Access {
     pub contributes: Vec<&'static str>,
     /// Whether it creates entities; it may put any declared component on them, and despawn them.
     pub spawns: bool,
+    /// Whether it keeps the copy of other stations' part of the scene; see [`Access::replicates`].
+    pub replicates: bool,
 }
 
 impl Access {
@@ -68,6 +70,13 @@ impl Access {
         self.spawns = true;
         self
     }
+    /// Also keeps the copy of what other stations own: it creates and removes entities of other stations, and writes
+    /// every row on them that no other writer of this station claims.
+    #[must_use]
+    pub fn replicates(mut self) -> Self {
+        self.replicates = true;
+        self
+    }
 }
 
 /// Two writers that claim the same rows.
@@ -89,6 +98,9 @@ pub struct AccessOverlap {
 pub struct WriterRules {
     me: Entity,
     spawns: bool,
+    replicates: bool,
+    /// What other writers claim of the rows that a replica writes; see [`Self::reserve`].
+    reserved: Vec<(ComponentId, EntitySet)>,
     unrestricted: bool,
     /// Own entities of other writers, sorted: they exist without having been spawned.
     known: Vec<Entity>,
@@ -121,7 +133,8 @@ impl WriterRules {
         for name in &access.contributes {
             contributes.push(registry.by_name(name)?);
         }
-        Ok(Self { contributes, writes, spawns: access.spawns, ..Self::none(me) })
+        let (spawns, replicates) = (access.spawns, access.replicates);
+        Ok(Self { contributes, writes, spawns, replicates, ..Self::none(me) })
     }
 
     /// May write every component of every entity, create entities, and remove those that it has created: for an
@@ -134,6 +147,8 @@ impl WriterRules {
         Self {
             me,
             spawns: false,
+            replicates: false,
+            reserved: Vec::new(),
             unrestricted: false,
             known: Vec::new(),
             contributes: Vec::new(),
@@ -147,9 +162,13 @@ impl WriterRules {
     pub fn me(&self) -> Entity {
         self.me
     }
-    /// Whether it may create entities.
-    pub fn may_spawn(&self) -> bool {
-        self.spawns
+    /// Whether it may create this entity, and remove it again (its own entity not included).
+    pub fn may_spawn(&self, entity: Entity) -> bool {
+        (self.spawns && self.owns(entity)) || (self.replicates && self.is_foreign(entity))
+    }
+    /// Whether it keeps the copy of other stations' part of the scene.
+    pub fn replicates(&self) -> bool {
+        self.replicates
     }
     /// Components it contributes.
     pub fn contributes(&self) -> &[ComponentId] {
@@ -167,9 +186,20 @@ impl WriterRules {
             self.known.insert(at, writer);
         }
     }
-    /// Whether this is its own entity, or a writer's entity added by [`Self::acquaint`].
+    /// Leaves to their writers the rows that these rules claim: a replica does not write them.
+    pub fn reserve(&mut self, of: &Self) {
+        self.reserved.extend(of.claims().map(|(id, set)| (id, set.into_owned())));
+    }
+    /// Drops what [`Self::reserve`] added.
+    pub fn clear_reserved(&mut self) {
+        self.reserved.clear();
+    }
+    /// Whether this is its own entity, a writer's entity added by [`Self::acquaint`], or for a replica a writer's entity of
+    /// another station: these exist without having been spawned.
     pub fn knows(&self, entity: Entity) -> bool {
-        entity == self.me || self.known.binary_search(&entity).is_ok()
+        entity == self.me
+            || self.known.binary_search(&entity).is_ok()
+            || (self.replicates && entity.counter() == 0 && self.is_foreign(entity))
     }
     /// Whether it may write everything.
     pub fn is_unrestricted(&self) -> bool {
@@ -189,11 +219,17 @@ impl WriterRules {
         if !self.revoked.is_empty() && self.revoked.contains(&(component, entity)) {
             return false;
         }
-        self.writes.iter().filter(|(id, _)| *id == component).any(|(_, set)| match set {
-            EntitySet::All => true,
-            EntitySet::Own => self.is_own(entity),
-            EntitySet::Of(list) => list.binary_search(&entity).is_ok(),
-        })
+        let covers = |(id, set): &(ComponentId, EntitySet), own: bool| {
+            *id == component
+                && match set {
+                    EntitySet::All => true,
+                    EntitySet::Own => own,
+                    EntitySet::Of(list) => list.binary_search(&entity).is_ok(),
+                }
+        };
+        self.writes.iter().any(|claim| covers(claim, self.is_own(entity)))
+            // No entity of another station is a local writer's own.
+            || (self.replicates && self.is_foreign(entity) && !self.reserved.iter().any(|claim| covers(claim, false)))
     }
     /// Lets it write a row that another writer transferred.
     pub fn grant(&mut self, component: ComponentId, entity: Entity) {
@@ -253,5 +289,9 @@ impl WriterRules {
 
     fn is_own(&self, entity: Entity) -> bool {
         self.owns(entity) || entity == self.me
+    }
+
+    fn is_foreign(&self, entity: Entity) -> bool {
+        entity.station() != self.me.station()
     }
 }

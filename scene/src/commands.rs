@@ -210,6 +210,11 @@ impl Commands {
         }
     }
 
+    /// [`Self::remove`] of a component by its number.
+    pub fn remove_component(&mut self, component: ComponentId, entity: Entity) {
+        self.removes.push((component, entity));
+    }
+
     /// Creates an entity. Its id is known at once, without asking the Model.
     pub fn spawn(&mut self) -> Entity {
         match self.allocator.allocate() {
@@ -222,6 +227,12 @@ impl Commands {
                 self.allocator.me()
             }
         }
+    }
+
+    /// Creates an entity under the number that another station gave it: for a replica (see
+    /// [`Access::replicates`](crate::Access::replicates)).
+    pub fn adopt(&mut self, entity: Entity) {
+        self.spawns.push(entity);
     }
 
     /// Removes an entity with all its components.

@@ -111,7 +111,7 @@ impl Store {
             }
         }
         for entity in commands.spawns() {
-            if !rules.may_spawn() || !rules.owns(*entity) || self.current.contains(*entity) {
+            if !rules.may_spawn(*entity) || self.current.contains(*entity) {
                 return Err(Refusal::NotOwner(*entity));
             }
         }
@@ -122,7 +122,7 @@ impl Store {
             if !self.current.contains(*entity) {
                 return Err(Refusal::UnknownEntity(*entity));
             }
-            if !rules.may_spawn() || !rules.owns(*entity) {
+            if !rules.may_spawn(*entity) {
                 return Err(Refusal::NotOwner(*entity));
             }
         }

@@ -180,11 +180,11 @@ impl ModelCore {
             }
         }
         restore_transfers(&self.transfers, id, &mut rules);
-        match known {
+        let epoch = match known {
             Ok(at) => {
                 self.writers[at].access = access.clone();
                 self.writers[at].rules = rules;
-                Ok(self.writers[at].epoch)
+                self.writers[at].epoch
             }
             Err(at) => {
                 let writer = Writer {
@@ -201,7 +201,22 @@ impl ModelCore {
                 if let Some(operator) = self.position(OPERATOR) {
                     self.writers[operator].rules.acquaint(me);
                 }
-                Ok(1)
+                1
+            }
+        };
+        self.reserve_rows();
+        Ok(epoch)
+    }
+
+    /// Keeps a replica's writer away from the rows that other writers of this station claim.
+    fn reserve_rows(&mut self) {
+        for at in 0..self.writers.len() {
+            let (before, rest) = self.writers.split_at_mut(at);
+            let Some((writer, after)) = rest.split_first_mut() else { continue };
+            if writer.rules.replicates() {
+                writer.rules.clear_reserved();
+                let others = before.iter().chain(&*after).filter(|other| !other.rules.is_unrestricted());
+                others.for_each(|other| writer.rules.reserve(&other.rules));
             }
         }
     }
@@ -314,8 +329,8 @@ impl ModelCore {
         let Some(at) = self.position(id).filter(|at| self.writers[*at].epoch < epoch) else { return false };
         let writer = &mut self.writers[at];
         writer.epoch = epoch;
-        let Access { reads: _, writes, contributes, spawns } = &writer.access;
-        if writes.is_empty() && contributes.is_empty() && !spawns {
+        let Access { reads: _, writes, contributes, spawns, replicates } = &writer.access;
+        if writes.is_empty() && contributes.is_empty() && !spawns && !replicates {
             return true;
         }
         let fence = UnseenFence { writer: id, epoch, now, rules: writer.rules.clone() };
@@ -428,6 +443,7 @@ impl ModelCore {
                 writer.rules = rules;
             }
         }
+        self.reserve_rows();
         let fences = std::mem::take(&mut self.unseen_fences);
         fences.iter().for_each(|fence| self.end_lives(fence));
         self.unseen_fences = fences;

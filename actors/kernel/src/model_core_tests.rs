@@ -329,3 +329,63 @@ fn what_stands_on_a_writers_own_entity_is_nobody_elses() {
     let heir = rejection(submit(&mut core, PILOT, 1, |out| out.transfer::<Pairs>(me, ENGINE)));
     assert_eq!(heir, Rejection::OwnEntity { component: "test_pairs", entity: me });
 }
+
+/// A station 1 with the copy of a scene of station 0, of whose entities it moves one itself.
+fn replica() -> ModelCore {
+    let mut core = ModelCore::new(scene(), 1).expect("encodes");
+    assert_eq!(core.declare("link", ENGINE, &Access::new().replicates()), Ok(1));
+    let hand =
+        Access::new().writes::<Count>(EntitySet::Of(vec![PEG])).writes::<Level>(EntitySet::Own).spawns();
+    assert_eq!(core.declare("hand", PILOT, &hand), Ok(1), "it claims nothing that is another's");
+    core
+}
+
+#[test]
+fn a_replica_creates_changes_and_removes_what_other_stations_own() {
+    let mut core = replica();
+    let theirs = Entity::new(0, 7, 12);
+    let outcome = submit(&mut core, ENGINE, 1, |out| {
+        out.adopt(theirs);
+        out.put(theirs, Count(3));
+        out.put(RING, Level(0.5));
+        out.put(Entity::of_writer(0, 7), Pairs(vec![4]));
+    });
+    assert!(matches!(outcome, Outcome::Applied { .. }), "{outcome:?}");
+    assert_eq!(core.view().get::<Count>(theirs), Some(&Count(3)));
+    assert_eq!(core.view().get::<Pairs>(Entity::of_writer(0, 7)), Some(&Pairs(vec![4])));
+    let outcome = submit(&mut core, ENGINE, 1, |out| {
+        out.remove::<Level>(RING);
+        out.despawn(theirs);
+    });
+    assert!(matches!(outcome, Outcome::Applied { .. }), "{outcome:?}");
+    assert!(!core.view().contains(theirs) && core.view().get::<Level>(RING).is_none());
+    assert_eq!(core.view().first_free(0, 7), 13, "its number is never given again");
+}
+
+#[test]
+fn a_replica_leaves_the_rows_of_this_stations_writers_alone() {
+    let mut core = replica();
+    let refused =
+        |core: &mut ModelCore, fill: &dyn Fn(&mut Commands)| rejection(submit(core, ENGINE, 1, fill));
+    let peg = Refusal::NotDeclared { component: "test_count", entity: PEG };
+    assert_eq!(refused(&mut core, &|out| out.put(PEG, Count(1))), Rejection::Refused(peg.clone()));
+    let ours = Entity::new(1, 7, 1);
+    assert_eq!(refused(&mut core, &|out| out.adopt(ours)), Rejection::Refused(Refusal::NotOwner(ours)));
+    let of_hand = Entity::of_writer(1, PILOT.0);
+    let level = Refusal::NotDeclared { component: "test_level", entity: of_hand };
+    assert_eq!(refused(&mut core, &|out| out.put(of_hand, Level(1.0))), Rejection::Refused(level));
+    // The others may not touch the copy.
+    let theirs = rejection(submit(&mut core, PILOT, 1, |out| out.despawn(RING)));
+    assert_eq!(theirs, Rejection::Refused(Refusal::NotOwner(RING)));
+    // A new writer's rows are left alone as well, and a roll-back does not forget them.
+    assert_eq!(
+        core.declare("late", WriterId(5), &Access::new().writes::<Count>(EntitySet::Of(vec![RING]))),
+        Ok(1)
+    );
+    submit(&mut core, ENGINE, 1, |out| out.put(RING, Bomb::new(14)));
+    core.publish();
+    assert!(blow_up(&mut core, Bomb::new(0)), "it rolled back");
+    let ring = Refusal::NotDeclared { component: "test_count", entity: RING };
+    assert_eq!(refused(&mut core, &|out| out.put(RING, Count(1))), Rejection::Refused(ring));
+    assert_eq!(refused(&mut core, &|out| out.put(PEG, Count(1))), Rejection::Refused(peg));
+}
