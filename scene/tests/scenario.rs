@@ -223,6 +223,41 @@ const HEAD: &str = "schema = 1\nname = \"x\"\n";
 
 /// Every mistake is answered with file, line, column, key and what would be valid.
 #[test]
+fn the_outline_of_a_scenario_needs_neither_its_meshes_nor_its_components() {
+    let text = r#"
+schema = 1
+name = "elsewhere"
+
+[[entity]]
+name = "liver"
+mesh = { file = "not-here.obj" }
+some_programs_own = { value = 1 }
+
+[[entity]]
+name = "hand.left"
+hand = { side = "left", instrument = "liver" }
+
+[[hand]]
+name = "left"
+
+[network]
+architecture = "client-server"
+"#;
+    assert!(parse(text).is_err(), "the scene itself cannot be made here");
+    let outline =
+        Scenario::outline(Path::new("elsewhere.toml"), text).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(outline.hands[0].entity, outline.entity("hand.left").expect("it is named"));
+    #[derive(serde::Deserialize)]
+    struct Network {
+        architecture: String,
+    }
+    let network: Network = outline.network.parse().unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(network.architecture, "client-server");
+    let wrong = Scenario::outline(Path::new("x.toml"), "schema = 1\nname = \"x\"\nnetwork = 3").unwrap_err();
+    assert!(wrong.to_string().contains("x.toml:3"), "{wrong}");
+}
+
+#[test]
 fn mistakes_are_named_with_their_place() {
     let entity = |rest: &str| format!("{HEAD}[[entity]]\nname = \"ring\"\n{rest}");
     let controller = |rest: &str| format!("{HEAD}[[controller]]\nname = \"engine\"\n{rest}");

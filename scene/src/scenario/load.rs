@@ -30,8 +30,8 @@ use crate::time::SimTime;
 use crate::tissue::tissue;
 
 /// Keys of the document.
-pub(super) const ROOT_KEYS: [&str; 9] =
-    ["schema", "name", "title", "description", "gravity", "entity", "controller", "hand", "task"];
+pub(super) const ROOT_KEYS: [&str; 10] =
+    ["schema", "name", "title", "description", "gravity", "entity", "controller", "hand", "task", "network"];
 /// Keys of a controller.
 pub(super) const CONTROLLER_KEYS: [&str; 4] = ["name", "kind", "rate_hz", "params"];
 /// Keys of a hand.
@@ -65,6 +65,20 @@ pub(super) fn parse(
     registry: &Arc<Registry>,
     assets: &Assets,
 ) -> Result<Scenario, ScenarioError> {
+    let (mut scenario, source) = outline(file, text)?;
+    let document = source.parse()?;
+    let root = Table::new(&source, "", document.span(), document.get_ref());
+    let folder = file.parent().unwrap_or(Path::new(""));
+    check_files(&source, folder, "", document.get_ref())?;
+    check_parents(&root)?;
+    scenario.meshes = load_meshes(&root, folder, assets, &scenario.names)?;
+    commands(&source, &document, registry, &scenario.names, &scenario.meshes)?;
+    joints::check(&root, &scenario.names)?;
+    Ok(scenario)
+}
+
+/// Everything but what the entities are made of.
+pub(super) fn outline(file: &Path, text: String) -> Result<(Scenario, Arc<Source>), ScenarioError> {
     let source = Arc::new(Source { file: file.into(), text });
     let document = source.parse()?;
     let root = Table::new(&source, "", document.span(), document.get_ref());
@@ -75,15 +89,8 @@ pub(super) fn parse(
         root.string("name")?.unwrap_or(("", 0..0))
     };
     check_name(&root, "name", name, span)?;
-    let folder = file.parent().unwrap_or(Path::new(""));
-    check_files(&source, folder, "", document.get_ref())?;
-
     let names = entity_names(&root)?;
-    check_parents(&root)?;
-    let meshes = load_meshes(&root, folder, assets, &names)?;
-    commands(&source, &document, registry, &names, &meshes)?;
-    joints::check(&root, &names)?;
-    Ok(Scenario {
+    let scenario = Scenario {
         file: file.into(),
         name: name.to_owned(),
         title: root.string("title")?.map_or(name, |(text, _)| text).to_owned(),
@@ -91,11 +98,13 @@ pub(super) fn parse(
         gravity_in_world: gravity(&root)?,
         controllers: controllers(&root, &source, &names)?,
         hands: hands(&root, &source, &names)?,
-        task: task(&root, &source, &names)?,
+        task: table_of_another(&root, "task", &source, &names)?,
+        network: table_of_another(&root, "network", &source, &names)?,
         names,
-        meshes,
+        meshes: BTreeMap::new(),
         source: source.clone(),
-    })
+    };
+    Ok((scenario, source))
 }
 
 /// Checked first, so that a file of another version is not checked against the keys of this one.
@@ -477,9 +486,15 @@ fn params(
     Ok(Params::new(source, path, join(table.key, key), names))
 }
 
-fn task(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Params, ScenarioError> {
-    if let Some(value) = root.get("task").filter(|value| !value.get_ref().is_table()) {
-        return Err(root.wrong_type("task", value, "a table"));
+/// A table of the document that other code interprets.
+fn table_of_another(
+    root: &Table,
+    key: &str,
+    source: &Arc<Source>,
+    names: &Names,
+) -> Result<Params, ScenarioError> {
+    if let Some(value) = root.get(key).filter(|value| !value.get_ref().is_table()) {
+        return Err(root.wrong_type(key, value, "a table"));
     }
-    Ok(Params::new(source, vec![Step::Key("task".to_owned())], "task".to_owned(), names))
+    Ok(Params::new(source, vec![Step::Key(key.to_owned())], key.to_owned(), names))
 }

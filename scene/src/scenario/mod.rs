@@ -21,7 +21,7 @@
 //! ```
 //!
 //! Unknown keys are refused everywhere, so that a typing mistake is an error rather than a default. Tables called
-//! `params` (and the table `task`) are interpreted by the code they belong to, with [`Params::parse`], and its errors
+//! `params` (and the tables `task` and `network`) are interpreted by the code they belong to, with [`Params::parse`], and its errors
 //! still name the line. Strings under a key `file` are paths; they must stay below the folder of the scenario. Those of
 //! meshes may also lead into folders that the caller allows ([`Assets`]).
 
@@ -86,6 +86,8 @@ pub struct Scenario {
     pub hands: Vec<HandEntry>,
     /// The exercise's parameters.
     pub task: Params,
+    /// How stations share the scene.
+    pub network: Params,
     source: Arc<document::Source>,
     names: Arc<BTreeMap<String, Entity>>,
     meshes: BTreeMap<Entity, LoadedMesh>,
@@ -155,6 +157,15 @@ impl Scenario {
         assets: &Assets,
     ) -> Result<Self, ScenarioError> {
         load::parse(file, text.to_owned(), registry, assets)
+    }
+
+    /// Reads a scenario whose scene comes from another station: controllers, hands, exercise and the names of entities. Of
+    /// what the entities are made nothing is read, so no mesh need be here; [`Self::spawn`] makes the scene without meshes.
+    ///
+    /// # Errors
+    /// Names file, line, column, key and valid choices.
+    pub fn outline(file: &Path, text: &str) -> Result<Self, ScenarioError> {
+        load::outline(file, text.to_owned()).map(|(scenario, _)| scenario)
     }
 
     /// The folder that contains the files it refers to.

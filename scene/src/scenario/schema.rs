@@ -74,6 +74,7 @@ pub fn json_schema(registry: &Registry) -> Value {
                 "type": "array", "maxItems": HANDS_MAX, "items": hand(),
             },
             "task": { "description": "Parameters of the exercise.", "type": "object" },
+            "network": { "description": "How stations share the scene.", "type": "object" },
         },
         "$defs": definitions,
     })
