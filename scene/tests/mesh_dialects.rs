@@ -237,6 +237,15 @@ fn legacy_vtk_is_read_in_every_dialect() {
     }
 }
 
+#[test]
+fn a_line_of_vertical_tabs_in_legacy_vtk_is_an_empty_line() {
+    let written = tet_box(1);
+    let text = String::from_utf8(common::write_vtk(&written, false, 5)).expect("text");
+    let tabs = text.replacen("\nCELLS", "\n\u{b}\u{b}\n\u{85}\nCELLS", 1);
+    assert_ne!(tabs, text);
+    assert_eq!(vtk(tabs.as_bytes()).expect("it is read").tets, written.tets);
+}
+
 /// Bytes of a number in the order of VTK's binary files.
 fn big(number: i64, kind: &str) -> Vec<u8> {
     let bytes = number.to_be_bytes();

@@ -55,8 +55,10 @@ pub(super) fn read(mut cursor: Cursor) -> Result<(Grid, Cursor), MeshError> {
         }
         let line = reader.cursor.next_text_line("a keyword")?;
         let words: Vec<&str> = line.split_whitespace().collect();
-        let keyword = words.first().map(|word| word.to_ascii_uppercase()).unwrap_or_default();
-        match (keyword.as_str(), &words[1..]) {
+        // A line of white space that ASCII does not count as such, a vertical tab for one, has no word.
+        let Some((keyword, arguments)) = words.split_first() else { continue };
+        let keyword = keyword.to_ascii_uppercase();
+        match (keyword.as_str(), arguments) {
             ("POINTS", [count, kind]) if sections.points.is_none() => {
                 sections.points = Some(reader.points(place, count, kind)?);
             }
@@ -94,7 +96,7 @@ pub(super) fn read(mut cursor: Cursor) -> Result<(Grid, Cursor), MeshError> {
             _ if data.is_some() => {
                 let Some((data, count)) = data else { break };
                 // Data that is not known or damaged is of no use here, and where it ends is not known.
-                match reader.attribute(place, &keyword, &words[1..], data, count) {
+                match reader.attribute(place, &keyword, arguments, data, count) {
                     Ok(true) => {}
                     Err(error) if reader.in_regions => return Err(error),
                     Ok(false) | Err(_) => break,
