@@ -15,6 +15,10 @@ pub struct HapticsConfig {
     pub renderer: RendererConfig,
     /// Whether the driver keeps the force passive; its energy observer runs either way.
     pub passivity: bool,
+    /// Whether another station simulates the scene. What it says of forces has then waited in a network, and is rendered
+    /// for as long as [`REMOTE_FADE_SECS`](crate::renderer::REMOTE_FADE_SECS) says, by every renderer. Geometry is not
+    /// affected, since it is evaluated at the hand's present pose.
+    pub remote_scene: bool,
     /// Time constant with which the felt stiffness is estimated \[s\].
     pub felt_window_secs: f64,
     /// Time between two writes of [`HapticStatus`](trocar_scene::HapticStatus) \[s\]; also the most that a restarted
@@ -27,6 +31,7 @@ impl Default for HapticsConfig {
         Self {
             renderer: RendererConfig::default(),
             passivity: true,
+            remote_scene: false,
             felt_window_secs: 0.25,
             status_period_secs: 0.01,
         }

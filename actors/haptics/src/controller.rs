@@ -26,11 +26,31 @@ const DAMPING_SHARE: f64 = 0.15;
 /// Period of a driver \[s\]: a faster controller does not shorten the loop's delay further.
 const PERIOD_NOMINAL: f64 = 1e-3;
 
-/// Last seen instrument pose; a pose without a time stamp counts as old as its last change.
+/// When the newest change of a row was first seen here. A row counts as no younger than that, whatever its time stamp says:
+/// a pose has none, and a stamp by the clock of another station may lie in the future for ever.
 #[derive(Clone, Copy, Debug, Default)]
-struct SeenPose {
+struct Seen {
     revision: Option<Revision>,
     at: SimTime,
+}
+
+impl Seen {
+    /// The time of the row as of `revision`, at time `now`.
+    fn at(&mut self, revision: Option<Revision>, now: SimTime) -> SimTime {
+        if self.revision != revision {
+            *self = Self { revision, at: now };
+        }
+        self.at
+    }
+}
+
+/// The rows whose age decides how much of them is rendered.
+#[derive(Clone, Copy, Debug, Default)]
+struct SeenRows {
+    pose: Seen,
+    force: Seen,
+    model: Seen,
+    fixture: Seen,
 }
 
 /// Haptics of one hand.
@@ -42,6 +62,7 @@ pub struct HapticsController {
     capabilities: Capabilities,
     renderer: Box<dyn ForceRenderer>,
     passivity: bool,
+    remote_scene: bool,
     felt: FeltStiffness,
     status_period: SimTime,
 
@@ -49,7 +70,7 @@ pub struct HapticsController {
     buttons: u32,
     before: Option<DeviceSample>,
     target: Option<InstrumentTarget>,
-    seen: SeenPose,
+    seen: SeenRows,
     status: HapticStatus,
     status_due: SimTime,
 }
@@ -82,13 +103,14 @@ impl HapticsController {
             capabilities,
             renderer: config.renderer.build(),
             passivity: config.passivity,
+            remote_scene: config.remote_scene,
             felt: FeltStiffness::new(config.felt_window_secs),
             status_period: SimTime::from_secs_f64(config.status_period_secs),
             shaft_axis: tip * Vector3::z(),
             buttons: scene.get::<DeviceState>(hand).map_or(0, |state| state.buttons),
             before: None,
             target,
-            seen: SeenPose::default(),
+            seen: SeenRows::default(),
             status,
             status_due: context.time,
         })
@@ -131,9 +153,14 @@ impl HapticsController {
         self.buttons = buttons;
     }
 
-    fn simulated_instrument(&mut self, scene: &Snapshot, now: SimTime) -> Option<SimulatedInstrument> {
+    fn simulated_instrument(
+        &mut self,
+        scene: &Snapshot,
+        model: Option<&LocalContactModel>,
+        now: SimTime,
+    ) -> Option<SimulatedInstrument> {
         let instrument = self.rig.instrument;
-        if let Some(model) = scene.get::<LocalContactModel>(instrument) {
+        if let Some(model) = model {
             return Some(SimulatedInstrument {
                 tip_in_world: model.proxy_in_world.isometry(),
                 twist: Twist::new(model.proxy_velocity.linear, model.proxy_velocity.angular),
@@ -141,15 +168,35 @@ impl HapticsController {
             });
         }
         let revision = scene.changed::<Pose>(instrument)?;
-        if self.seen.revision != Some(revision) {
-            self.seen = SeenPose { revision: Some(revision), at: now };
-        }
         let velocity = scene.get::<Velocity>(instrument).copied().unwrap_or_default();
         Some(SimulatedInstrument {
             tip_in_world: scene.world_pose(instrument),
             twist: Twist::new(velocity.linear, velocity.angular),
-            at: self.seen.at,
+            at: self.seen.pose.at(Some(revision), now),
         })
+    }
+
+    /// The simulation's force, of the time at which it was first seen or of an earlier one.
+    fn instrument_force(&mut self, scene: &Snapshot, now: SimTime) -> Option<InstrumentForce> {
+        let instrument = self.rig.instrument;
+        let seen_at = self.seen.force.at(scene.changed::<InstrumentForce>(instrument), now);
+        let force = scene.get::<InstrumentForce>(instrument)?;
+        Some(InstrumentForce { at: force.at.min(seen_at), ..*force })
+    }
+
+    /// The simulation's local contact model, likewise.
+    fn contact_model(&mut self, scene: &Snapshot, now: SimTime) -> Option<LocalContactModel> {
+        let instrument = self.rig.instrument;
+        let seen_at = self.seen.model.at(scene.changed::<LocalContactModel>(instrument), now);
+        let model = scene.get::<LocalContactModel>(instrument)?;
+        Some(LocalContactModel { at: model.at.min(seen_at), ..*model })
+    }
+
+    /// The hand's virtual fixture, likewise.
+    fn fixture(&mut self, scene: &Snapshot, now: SimTime) -> Option<VirtualFixture> {
+        let seen_at = self.seen.fixture.at(scene.changed::<VirtualFixture>(self.hand), now);
+        let fixture = scene.get::<VirtualFixture>(self.hand)?;
+        Some(VirtualFixture { at: fixture.at.min(seen_at), ..*fixture })
     }
 
     /// Wrench on the hand in the device's frame, before the driver's limits.
@@ -169,6 +216,9 @@ impl HapticsController {
         };
         let gain = (lever * self.rig.registration.scale()).powi(2);
         let damping_max = DAMPING_SHARE * self.capabilities.apparent_mass / dt.max(PERIOD_NOMINAL);
+        let contact_model = self.contact_model(scene, tick.time);
+        let instrument_force = self.instrument_force(scene, tick.time);
+        let fixture = self.fixture(scene, tick.time);
         let input = RenderInput {
             now: tick.time,
             dt,
@@ -178,13 +228,14 @@ impl HapticsController {
             damping_max: damping_max / gain,
             apparent_mass: self.capabilities.apparent_mass / gain,
             energy_available,
-            instrument: self.simulated_instrument(scene, tick.time),
-            instrument_force: scene.get::<InstrumentForce>(self.rig.instrument),
-            contact_model: scene.get::<LocalContactModel>(self.rig.instrument),
+            instrument: self.simulated_instrument(scene, contact_model.as_ref(), tick.time),
+            instrument_force: instrument_force.as_ref(),
+            contact_model: contact_model.as_ref(),
+            remote: self.remote_scene,
         };
         let mut at_tip = self.renderer.render(&input);
-        if let Some(fixture) = scene.get::<VirtualFixture>(self.hand) {
-            at_tip += virtual_fixture::render(fixture, &input);
+        if let Some(fixture) = fixture {
+            at_tip += virtual_fixture::render(&fixture, &input);
         }
         let at_handle = transmission.handle_wrench(&at_tip)
             + self.rig.coupling.passive_wrench(transmission, handle_twist);

@@ -16,7 +16,8 @@ pub fn render(fixture: &VirtualFixture, input: &RenderInput<'_>) -> Wrench {
     let tip = input.tip_in_world.translation.vector;
     let spring = (fixture.center_in_world.coords - tip) * fixture.stiffness.min(input.stiffness_max);
     let damper = input.tip_twist.linear * -fixture.damping.min(input.damping_max);
-    Wrench { force: (fixture.force + spring + damper) * fresh, torque: Vector3::zeros() }
+    let force = input.waited(fixture.force, fixture.at);
+    Wrench { force: (force + spring + damper) * fresh, torque: Vector3::zeros() }
 }
 
 #[cfg(test)]

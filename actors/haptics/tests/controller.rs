@@ -4,6 +4,7 @@ use crate::support::{Bench, HAND, INSTRUMENT, Mount, PORT, Wall, handle, start_t
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_devices::{DeviceFaults, VirtualHandConfig};
 use trocar_haptics::HapticsConfig;
+use trocar_haptics::renderer::RendererConfig;
 use trocar_scene::{
     Commands, DeviceForce, DeviceState, EntityAllocator, Hand, InstrumentTarget, Pose, SimTime, Velocity,
 };
@@ -171,4 +172,34 @@ fn targets_are_unit_rotations_however_long_it_runs() {
         assert!((rotation.norm() - 1.0).abs() < 1e-15);
     }
     assert!(bench.store.view().get::<InstrumentTarget>(INSTRUMENT).is_some());
+}
+
+/// The force \[N\] that is asked for so many milliseconds after a simulation last said 1 N, with a time stamp by its own
+/// clock.
+fn asked_for(remote_scene: bool, stamp: SimTime, after_millis: u64) -> f64 {
+    let config =
+        HapticsConfig { renderer: RendererConfig::ZeroOrderHold, remote_scene, ..HapticsConfig::default() };
+    let hand = VirtualHandConfig { start_in_device: handle(0.002, 0.0, 0.0), ..VirtualHandConfig::default() };
+    // The bench's own simulation runs at 1 Hz: at 0 s, and not again in these tests.
+    let mut bench = Bench::new(hand, config, Mount::Free, wall(Mount::Free, 1));
+    bench.run(100);
+    bench.put_force(Vector3::x(), stamp);
+    // The first of the ticks sees it.
+    bench.run(after_millis + 1);
+    bench.store.view().get::<DeviceForce>(HAND).unwrap().force.x
+}
+
+#[test]
+fn a_force_of_another_station_is_full_until_50_ms_and_zero_from_100_ms() {
+    let now = SimTime::from_millis(100);
+    assert_eq!([0, 50, 100, 400].map(|age| asked_for(true, now, age)), [1.0, 1.0, 0.0, 0.0]);
+    assert!((asked_for(true, now, 75) - 0.5).abs() < 1e-9);
+    assert_eq!(asked_for(false, now, 100), 1.0, "a simulation here may run at 10 Hz");
+}
+
+#[test]
+fn a_force_stamped_by_a_clock_that_is_ahead_fades_all_the_same() {
+    let ahead = SimTime::from_millis(3_600_000);
+    assert_eq!([50, 100].map(|age| asked_for(true, ahead, age)), [1.0, 0.0]);
+    assert_eq!([250, 500].map(|age| asked_for(false, ahead, age)), [1.0, 0.0]);
 }

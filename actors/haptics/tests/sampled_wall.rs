@@ -51,6 +51,7 @@ fn growth(stiffness: f64, damping: f64, delay: usize) -> f64 {
             }),
             instrument_force: None,
             contact_model: None,
+            remote: false,
         };
         in_flight.push_back(coupling.render(&input).force.x);
         let force = in_flight.pop_front().unwrap();

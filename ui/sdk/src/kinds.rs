@@ -217,6 +217,7 @@ pub(crate) fn parse_or_default<T: DeserializeOwned + Default>(params: &Params) -
 struct HapticsParams {
     hand: String,
     passivity: Option<bool>,
+    remote_scene: Option<bool>,
     felt_window_secs: Option<f64>,
     status_period_secs: Option<f64>,
 }
@@ -236,6 +237,7 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let config = HapticsConfig {
         renderer,
         passivity: params.passivity.unwrap_or(default.passivity),
+        remote_scene: params.remote_scene.unwrap_or(default.remote_scene),
         felt_window_secs: params.felt_window_secs.unwrap_or(default.felt_window_secs),
         status_period_secs: params.status_period_secs.unwrap_or(default.status_period_secs),
     };

@@ -17,7 +17,7 @@ pub use proxy::{Proxy, ProxyConfig};
 pub use virtual_coupling::{VirtualCoupling, VirtualCouplingConfig};
 pub use zero_order_hold::ZeroOrderHold;
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::{InstrumentForce, LocalContactModel, SimTime};
 
@@ -44,10 +44,33 @@ pub struct RenderInput<'a> {
     pub energy_available: f64,
     /// The simulated instrument.
     pub instrument: Option<SimulatedInstrument>,
-    /// The simulation's force.
+    /// The simulation's force; its time is never after it was first seen here.
     pub instrument_force: Option<&'a InstrumentForce>,
     /// The simulation's local contact model.
     pub contact_model: Option<&'a LocalContactModel>,
+    /// Whether the simulation is at another station, so that its forces have waited in a network.
+    pub remote: bool,
+}
+
+/// Age after which a force of a simulation at another station fades \[s\]; it is zero at twice that age. Its rows are
+/// renewed every 20 ms at least, so that a lost one is no fade. Simulations of this station may run at 10 Hz and have
+/// longer times, which are each renderer's own.
+pub const REMOTE_FADE_SECS: f64 = 0.05;
+
+impl RenderInput<'_> {
+    /// Time after which a force fades \[s\] that fades after `local_secs` when the simulation is here.
+    pub(crate) fn fade_secs(&self, local_secs: f64) -> f64 {
+        if self.remote { local_secs.min(REMOTE_FADE_SECS) } else { local_secs }
+    }
+
+    /// A force of the time `at` that is rendered as it stands, beside geometry that is evaluated at the present pose and
+    /// may be older: faded if it has waited in a network.
+    pub(crate) fn waited(&self, force: Vector3<f64>, at: SimTime) -> Vector3<f64> {
+        if !self.remote {
+            return force;
+        }
+        force * freshness(self.now.since(at).as_secs_f64(), REMOTE_FADE_SECS)
+    }
 }
 
 /// The simulation's own instrument.
@@ -110,7 +133,6 @@ pub(crate) fn freshness(age_secs: f64, fade_secs: f64) -> f64 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use nalgebra::Vector3;
 
     /// A resting tip at `tip` at time zero, 1 kHz, nothing published.
     pub(crate) fn input_at(tip: Vector3<f64>) -> RenderInput<'static> {
@@ -126,6 +148,7 @@ pub(crate) mod tests {
             instrument: None,
             instrument_force: None,
             contact_model: None,
+            remote: false,
         }
     }
 

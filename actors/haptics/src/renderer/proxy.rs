@@ -161,7 +161,7 @@ impl ForceRenderer for Proxy {
             return Wrench::ZERO;
         };
         let contact = self.contact_force(model, input);
-        let free = contact.viscous + model.base_force;
+        let free = contact.viscous + input.waited(model.base_force, model.at);
         if self.model.as_ref().map(|before| before.at) != Some(model.at) {
             // The old and the new model are compared at the same, current pose: a comparison with the previous tick's
             // force would also blend the hand's own motion, which delays the wall. Before the first model the force is
@@ -171,7 +171,7 @@ impl ForceRenderer for Proxy {
                 let renewal = model.at.since(before.at).as_secs_f64();
                 self.blend_secs = (0.5 * renewal).min(longest).max(shortest);
                 let contact = self.contact_force(&before, input);
-                (contact.elastic, contact.viscous + before.base_force)
+                (contact.elastic, contact.viscous + input.waited(before.base_force, before.at))
             });
             self.remainder += elastic_before - contact.elastic;
             self.free_remainder += free_before - free;
@@ -404,6 +404,26 @@ mod tests {
         input.contact_model = Some(&wall);
         input.now = SimTime::from_millis(2000);
         assert!((0..200).map(|_| proxy.render(&input).force.z).last().unwrap().abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_weight_told_by_another_station_lets_go_while_the_wall_stays() {
+        let mut wall = model(&[plane(Vector3::zeros(), Vector3::z(), 1e9, 0.0)]);
+        wall.base_force = Vector3::new(0.0, -0.5, 0.0);
+        let at = |millis, remote| {
+            let mut input = input_at(Vector3::new(0.0, 0.0, -0.001));
+            input.contact_model = Some(&wall);
+            input.remote = remote;
+            let mut proxy = fresh();
+            for _ in 0..200 {
+                proxy.render(&input);
+            }
+            input.now = SimTime::from_millis(millis);
+            proxy.render(&input).force
+        };
+        assert!((at(50, true) - Vector3::new(0.0, -0.5, 1.0)).norm() < 1e-6);
+        assert!((at(100, true) - Vector3::new(0.0, 0.0, 1.0)).norm() < 1e-6);
+        assert!((at(100, false) - Vector3::new(0.0, -0.5, 1.0)).norm() < 1e-6);
     }
 
     #[test]

@@ -70,7 +70,7 @@ impl ForceRenderer for VirtualCoupling {
                 + closing.linear * self.config.damping.min(input.damping_max),
             turn * self.config.angular_stiffness + closing.angular * self.config.angular_damping,
         );
-        wrench * freshness(age, FADE_SECS)
+        wrench * freshness(age, input.fade_secs(FADE_SECS))
     }
     fn reset(&mut self) {}
     fn name(&self) -> &'static str {
@@ -122,5 +122,24 @@ mod tests {
         let config =
             VirtualCouplingConfig { stiffness: 1e6, damping: 0.0, ..VirtualCouplingConfig::default() };
         assert!((coupled(config, 0, Vector3::zeros()).force.x + 1e-3 * 2000.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_pull_of_an_instrument_at_another_station_is_gone_after_100_ms() {
+        let pull = |millis, remote| {
+            let mut input = input_at(Vector3::new(0.001, 0.0, 0.0));
+            input.now = SimTime::from_millis(millis);
+            input.remote = remote;
+            input.instrument = Some(SimulatedInstrument {
+                tip_in_world: Isometry3::identity(),
+                twist: Twist::ZERO,
+                at: SimTime::ZERO,
+            });
+            VirtualCoupling::new(VirtualCouplingConfig::default()).render(&input).force.x
+        };
+        let full = pull(0, false);
+        assert!(full < -0.5);
+        assert_eq!((pull(50, true), pull(100, true)), (full, 0.0));
+        assert_eq!(pull(100, false), full);
     }
 }

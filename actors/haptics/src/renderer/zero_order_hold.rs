@@ -6,7 +6,8 @@
 use super::{ForceRenderer, RenderInput, freshness};
 use crate::spatial::Wrench;
 
-/// Age after which a held force fades \[s\].
+/// Age after which a force of this station's simulation fades \[s\]: one at 10 Hz may miss a step. A force from another
+/// station fades after [`REMOTE_FADE_SECS`](super::REMOTE_FADE_SECS).
 const FADE_SECS: f64 = 0.25;
 
 /// Renders [`InstrumentForce`](trocar_scene::InstrumentForce) as it stands.
@@ -16,7 +17,7 @@ pub struct ZeroOrderHold;
 impl ForceRenderer for ZeroOrderHold {
     fn render(&mut self, input: &RenderInput<'_>) -> Wrench {
         let Some(held) = input.instrument_force else { return Wrench::ZERO };
-        let fresh = freshness(input.now.since(held.at).as_secs_f64(), FADE_SECS);
+        let fresh = freshness(input.now.since(held.at).as_secs_f64(), input.fade_secs(FADE_SECS));
         Wrench::new(held.force, held.torque) * fresh
     }
     fn reset(&mut self) {}
@@ -45,5 +46,22 @@ mod tests {
         assert!((at(375) - 0.5).abs() < 1e-12);
         assert_eq!(at(500), 0.0);
         assert_eq!(ZeroOrderHold.render(&input_at(Vector3::zeros())), Wrench::ZERO);
+    }
+
+    #[test]
+    fn a_force_from_another_station_is_full_until_50_ms_and_zero_from_100_ms() {
+        let force =
+            InstrumentForce { force: Vector3::z(), torque: Vector3::x(), ..InstrumentForce::default() };
+        let at = |millis| {
+            let mut input = input_at(Vector3::zeros());
+            input.now = SimTime::from_millis(millis);
+            input.instrument_force = Some(&force);
+            input.remote = true;
+            let wrench = ZeroOrderHold.render(&input);
+            assert_eq!(wrench.force.z, wrench.torque.x);
+            wrench.force.z
+        };
+        assert_eq!((at(0), at(50), at(100)), (1.0, 1.0, 0.0));
+        assert!((at(75) - 0.5).abs() < 1e-12);
     }
 }

@@ -171,6 +171,13 @@ impl Bench {
         self.engine_out.clear();
     }
 
+    /// A simulation says this of the force, once.
+    pub fn put_force(&mut self, force: Vector3<f64>, at: SimTime) {
+        self.engine_out.put(INSTRUMENT, InstrumentForce { force, torque: Vector3::zeros(), at });
+        self.store.apply(&mut self.engine_out, self.now);
+        self.engine_out.clear();
+    }
+
     /// One period: driver, haptics, engine if due.
     pub fn step(&mut self) {
         self.step_with(|tick| tick());
