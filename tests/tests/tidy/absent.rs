@@ -58,9 +58,33 @@ fn algorithms_have_no_clock_no_thread_and_no_socket() {
 }
 
 #[test]
+fn sockets_and_clocks_of_the_network_lie_in_its_live_driver_alone() {
+    const ABSENT: [&str; 9] = [
+        "Instant",
+        "SystemTime",
+        "std::thread",
+        "thread::spawn",
+        "UdpSocket",
+        "TcpStream",
+        "TcpListener",
+        "socket2",
+        "tokio",
+    ];
+    let mut found = Vec::new();
+    let driver = "actors/network/src/live/";
+    for (name, code) in
+        production_sources("actors/network").into_iter().filter(|(name, _)| !name.starts_with(driver))
+    {
+        found
+            .extend(ABSENT.iter().filter(|word| code.contains(**word)).map(|word| format!("{name}: {word}")));
+    }
+    refuse("what a protocol may not have", found);
+}
+
+#[test]
 fn nothing_random_is_unseeded_and_no_order_comes_from_a_hash_map() {
     let mut found = Vec::new();
-    for folder in PURE.iter().chain(&["actors/input", "actors/kernel", "devices"]) {
+    for folder in PURE.iter().chain(&["actors/input", "actors/kernel", "actors/network", "devices"]) {
         for (name, code) in production_sources(folder) {
             let hashed = ["HashMap", "HashSet"].into_iter().filter(|_| !LOOKUPS.contains(&name.as_str()));
             for word in ["thread_rng", "rand::rng()", "from_entropy", "from_os_rng"].into_iter().chain(hashed)

@@ -7,7 +7,7 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package};
 use super::{ROOMS, refuse, root};
 
 /// The allowed dependencies of each crate on its neighbours. All others are forbidden.
-const ARROWS: [(&str, &[&str]); 16] = [
+const ARROWS: [(&str, &[&str]); 17] = [
     ("trocar-scene", &["trocar-scene-derive"]),
     ("trocar-scene-derive", &[]),
     ("trocar-devices", &[]),
@@ -16,6 +16,7 @@ const ARROWS: [(&str, &[&str]); 16] = [
     ("trocar-collision", &["trocar-scene"]),
     ("trocar-dynamics", &["trocar-scene", "trocar-collision"]),
     ("trocar-simulator", &["trocar-scene", "trocar-collision", "trocar-dynamics"]),
+    ("trocar-network", &["trocar-scene", "trocar-devices", "trocar-kernel"]),
     ("trocar-tasks", &["trocar-scene"]),
     ("trocar-haptics", &["trocar-scene", "trocar-devices"]),
     ("trocar-input", &["trocar-scene", "trocar-devices", "trocar-tasks"]),
@@ -31,6 +32,7 @@ const ARROWS: [(&str, &[&str]); 16] = [
             "trocar-simulator",
             "trocar-haptics",
             "trocar-input",
+            "trocar-network",
             "trocar-tasks",
         ],
     ),
@@ -68,7 +70,7 @@ const ARROWS: [(&str, &[&str]); 16] = [
 /// Libraries that only some crates may depend on directly. `*` matches any ending.
 const RESERVED: [(&str, &[&str]); 10] = [
     ("actix*", &["trocar-kernel"]),
-    ("tokio*", &["trocar-kernel"]),
+    ("tokio*", &["trocar-kernel", "trocar-network"]),
     ("rapier*", &["trocar-engine"]),
     ("wgpu*", &["trocar-viewer"]),
     ("winit", &["trocar-viewer"]),

@@ -13,7 +13,7 @@ mod size;
 use std::path::{Path, PathBuf};
 
 /// The crates' folders: crate → folder.
-pub(super) const ROOMS: [(&str, &str); 16] = [
+pub(super) const ROOMS: [(&str, &str); 17] = [
     ("trocar-scene", "scene"),
     ("trocar-scene-derive", "scene/derive"),
     ("trocar-devices", "devices"),
@@ -24,6 +24,7 @@ pub(super) const ROOMS: [(&str, &str); 16] = [
     ("trocar-simulator", "actors/simulator"),
     ("trocar-haptics", "actors/haptics"),
     ("trocar-input", "actors/input"),
+    ("trocar-network", "actors/network"),
     ("trocar-tasks", "actors/tasks"),
     ("trocar", "ui/sdk"),
     ("trocar-viewer", "ui/viewer"),

@@ -75,6 +75,8 @@ pub enum Command {
     Gallery(crate::gallery::GalleryArgs),
     /// Run random fault plans in virtual time, on all cores, and check what must hold whatever they do
     Soak(SoakArgs),
+    /// Return datagrams, or forward stations to a host, as a bad network would: delay, loss, bursts, reordering
+    Reflect(crate::reflect::ReflectArgs),
     /// Start a project of your own from a template: a crate with a program, a scenario and tests
     New(NewArgs),
     /// Look at this machine: what limits the rates, and how to mend it

@@ -27,6 +27,7 @@ mod new;
 mod output;
 mod pictures;
 mod recording;
+mod reflect;
 mod replay;
 mod report;
 mod run;
@@ -102,6 +103,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Mesh(args) => mesh::mesh(app, &args),
         Command::Gallery(args) => gallery::gallery(app, &args),
         Command::Soak(args) => soak::run(app, &args),
+        Command::Reflect(args) => reflect::reflect(&args),
         Command::New(args) => new::new(&args),
         Command::Doctor(args) => doctor::doctor(&args),
         Command::Schema(args) => {

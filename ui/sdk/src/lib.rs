@@ -124,3 +124,5 @@ pub use nalgebra;
 pub use trocar_devices as devices;
 #[doc(no_inline)]
 pub use trocar_kernel as kernel;
+#[doc(no_inline)]
+pub use trocar_network as network;

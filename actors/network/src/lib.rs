@@ -1,0 +1,15 @@
+//! Sessions over a network: several stations share a scene while every hand keeps its own kilohertz.
+//!
+//! All protocol logic is sans-IO: state machines that are given bytes and a time, and give bytes and a time at which they
+//! want to be asked again. Two drivers move the bytes: `live` over sockets, on a thread of its own, and `lockstep` over
+//! links inside the process, in virtual time with the same bits every time.
+
+pub mod datagram;
+pub mod hand_sample;
+pub mod impairments;
+pub mod itp;
+pub mod live;
+pub mod lockstep;
+pub mod reflector;
+pub mod remote_hand;
+pub mod ticket;

@@ -1,0 +1,80 @@
+//! A warmed datagram of hands, and a hand that it moves, allocate nothing and free nothing.
+
+use trocar_devices::{HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
+use trocar_network::datagram::{ClockEcho, DATAGRAM_MAX, Hands, Keys, Opener, Sealer, Side};
+use trocar_network::hand_sample::HandSample;
+use trocar_network::remote_hand::{DoorLimits, RemoteHand};
+use trocar_scene::SimTime;
+use trocar_test_support::allocations::counted;
+
+/// Both directions of a connection, each as seen from one side.
+fn keys() -> (Sealer, Opener) {
+    let made = || {
+        Keys::from_exporter(7, 0, |_, _, out: &mut [u8]| {
+            out.fill(9);
+            Ok::<(), ()>(())
+        })
+        .expect("keys")
+    };
+    let (send, _) = made().split(Side::Client);
+    let (_, receive) = made().split(Side::Server);
+    (Sealer::new(send), Opener::new(receive, SimTime::from_millis(100)))
+}
+
+fn sample(hand: u8, ms: u64) -> HandSample {
+    let mut sample = HandSample::unknown(hand);
+    sample.state.connected = true;
+    sample.state.pose_in_device.translation.vector.x = 1e-5 * ms as f64;
+    sample
+}
+
+#[test]
+fn a_warmed_datagram_of_two_hands_allocates_and_frees_nothing() {
+    let (mut sealer, mut opener) = keys();
+    let (mut datagram, mut hands) = ([0; DATAGRAM_MAX], Hands::default());
+    let mut total = (0, 0);
+    for ms in 0..1_000 {
+        let now = SimTime::from_millis(ms);
+        let samples = [sample(0, ms), sample(1, ms)];
+        let echo = Some(ClockEcho { sent_at: now, held: SimTime::from_micros(200) });
+        let (allocations, frees) = counted(|| {
+            let length = sealer.seal_hands(now, echo, &samples, &mut datagram).expect("it is sealed");
+            let (header, payload) = opener.open(now, &mut datagram[..length]).expect("it is opened");
+            hands.decode(header.hands, payload).expect("it is read");
+        });
+        if ms >= 10 {
+            total = (total.0 + allocations, total.1 + frees);
+        }
+        assert_eq!(hands.samples().len(), 2);
+    }
+    assert_eq!(total, (0, 0));
+}
+
+#[test]
+fn a_remote_hand_that_is_taken_falls_silent_and_returns_allocates_and_frees_nothing() {
+    let local = Box::new(VirtualHand::new(VirtualHandConfig::default()).expect("a valid hand"));
+    let (mut hand, mut station) = RemoteHand::over(0, DoorLimits::default(), local).expect("valid limits");
+    hand.open(0).expect("it opens");
+    let mut total = (0, 0);
+    for ms in 1..2_000_u64 {
+        let now = SimTime::from_millis(ms);
+        let (allocations, frees) = counted(|| {
+            match ms {
+                100 => station.control().take(2),
+                1_800 => station.control().give_back(),
+                _ => {}
+            }
+            let silent = (800..1_000).contains(&ms);
+            if (100..1_800).contains(&ms) && !silent {
+                station.post(2, now, &sample(0, ms));
+            }
+            let state = hand.read(now.as_nanos()).expect("a reading");
+            hand.write(now.as_nanos(), &Wrench::ZERO).expect("it is rendered");
+            std::hint::black_box((state, station.answer()));
+        });
+        if ms >= 10 {
+            total = (total.0 + allocations, total.1 + frees);
+        }
+    }
+    assert_eq!(total, (0, 0));
+}
