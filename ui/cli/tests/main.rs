@@ -12,6 +12,7 @@ mod own_programs;
 mod pictures;
 mod recording_export;
 mod recordings;
+mod reflect;
 mod refusals;
 mod runs;
 mod support;
