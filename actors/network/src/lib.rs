@@ -4,6 +4,7 @@
 //! want to be asked again. Two drivers move the bytes: `live` over sockets, on a thread of its own, and `lockstep` over
 //! links inside the process, in virtual time with the same bits every time.
 
+pub mod compensation;
 pub mod datagram;
 pub mod hand_sample;
 pub mod impairments;
