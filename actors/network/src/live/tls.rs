@@ -6,7 +6,6 @@
 
 use std::sync::Arc;
 
-use ring::digest::{SHA256, digest};
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::{CryptoProvider, WebPkiSupportedAlgorithms, ring as provider, verify_tls13_signature};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
@@ -16,17 +15,10 @@ use rustls::{
     SignatureScheme,
 };
 
+use crate::ticket::{Fingerprint, SERVER_NAME};
+
 /// Application protocol that both ends ask for (RFC 7301).
 const PROTOCOL: &[u8] = b"trocar/1";
-/// Name that a client asks for; the certificate is pinned, so it means nothing.
-const NAME: &str = "trocar.invalid";
-
-/// SHA-256 of a certificate's DER.
-pub fn fingerprint(certificate: &CertificateDer<'_>) -> [u8; 32] {
-    let mut bytes = [0; 32];
-    bytes.copy_from_slice(digest(&SHA256, certificate).as_ref());
-    bytes
-}
 
 /// The host's side.
 ///
@@ -49,7 +41,7 @@ pub fn host(
 ///
 /// # Errors
 /// Never in practice: the provider knows TLS 1.3.
-pub fn client(fingerprint: [u8; 32]) -> Result<Arc<ClientConfig>, Error> {
+pub fn client(fingerprint: Fingerprint) -> Result<Arc<ClientConfig>, Error> {
     let provider = Arc::new(provider::default_provider());
     let verifier = Pinned { fingerprint, algorithms: algorithms(&provider) };
     let mut config = ClientConfig::builder_with_provider(provider)
@@ -63,9 +55,9 @@ pub fn client(fingerprint: [u8; 32]) -> Result<Arc<ClientConfig>, Error> {
     Ok(Arc::new(config))
 }
 
-/// The name that a client passes to its connection.
+/// The name that a client passes to its connection. It is not sent, and means nothing: the certificate is pinned.
 pub fn name() -> ServerName<'static> {
-    ServerName::try_from(NAME).expect("a valid name")
+    ServerName::try_from(SERVER_NAME).expect("a valid name")
 }
 
 fn algorithms(provider: &CryptoProvider) -> WebPkiSupportedAlgorithms {
@@ -75,7 +67,7 @@ fn algorithms(provider: &CryptoProvider) -> WebPkiSupportedAlgorithms {
 /// Accepts one certificate.
 #[derive(Debug)]
 struct Pinned {
-    fingerprint: [u8; 32],
+    fingerprint: Fingerprint,
     algorithms: WebPkiSupportedAlgorithms,
 }
 
@@ -89,7 +81,7 @@ impl ServerCertVerifier for Pinned {
         _: UnixTime,
     ) -> Result<ServerCertVerified, Error> {
         // The fingerprint is no secret, so the comparison need not be in constant time.
-        if fingerprint(certificate) == self.fingerprint {
+        if Fingerprint::of_certificate(certificate) == self.fingerprint {
             Ok(ServerCertVerified::assertion())
         } else {
             Err(Error::InvalidCertificate(CertificateError::ApplicationVerificationFailure))
@@ -122,13 +114,8 @@ impl ServerCertVerifier for Pinned {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ticket::Identity;
     use rustls::{ClientConnection, Connection, ServerConnection};
-
-    fn identity() -> (CertificateDer<'static>, PrivateKeyDer<'static>) {
-        let made = rcgen::generate_simple_self_signed(vec![NAME.to_owned()]).expect("makes a certificate");
-        let key = PrivateKeyDer::try_from(made.signing_key.serialize_der()).expect("a key");
-        (made.cert.der().clone(), key)
-    }
 
     /// Carries bytes between both ends until neither has any.
     fn handshake(client: &mut Connection, host: &mut Connection) -> Result<(), Error> {
@@ -148,18 +135,20 @@ mod tests {
         Ok(())
     }
 
-    fn connect(pinned: [u8; 32]) -> Result<(Connection, Connection), Error> {
-        let (certificate, key) = identity();
-        let pinned = if pinned == [0; 32] { fingerprint(&certificate) } else { pinned };
+    /// A host with a new identity, and a client that pins it, or something else.
+    fn connect(pinned: Option<Fingerprint>) -> Result<(Connection, Connection), Error> {
+        let identity = Identity::create(&"theatre 2".parse().expect("a name")).expect("an identity");
+        let pinned = pinned.unwrap_or(identity.fingerprint());
         let mut client = Connection::from(ClientConnection::new(client(pinned)?, name())?);
-        let mut host = Connection::from(ServerConnection::new(host(certificate, key)?)?);
+        let key = identity.private_key().expect("a key");
+        let mut host = Connection::from(ServerConnection::new(host(identity.certificate().clone(), key)?)?);
         handshake(&mut client, &mut host)?;
         Ok((client, host))
     }
 
     #[test]
     fn the_certificate_of_the_ticket_is_accepted_and_both_ends_export_the_same_keys() {
-        let (client, host) = connect([0; 32]).expect("they meet");
+        let (client, host) = connect(None).expect("they meet");
         assert!(!client.is_handshaking() && !host.is_handshaking());
         let keys = |connection: &Connection, context: &[u8]| match connection {
             Connection::Client(client) => {
@@ -172,13 +161,13 @@ mod tests {
         let (ours, theirs) = (keys(&client, b"1").expect("exports"), keys(&host, b"1").expect("exports"));
         assert_eq!(ours, theirs);
         assert_ne!(ours, keys(&host, b"2").expect("exports"));
-        let (_, another) = connect([0; 32]).expect("they meet");
+        let (_, another) = connect(None).expect("they meet");
         assert_ne!(ours, keys(&another, b"1").expect("exports"), "each connection has keys of its own");
     }
 
     #[test]
     fn another_certificate_is_refused_by_the_client() {
-        let refused = connect([7; 32]).map(drop).expect_err("it is refused");
+        let refused = connect(Some(Fingerprint::from_bytes([7; 32]))).map(drop).expect_err("it is refused");
         assert!(matches!(refused, Error::InvalidCertificate(_)), "{refused}");
     }
 }

@@ -249,6 +249,16 @@ mod tests {
     }
 
     #[test]
+    fn a_ticket_is_written_in_one_way_only() {
+        let content = ticket(&["192.0.2.1:4070"], "liver").content();
+        let mut spaced = content.clone();
+        let name = content.windows(5).position(|bytes| bytes == b"liver").expect("it is there");
+        spaced[name] = b' ';
+        let parsed = base32_line::write(&spaced).parse::<Ticket>();
+        assert_eq!(parsed, Err(TicketError::Content("session's name")));
+    }
+
+    #[test]
     fn no_more_than_eight_addresses_and_no_fewer_than_one_fit() {
         let one = ticket(&["192.0.2.1:4070"], "liver");
         for count in [0, ADDRESSES_MAX + 1] {
