@@ -5,8 +5,10 @@
 //! links inside the process, in virtual time with the same bits every time.
 
 pub mod compensation;
+pub mod control;
 pub mod datagram;
 pub mod hand_sample;
+pub mod haptic;
 pub mod impairments;
 pub mod itp;
 pub mod live;

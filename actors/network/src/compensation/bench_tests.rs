@@ -1,9 +1,8 @@
 //! What the compensation does on the bench: the bars of test 14, and what they are worth.
 
-use std::fmt::Write as _;
-
 use nalgebra::Vector3;
 use trocar_scene::SimTime;
+use trocar_test_support::thorough;
 
 use super::bench::{ARMS, Coupling, LOSSES, Loss, MATTERS, Matter, Outcome, ROUND_TRIPS_MS, Setup, session};
 use super::*;
@@ -26,14 +25,20 @@ fn is_calm(outcome: &Outcome) -> bool {
     outcome.swing[1] <= outcome.swing[0].max(1e-4) + 1e-4 && outcome.speed_end < 0.012
 }
 
-/// Checks the bars of one matter at all delays and these losses; the table has all of them.
+/// Checks the bars of one matter at all delays and these losses; a thorough run takes all losses.
 fn check_bars(matter: Matter, losses: &[Loss]) {
+    let losses = if thorough() { &LOSSES } else { losses };
     let reference = direct(matter);
     for method in METHODS {
         for ms in ROUND_TRIPS_MS {
             for &loss in losses {
                 let outcome = session(&Setup::new(Coupling::Compensated(method), ms, loss, matter));
                 let at = format!("{} {method:?} {ms} ms {}: {outcome:?}", matter.name, loss.name);
+                if thorough() {
+                    // The table of the documentation.
+                    let [first, felt] = [outcome.first / reference.first, outcome.felt / reference.felt];
+                    println!("{first:.2} {felt:.2} {at}");
+                }
                 assert!(outcome.energy_min >= ENERGY_BAR, "{at}");
                 assert!(outcome.tank_min >= TANK_BAR, "{at}");
                 assert!(is_calm(&outcome), "{at}");
@@ -142,53 +147,4 @@ fn the_change_of_method_under_a_pressing_hand_is_not_felt_as_a_blow() {
 fn the_same_session_has_the_same_bits() {
     let setup = Setup::new(Coupling::Compensated(Compensation::Automatic), 300, LOSSES[3], MATTERS[1]);
     assert_eq!(session(&setup), session(&setup));
-}
-
-#[test]
-#[ignore = "prints the table of all methods, delays and losses"]
-fn table() {
-    let mut table = String::new();
-    for matter in MATTERS {
-        let reference = direct(matter);
-        for method in METHODS {
-            for ms in ROUND_TRIPS_MS {
-                for loss in LOSSES {
-                    let of = session(&Setup::new(Coupling::Compensated(method), ms, loss, matter));
-                    writeln!(
-                        table,
-                        "| {} | {method:?} | {ms} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.1} | {:.3} |",
-                        matter.name,
-                        loss.name,
-                        of.first / reference.first,
-                        of.felt / reference.felt,
-                        of.energy_min * 1e3,
-                        of.swing[0] * 1e3,
-                        of.swing[1] * 1e3,
-                        of.drag,
-                        of.tank_min * 1e3,
-                    )
-                    .expect("a string");
-                }
-            }
-        }
-        for ms in ROUND_TRIPS_MS {
-            let of = session(&Setup::new(Coupling::Uncompensated, ms, LOSSES[0], matter));
-            writeln!(
-                table,
-                "| {} | none | {ms} | 0 % | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {:.1} |",
-                matter.name,
-                of.first / reference.first,
-                of.felt / reference.felt,
-                of.energy_min * 1e3,
-                of.swing[0] * 1e3,
-                of.swing[1] * 1e3,
-                of.drag,
-            )
-            .expect("a string");
-        }
-    }
-    println!(
-        "| matter | method | round trip ms | loss | first | felt | energy mJ | swing mm | late mm | drag | tank mJ |"
-    );
-    println!("{table}");
 }

@@ -14,7 +14,7 @@ const NOW: SimTime = SimTime::ZERO;
 
 /// How many attacks a test tries: 10⁶ when the environment asks for a thorough run.
 fn attacks() -> u64 {
-    if std::env::var_os("TROCAR_THOROUGH").is_some() { 1_000_000 } else { 100_000 }
+    if trocar_test_support::thorough() { 1_000_000 } else { 100_000 }
 }
 
 /// A datagram of up to 300 bytes.
