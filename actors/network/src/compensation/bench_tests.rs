@@ -4,7 +4,9 @@ use nalgebra::Vector3;
 use trocar_scene::SimTime;
 use trocar_test_support::thorough;
 
-use super::bench::{ARMS, Coupling, LOSSES, Loss, MATTERS, Matter, Outcome, ROUND_TRIPS_MS, Setup, session};
+use super::teleoperation_testing::{
+    ARMS, Coupling, LOSSES, Loss, MATTERS, Matter, Outcome, ROUND_TRIPS_MS, Setup, session,
+};
 use super::*;
 
 const METHODS: [Compensation; 3] =

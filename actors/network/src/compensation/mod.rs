@@ -58,9 +58,9 @@ mod passivity;
 mod wave_variables;
 
 #[cfg(test)]
-mod bench;
-#[cfg(test)]
 mod bench_tests;
+#[cfg(test)]
+mod teleoperation_testing;
 
 pub use block::*;
 pub use ends::*;

@@ -26,8 +26,9 @@ use super::host::SendError;
 use super::keep_alive::ClockSample;
 use super::manifest::{HeldScene, SceneCounts, SceneManifest};
 use super::message::{
-    ClientMessage, DELTA_MAX, MessageError, PEER_TICKET_MAX, Request, RequestKind, StationInfo, Welcome, Wish,
+    ClientMessage, DELTA_MAX, PEER_TICKET_MAX, Request, RequestKind, StationInfo, Welcome, Wish,
 };
+use super::message_error::MessageError;
 use super::note::Note;
 use super::plain_text::PlainText;
 

@@ -13,10 +13,10 @@ use super::frame::after_preamble;
 use super::host::{LINGER_MAX, SendError};
 use super::host_end::outbox_error;
 use super::keep_alive::KeepAlive;
+use super::keep_alive::Pong;
 use super::manifest::{HeldScene, SceneCounts, SceneKind, SceneManifest};
-use super::message::{
-    ClientMessage, Hello, HostMessage, MessageError, Pong, STATION_HANDS_MAX, Welcome, Wish,
-};
+use super::message::{ClientMessage, Hello, HostMessage, STATION_HANDS_MAX, Welcome, Wish};
+use super::message_error::MessageError;
 use super::outbox::{Outbox, STALLED_MAX};
 use super::plain_text::PlainText;
 use super::scene_assembly::SceneAssembly;

@@ -9,7 +9,7 @@ use super::component_list::{ComponentDifference, ComponentList};
 use super::frame::FrameError;
 use super::keep_alive::SILENCE_MAX;
 use super::manifest::CountsDiffer;
-use super::message::MessageError;
+use super::message_error::MessageError;
 use super::outbox::OutboxError;
 use super::plain_text::PlainText;
 use crate::ticket::{PlainName, Refused, Role};

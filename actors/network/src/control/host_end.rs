@@ -14,9 +14,9 @@ use super::host::{
 };
 use super::host_session::{Admitted, HostEvent, HostFacts, HostSession, SceneOffer};
 use super::keep_alive::KeepAlive;
-use super::message::{
-    ClientMessage, Hello, HostMessage, MessageError, Pong, Request, SCENE_PART_MAX, Welcome,
-};
+use super::keep_alive::Pong;
+use super::message::{ClientMessage, Hello, HostMessage, Request, SCENE_PART_MAX, Welcome};
+use super::message_error::MessageError;
 use super::outbox::{Outbox, OutboxError, STALLED_MAX};
 use super::plain_text::PlainText;
 use crate::ticket::Refused;

@@ -18,7 +18,7 @@ use super::message::{ClientMessage, HostMessage, RequestKind, SCENE_PART_MAX, Wi
 use super::outbox::Outbox;
 use super::plain_text::PlainText;
 use super::scene_assembly::SceneAssembly;
-use super::test_session::{Pair, TestSession, components, ms, name, ticket, wish};
+use super::session_testing::{Pair, TestSession, components, ms, name, ticket, wish};
 use crate::ticket::{Admission, Identity, Offer, Refused, ResumeSecret, Role, TicketBook};
 
 #[test]

@@ -3,9 +3,8 @@
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
 use trocar_scene::SimTime;
-
-use super::message::{Ping, Pong};
 
 /// Time between two pings.
 pub const PING_EVERY: SimTime = SimTime::from_millis(1_000);
@@ -13,6 +12,24 @@ pub const PING_EVERY: SimTime = SimTime::from_millis(1_000);
 pub const SILENCE_MAX: SimTime = SimTime::from_millis(5_000);
 /// Most pings that wait for their answer; an older one is given up.
 const WAITING_PINGS_MAX: usize = 8;
+
+/// A question for the other side's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ping {
+    /// When it was sent, by the sender's session clock.
+    pub sent_at: SimTime,
+}
+
+/// The answer to a ping.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pong {
+    /// When the ping was sent, as it says.
+    pub ping_sent_at: SimTime,
+    /// When the ping arrived, by the clock of who answers.
+    pub received_at: SimTime,
+    /// When the answer was sent, by the same clock.
+    pub sent_at: SimTime,
+}
 
 /// The four time stamps of a ping and its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -9,11 +9,12 @@ use super::client::ClientState;
 use super::error::{ControlError, Goodbye};
 use super::frame::{FRAME_MAX, FrameError, OPENING_MAX};
 use super::host::{FORBIDDEN_MAX, HostControl, HostState, JOIN_TIME_MAX, OPENING_TIME_MAX, SendError};
-use super::message::{ClientMessage, DELTA_MAX, HostMessage, Ping, Request, RequestKind};
+use super::keep_alive::Ping;
+use super::message::{ClientMessage, DELTA_MAX, HostMessage, Request, RequestKind};
 use super::note::{NoteKind, SurfacePlace, TakeOver};
 use super::outbox::{STALLED_MAX, WAITING_MAX};
 use super::plain_text::PlainText;
-use super::test_session::{Pair, TestSession, ms, name, ticket, wish};
+use super::session_testing::{Pair, TestSession, ms, name, ticket, wish};
 
 fn hello() -> Vec<u8> {
     Pair::operating().say_hello()

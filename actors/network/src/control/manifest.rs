@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Revision, SimTime, Snapshot};
 
 use super::component_list::COMPONENTS_MAX;
-use super::message::MessageError;
+use super::message_error::MessageError;
 use super::plain_text::PlainText;
 
 /// Most bytes of an encoded scene. A scene of 10,000 entities with meshes has some ten million.

@@ -4,14 +4,15 @@
 //! other change raises [`WIRE_VERSION`](super::WIRE_VERSION).
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 use trocar_scene::{Entity, Revision, SimTime};
 
 use super::blob::Blob;
 use super::component_list::COMPONENTS_MAX;
 use super::credential::Credential;
 use super::error::{Goodbye, Refusal};
+use super::keep_alive::{Ping, Pong};
 use super::manifest::{HeldScene, SceneManifest};
+use super::message_error::MessageError;
 use super::note::{Note, NoteKind};
 use super::plain_text::PlainText;
 use crate::ticket::{PlainName, Role};
@@ -30,46 +31,6 @@ pub const SCENE_PART_MAX: usize = 64 << 10;
 pub const DELTA_MAX: usize = 512 << 10;
 /// Most bytes of a ticket from one peer to another.
 pub const PEER_TICKET_MAX: usize = 4 << 10;
-
-/// Why some bytes are no message, or not one within the limits.
-#[derive(Clone, Debug, PartialEq, Eq, Error)]
-pub enum MessageError {
-    /// Not postcard of a message.
-    #[error("a frame of {bytes} bytes is no message: {reason}")]
-    Encoding {
-        /// Bytes of the message.
-        bytes: usize,
-        /// What postcard says.
-        reason: postcard::Error,
-    },
-    /// More bytes than the message has.
-    #[error("a message '{message}' has {rest} bytes too many")]
-    Trailing {
-        /// The message.
-        message: &'static str,
-        /// How many.
-        rest: usize,
-    },
-    /// Too many of something.
-    #[error("a message has {found} {what}; at most {most} are valid")]
-    Limit {
-        /// Of what.
-        what: &'static str,
-        /// How many.
-        found: usize,
-        /// The limit.
-        most: usize,
-    },
-    /// A number that is not finite or out of its range.
-    #[error("a message has an invalid {0}")]
-    Number(&'static str),
-}
-
-impl MessageError {
-    pub(super) fn limit(what: &'static str, found: usize, most: usize) -> Result<(), Self> {
-        if found > most { Err(Self::Limit { what, found, most }) } else { Ok(()) }
-    }
-}
 
 /// Who computes what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -237,24 +198,6 @@ impl RequestKind {
             Self::PeerTicket { .. } => "connect to another station",
         }
     }
-}
-
-/// A question for the other side's clock.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Ping {
-    /// When it was sent, by the sender's session clock.
-    pub sent_at: SimTime,
-}
-
-/// The answer to a ping.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Pong {
-    /// When the ping was sent, as it says.
-    pub ping_sent_at: SimTime,
-    /// When the ping arrived, by the clock of who answers.
-    pub received_at: SimTime,
-    /// When the answer was sent, by the same clock.
-    pub sent_at: SimTime,
 }
 
 /// From a station to its host.

@@ -45,6 +45,7 @@ mod keep_alive;
 mod limits_tests;
 mod manifest;
 mod message;
+mod message_error;
 mod note;
 mod outbox;
 mod plain_text;
@@ -53,7 +54,7 @@ mod resume_tests;
 mod roster;
 mod scene_assembly;
 #[cfg(test)]
-mod test_session;
+mod session_testing;
 
 pub use blob::Blob;
 pub use client::{
@@ -72,13 +73,14 @@ pub use host::{
     SendError,
 };
 pub use host_session::{Admitted, HostEvent, HostFacts, HostSession, SceneOffer};
-pub use keep_alive::{ClockSample, KeepAlive, PING_EVERY, SILENCE_MAX};
+pub use keep_alive::{ClockSample, KeepAlive, PING_EVERY, Ping, Pong, SILENCE_MAX};
 pub use manifest::{CountsDiffer, HeldScene, SCENE_BYTES_MAX, SceneCounts, SceneKind, SceneManifest};
 pub use message::{
-    Architecture, ClientMessage, DELTA_MAX, HandInfo, Hello, HostMessage, LinkFigures, MessageError,
-    PEER_TICKET_MAX, Ping, Pong, Request, RequestKind, SCENARIO_TEXT_MAX, SCENE_PART_MAX, SESSION_HANDS_MAX,
-    STATION_HANDS_MAX, STATIONS_MAX, SessionInfo, StationInfo, Welcome, Wish,
+    Architecture, ClientMessage, DELTA_MAX, HandInfo, Hello, HostMessage, LinkFigures, PEER_TICKET_MAX,
+    Request, RequestKind, SCENARIO_TEXT_MAX, SCENE_PART_MAX, SESSION_HANDS_MAX, STATION_HANDS_MAX,
+    STATIONS_MAX, SessionInfo, StationInfo, Welcome, Wish,
 };
+pub use message_error::MessageError;
 pub use note::{Note, NoteKind, STROKE_PLACES_MAX, STROKE_WIDTH_MAX, SurfacePlace, TakeOver};
 pub use outbox::{Outbox, OutboxError, STALLED_MAX, WAITING_MAX};
 pub use plain_text::{PlainText, TEXT_MAX};

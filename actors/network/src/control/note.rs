@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Entity, SimTime};
 
-use super::message::MessageError;
+use super::message_error::MessageError;
 use super::plain_text::PlainText;
 use crate::ticket::Role;
 

@@ -7,7 +7,7 @@ use super::client::{AWAY_TIME_MAX, ClientState, FIRST_TIME_MAX};
 use super::error::{ControlError, Goodbye};
 use super::host::{HostState, SendError};
 use super::message::RequestKind;
-use super::test_session::{Pair, TestSession, ms, name, ticket, wish};
+use super::session_testing::{Pair, TestSession, ms, name, ticket, wish};
 use crate::ticket::Role;
 
 #[test]

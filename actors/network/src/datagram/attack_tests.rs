@@ -7,7 +7,7 @@ use ring::aead::{Aad, CHACHA20_POLY1305, LessSafeKey, Nonce, UnboundKey};
 use trocar_scene::random::SplitMix64;
 
 use super::*;
-use crate::datagram::test_keys::{End, ends, exporter, keys};
+use crate::datagram::keys_testing::{End, ends, exporter, keys};
 use crate::datagram::{Keys, Kind, Sealer, Side};
 
 const NOW: SimTime = SimTime::ZERO;

@@ -284,7 +284,7 @@ fn checksum(direction: u8, header: &[u8], payload: &[u8]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datagram::test_keys::{exporter, keys};
+    use crate::datagram::keys_testing::{exporter, keys};
 
     #[test]
     fn no_secret_is_printed() {

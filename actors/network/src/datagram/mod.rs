@@ -40,12 +40,12 @@
 mod hands;
 mod header;
 mod keys;
+#[cfg(test)]
+mod keys_testing;
 mod little_endian;
 mod open;
 mod replay_window;
 mod seal;
-#[cfg(test)]
-mod test_keys;
 
 pub use hands::{ClockEcho, HAND_BYTES, HANDS_MAX, Hands, HandsError, ROTATION_TOLERANCE, encode_hands};
 pub use header::{HEADER_BYTES, Header, HeaderError, Kind, WIRE_VERSION};

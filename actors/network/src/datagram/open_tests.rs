@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use trocar_scene::random::SplitMix64;
 
 use super::*;
-use crate::datagram::test_keys::{End, GRACE, ends, keys};
+use crate::datagram::keys_testing::{End, GRACE, ends, keys};
 use crate::datagram::{Hands, Keys, Kind, REPLAY_WINDOW, Side};
 use crate::hand_sample::HandSample;
 

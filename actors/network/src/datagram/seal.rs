@@ -166,7 +166,7 @@ impl Sealer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::datagram::test_keys::{ends, keys};
+    use crate::datagram::keys_testing::{ends, keys};
     use crate::datagram::{Keys, Seal, Side};
 
     fn seal(sealer: &mut Sealer) -> Result<usize, SealError> {

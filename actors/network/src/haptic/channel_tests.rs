@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use trocar_kernel::faults::{LinkFaults, Message};
 use trocar_scene::SimTime;
 
-use super::hand_motion::hand_motion;
+use super::hand_motion_testing::hand_motion;
 use super::*;
 use crate::datagram::ClockEcho;
 use crate::hand_sample::HandSample;

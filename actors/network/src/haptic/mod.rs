@@ -19,7 +19,7 @@ mod clock_sync;
 mod cross_check_tests;
 mod deadband;
 #[cfg(test)]
-mod hand_motion;
+mod hand_motion_testing;
 mod link_quality;
 mod link_report;
 mod rate_ladder;
