@@ -15,4 +15,5 @@ pub mod live;
 pub mod lockstep;
 pub mod reflector;
 pub mod remote_hand;
+pub mod replication;
 pub mod ticket;

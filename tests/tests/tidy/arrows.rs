@@ -70,7 +70,7 @@ const ARROWS: [(&str, &[&str]); 17] = [
 /// Libraries that only some crates may depend on directly. `*` matches any ending.
 const RESERVED: [(&str, &[&str]); 10] = [
     ("actix*", &["trocar-kernel"]),
-    ("tokio*", &["trocar-kernel", "trocar-network"]),
+    ("tokio*", &["trocar-kernel"]),
     ("rapier*", &["trocar-engine"]),
     ("wgpu*", &["trocar-viewer"]),
     ("winit", &["trocar-viewer"]),

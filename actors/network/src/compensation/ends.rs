@@ -8,11 +8,8 @@ use super::model_mediated::{ContactEstimator, ContactModel, RenderedContact};
 use super::passivity::{CouplingConfig, MasterPort, RemoteForce, SlavePort, filling_force};
 use super::wave_variables::{WaveMaster, WaveSlave};
 use super::{Compensation, Method};
+use crate::haptic::fade;
 
-/// Silence after which a remote force begins to fade.
-pub const FADE_BEGINS: SimTime = SimTime::from_millis(50);
-/// Silence after which a remote force is zero.
-pub const FADE_ENDS: SimTime = SimTime::from_millis(100);
 /// Silence after which the contact known at the master recedes.
 pub const FORGET_AFTER: SimTime = SimTime::from_millis(1_000);
 /// Round trip above which `automatic` is model-mediated.
@@ -65,8 +62,7 @@ impl StepClock {
 
     /// Share of a remote force that its age allows, 1 to 0.
     fn freshness(&self, now: SimTime) -> f64 {
-        let (from, to) = (FADE_BEGINS.as_secs_f64(), FADE_ENDS.as_secs_f64());
-        ((to - self.silence(now).as_secs_f64()) / (to - from)).clamp(0.0, 1.0)
+        fade(self.silence(now))
     }
 
     /// Time since something was heard last, or since the start.

@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::ticket::plain_name::is_hidden;
+
 /// Most bytes of a text, in UTF-8.
 pub const TEXT_MAX: usize = 256;
 
@@ -31,12 +33,6 @@ impl PlainText {
     pub fn as_str(&self) -> &str {
         &self.0
     }
-}
-
-/// Whether a character is shown nowhere, or changes how its neighbours are shown.
-fn is_hidden(character: char) -> bool {
-    matches!(character, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
-        || character.is_control()
 }
 
 impl TryFrom<String> for PlainText {

@@ -39,7 +39,7 @@ impl PlainName {
 }
 
 /// Whether a character is shown nowhere, or changes how its neighbours are shown.
-fn is_hidden(character: char) -> bool {
+pub(crate) fn is_hidden(character: char) -> bool {
     matches!(character, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
         || character.is_control()
 }
