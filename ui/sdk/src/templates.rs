@@ -45,6 +45,7 @@ const OURS: [&str; 14] = [
     "trocar-haptics",
     "trocar-input",
     "trocar-kernel",
+    "trocar-network",
     "trocar-scene",
     "trocar-scene-derive",
     "trocar-simulator",
