@@ -16,4 +16,5 @@ pub mod lockstep;
 pub mod reflector;
 pub mod remote_hand;
 pub mod replication;
+pub mod streams;
 pub mod ticket;
