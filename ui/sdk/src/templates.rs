@@ -36,7 +36,7 @@ const STANDARD: [&str; 5] = ["alloc", "core", "proc-macro", "std", "test"];
 /// Folders of cargo beside the program, which has the crate's name.
 const FOLDERS: [&str; 5] = ["build", "deps", "doc", "examples", "incremental"];
 /// The crates of Trocar besides its facade.
-const OURS: [&str; 14] = [
+const OURS: [&str; 15] = [
     "trocar-cli",
     "trocar-collision",
     "trocar-devices",
