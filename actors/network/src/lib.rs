@@ -8,6 +8,7 @@ pub mod compensation;
 pub mod control;
 pub mod datagram;
 pub mod hand_sample;
+pub mod hands_link;
 pub mod haptic;
 pub mod impairments;
 pub mod itp;

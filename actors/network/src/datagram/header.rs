@@ -25,12 +25,14 @@ pub enum Kind {
     PathChallenge = 3,
     /// The answer, from that address.
     PathResponse = 4,
+    /// What the receiver of a direction tells its sender, a few times a second.
+    Report = 5,
 }
 
 impl Kind {
     /// All kinds, in the order of their codes.
-    pub const ALL: [Self; 5] =
-        [Self::Hands, Self::Rows, Self::RowAcks, Self::PathChallenge, Self::PathResponse];
+    pub const ALL: [Self; 6] =
+        [Self::Hands, Self::Rows, Self::RowAcks, Self::PathChallenge, Self::PathResponse, Self::Report];
 
     /// The kind of a code on the wire.
     pub fn from_code(code: u8) -> Option<Self> {
@@ -71,7 +73,7 @@ pub enum HeaderError {
     #[error("the datagram is of wire version {0}; this program reads version {WIRE_VERSION}")]
     Version(u8),
     /// The kind is unknown.
-    #[error("the datagram is of kind {0}; kinds are 0 to 4")]
+    #[error("the datagram is of kind {0}; kinds are 0 to 5")]
     Kind(u8),
     /// It has too many hands.
     #[error(
@@ -147,7 +149,7 @@ mod tests {
         assert_eq!(bytes[4..8], [0x11, 0x22, 0x33, 0x44]);
         assert_eq!(bytes[8..16], [1, 2, 3, 4, 5, 6, 7, 8]);
         assert_eq!(bytes[16..24], [0x11, 0x12, 0x13, 0x14, 0x15, 0x16, 0x17, 0x18]);
-        let codes = [Kind::Hands, Kind::Rows, Kind::RowAcks, Kind::PathChallenge, Kind::PathResponse];
+        let codes = Kind::ALL;
         for (code, kind) in codes.into_iter().enumerate() {
             assert_eq!(Header { kind, ..header }.encode()[1], code as u8);
         }
@@ -173,7 +175,7 @@ mod tests {
             Header::decode(&bytes)
         };
         assert_eq!(with(0, 2), Err(HeaderError::Version(2)));
-        assert_eq!(with(1, 5), Err(HeaderError::Kind(5)));
+        assert_eq!(with(1, 6), Err(HeaderError::Kind(6)));
         assert_eq!(with(3, 1), Err(HeaderError::Hands { kind: Kind::Rows, hands: 1 }));
         let mut hands = Header { kind: Kind::Hands, hands: 11, ..header }.encode();
         assert!(Header::decode(&hands).is_ok());
@@ -189,7 +191,7 @@ mod tests {
         ) {
             if likely && bytes.len() >= 4 {
                 bytes[0] = WIRE_VERSION;
-                bytes[1] %= 5;
+                bytes[1] %= 6;
                 bytes[3] %= 12;
             }
             if let Ok(header) = Header::decode(&bytes) {

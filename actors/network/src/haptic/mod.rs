@@ -20,6 +20,7 @@ mod cross_check_tests;
 mod deadband;
 #[cfg(test)]
 mod hand_motion_testing;
+mod link_meter;
 mod link_quality;
 mod link_report;
 mod rate_ladder;
@@ -29,7 +30,8 @@ mod sender;
 
 pub use clock_sync::{ClockSync, SKEW_MAX, Transit};
 pub use deadband::{Deadband, Deviation};
-pub use link_quality::{Figure, LinkPoint, LinkQuality, LinkSummary, POINT_EVERY, POINTS_MAX};
+pub use link_meter::{LinkHistograms, LinkMeter, LinkPoint, POINT_EVERY};
+pub use link_quality::{Figure, LinkQuality, LinkSummary, POINTS_MAX};
 pub use link_report::{LinkReport, LossMeter, Order, REPORT_BYTES, REPORT_EVERY, ReportError};
 pub use rate_ladder::{
     GROWING, GROWTH_US, LOSS_DOWN, LOSS_UP, QUIET_MAX, QUIET_MIN, Rate, RateChange, RateLadder, RateReason,

@@ -116,6 +116,21 @@ impl HapticReceiver {
     /// # Errors
     /// When there are more than [`HANDS_MAX`], or one comes twice.
     pub fn new(hands: &[u8]) -> Result<Self, ReceiverError> {
+        let mut receiver = Self {
+            hands: Vec::with_capacity(HANDS_MAX),
+            clock: ClockSync::default(),
+            meter: LossMeter::default(),
+            unknown: 0,
+        };
+        receiver.expect_hands(hands)?;
+        Ok(receiver)
+    }
+
+    /// Expects these hands from now on. What is known of those among them that it expected before is kept.
+    ///
+    /// # Errors
+    /// As in [`Self::new`]; then nothing has changed.
+    pub fn expect_hands(&mut self, hands: &[u8]) -> Result<(), ReceiverError> {
         if hands.len() > HANDS_MAX {
             return Err(ReceiverError::TooMany(hands.len()));
         }
@@ -124,9 +139,13 @@ impl HapticReceiver {
         {
             return Err(ReceiverError::Twice(*twice));
         }
-        let counts = HandCounts::default();
-        let hands = hands.iter().map(|number| Hand { number: *number, newest: None, counts }).collect();
-        Ok(Self { hands, clock: ClockSync::default(), meter: LossMeter::default(), unknown: 0 })
+        self.hands.retain(|hand| hands.contains(&hand.number));
+        for number in hands {
+            if !self.hands.iter().any(|hand| hand.number == *number) {
+                self.hands.push(Hand { number: *number, newest: None, counts: HandCounts::default() });
+            }
+        }
+        Ok(())
     }
 
     /// An authenticated datagram of hands arrived at `now`, which must not decrease.

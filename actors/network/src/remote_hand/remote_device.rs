@@ -328,6 +328,7 @@ impl HapticDevice for RemoteHand {
         }
         let wrench = if wrench.is_finite() { *wrench } else { Wrench::ZERO };
         self.answer.wrench = wrench * self.station_share;
+        self.answer.local_wrench = wrench * self.local_share;
         self.publish(now_ns);
         let Some(local) = &mut self.local else { return Ok(()) };
         if !local.open {
@@ -349,7 +350,7 @@ impl HapticDevice for RemoteHand {
 
     fn close(&mut self) {
         self.open = false;
-        self.answer.wrench = Wrench::ZERO;
+        (self.answer.wrench, self.answer.local_wrench) = (Wrench::ZERO, Wrench::ZERO);
         self.answers.write(self.answer);
         if let Some(local) = &mut self.local {
             local.open = false;

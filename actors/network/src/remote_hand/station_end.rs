@@ -42,6 +42,8 @@ pub struct HandAnswer {
     /// The wrench for the station's motors, in the device's frame: faded in after the station took the hand or
     /// returned, and faded out after it fell silent.
     pub wrench: Wrench,
+    /// The wrench for the local device's motors, in the device's frame; zero while a station has the hand.
+    pub local_wrench: Wrench,
     /// The hand as it is shown here, behind door and clutch.
     pub state: DeviceState,
     /// Counters of the door.
@@ -58,6 +60,7 @@ impl HandAnswer {
             at: SimTime::ZERO,
             presence: Presence::Nobody,
             wrench: Wrench::ZERO,
+            local_wrench: Wrench::ZERO,
             state: DeviceState::unknown(),
             door: DoorStatistics::default(),
             refused_station: 0,

@@ -1,0 +1,232 @@
+//! The hands link of a host: the connections of all stations, and the hands that they serve.
+
+use trocar_scene::SimTime;
+
+use super::connection::{Arrived, Connection, Reply};
+use super::order::{HandNumbers, HandsNews, HandsOrder, HandsThread, Parcel};
+use crate::control::STATIONS_MAX;
+use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header, Kind};
+use crate::hand_sample::HandSample;
+use crate::remote_hand::StationEnd;
+
+/// Orders that are taken at one tick.
+const ORDERS_AT_ONCE: usize = 64;
+
+/// A hand of the session, as the link reaches it.
+pub struct HostHand {
+    /// Its number in datagrams.
+    pub number: u8,
+    /// Where its samples go and its answers come from.
+    pub end: StationEnd,
+}
+
+struct Link<A> {
+    station: u16,
+    connection: Box<Connection<A>>,
+    serves: HandNumbers,
+    is_worn: bool,
+}
+
+/// What came and had no connection.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StrangerCounts {
+    /// Datagrams without a header, or for no connection of this host.
+    pub unknown: u64,
+    /// Datagrams of a connection that were refused.
+    pub refused: u64,
+}
+
+/// All connections of a host. Does not allocate after it was made, but for what its orders own.
+pub struct HandsHost<A> {
+    hands: Vec<HostHand>,
+    links: Vec<Link<A>>,
+    thread: HandsThread<A>,
+    samples: Vec<HandSample>,
+    out: [u8; DATAGRAM_MAX],
+    strangers: StrangerCounts,
+}
+
+impl<A: Copy + PartialEq> HandsHost<A> {
+    /// A host of a session with these hands.
+    pub fn new(hands: Vec<HostHand>, thread: HandsThread<A>) -> Self {
+        Self {
+            hands,
+            links: Vec::with_capacity(STATIONS_MAX),
+            thread,
+            samples: Vec::with_capacity(HANDS_MAX),
+            out: [0; DATAGRAM_MAX],
+            strangers: StrangerCounts::default(),
+        }
+    }
+
+    /// What came from strangers so far.
+    pub fn strangers(&self) -> &StrangerCounts {
+        &self.strangers
+    }
+
+    /// A datagram came; replies go out by `send`, which says whether the system took them. A stranger gets none.
+    pub fn receive(
+        &mut self,
+        now: SimTime,
+        from: A,
+        datagram: &mut [u8],
+        send: &mut dyn FnMut(A, &[u8]) -> bool,
+    ) {
+        let Self { hands, links, thread, out, strangers, .. } = self;
+        let id = Header::decode(datagram).map(|header| header.connection);
+        let link = id.ok().and_then(|id| links.iter_mut().find(|link| link.connection.id() == id));
+        let Some(link) = link else {
+            strangers.unknown += 1;
+            return;
+        };
+        let Link { station, connection, serves, .. } = link;
+        let id = connection.id();
+        let reply = match connection.receive(now, from, datagram) {
+            Ok((Arrived::Hands, reply)) => {
+                for sample in connection.samples() {
+                    if serves.as_slice().contains(&sample.hand)
+                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
+                    {
+                        hand.end.post(*station, now, sample);
+                    }
+                }
+                reply
+            }
+            Ok((Arrived::Rows(payload), reply)) => {
+                tell(thread, id, Kind::Rows, payload);
+                reply
+            }
+            Ok((Arrived::RowAcks(payload), reply)) => {
+                tell(thread, id, Kind::RowAcks, payload);
+                reply
+            }
+            Ok((Arrived::Other, reply)) => reply,
+            Err(_) => {
+                strangers.refused += 1;
+                return;
+            }
+        };
+        if let Some(Reply { kind, payload }) = reply
+            && let Some(length) = connection.seal(kind, &payload, now, out)
+        {
+            send(from, &out[..length]);
+        }
+    }
+
+    /// Sends what is due.
+    pub fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
+        self.take_orders(now, send);
+        let Self { hands, links, thread, samples, out, .. } = self;
+        for Link { connection, serves, is_worn, .. } in links.iter_mut() {
+            samples.clear();
+            for number in serves.as_slice() {
+                // The age of what came is counted for the figures of the link.
+                let _ = connection.read(*number, now);
+                if let Some(hand) = hands.iter_mut().find(|hand| hand.number == *number) {
+                    samples.push(answer_of(hand, now));
+                }
+            }
+            let id = connection.id();
+            if let Some(address) = connection.address() {
+                if let Some(length) = connection.tick(samples, now, out) {
+                    let is_sent = send(address, &out[..length]);
+                    connection.sent(samples, length, is_sent, now);
+                }
+                if let Some(length) = connection.report(now, out) {
+                    send(address, &out[..length]);
+                }
+            }
+            if let Some(point) = connection.point(now) {
+                thread.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
+            }
+            if connection.is_worn() && !*is_worn {
+                *is_worn = thread.tell(HandsNews::Worn { connection: id });
+            }
+        }
+    }
+
+    fn take_orders(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
+        for _ in 0..ORDERS_AT_ONCE {
+            let Ok(order) = self.thread.orders.pop() else { break };
+            self.obey(order, now, send);
+        }
+    }
+
+    fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
+        match order {
+            HandsOrder::Open { station, connection } => {
+                let of_station = |link: &Link<A>| link.station == station;
+                if let Some(at) = self.links.iter().position(of_station) {
+                    self.close(at);
+                }
+                if self.links.len() < STATIONS_MAX {
+                    let serves = HandNumbers::default();
+                    self.links.push(Link { station, connection, serves, is_worn: false });
+                } else {
+                    self.thread.tell(HandsNews::Closed(connection));
+                }
+            }
+            HandsOrder::Serve { connection, hands } => {
+                if let Some(link) = self.link(connection)
+                    && link.connection.expect_hands(hands.as_slice()).is_ok()
+                {
+                    link.serves = hands;
+                }
+            }
+            HandsOrder::Send { connection, parcel } => {
+                let Self { links, out, .. } = self;
+                let link = links.iter_mut().find(|link| link.connection.id() == connection);
+                if let Some(link) = link
+                    && let Some(address) = link.connection.address()
+                    && let Some(length) = link.connection.seal(parcel.kind(), parcel.payload(), now, out)
+                {
+                    send(address, &out[..length]);
+                }
+            }
+            HandsOrder::RekeyOpener { connection, key } => {
+                // A key that does not fit leaves the present ones in use; the controller asks for another phase.
+                let _ = self.link(connection).map(|link| link.connection.rekey_opener(now, key));
+            }
+            HandsOrder::RekeySealer { connection, key } => {
+                if let Some(link) = self.link(connection)
+                    && link.connection.rekey_sealer(key).is_ok()
+                {
+                    link.is_worn = false;
+                }
+            }
+            HandsOrder::Close { connection } => {
+                if let Some(at) = self.links.iter().position(|link| link.connection.id() == connection) {
+                    self.close(at);
+                }
+            }
+        }
+    }
+
+    fn link(&mut self, connection: u32) -> Option<&mut Link<A>> {
+        self.links.iter_mut().find(|link| link.connection.id() == connection)
+    }
+
+    fn close(&mut self, at: usize) {
+        let link = self.links.swap_remove(at);
+        self.thread.tell(HandsNews::Closed(link.connection));
+    }
+}
+
+fn tell<A>(thread: &mut HandsThread<A>, connection: u32, kind: Kind, payload: &[u8]) {
+    if let Some(parcel) = Parcel::new(kind, payload) {
+        thread.tell(HandsNews::Arrived { connection, parcel });
+    }
+}
+
+/// What a hand answers its station, as a sample.
+fn answer_of(hand: &mut HostHand, now: SimTime) -> HandSample {
+    let answer = hand.end.answer();
+    let age = now.since(answer.at).as_nanos() / 1_000;
+    HandSample {
+        hand: hand.number,
+        state: answer.state,
+        wrench: answer.wrench,
+        grabbed: None,
+        age_us: u32::try_from(age).unwrap_or(u32::MAX),
+    }
+}

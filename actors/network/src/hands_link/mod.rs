@@ -1,0 +1,34 @@
+//! Hands link: the datagrams of a connection, on the thread that has nothing else to do.
+//!
+//! A session has two threads of network at each station. The *controller* of the network keeps the control channel, and
+//! sends and takes rows: it works at the rate of an actor, and may be late. The *hands link* is below all actors, as the
+//! driver of a device is: it brings each hand's newest sample where it is needed within a millisecond, whatever the
+//! controller does, and also while the controller is restarted. Two bounded rings of whole messages are between them
+//! ([`hands_channel`]); the link never waits for one, and allocates nothing.
+//!
+//! ```text
+//!   controller ──HandsOrder──▶ hands link ◀──▶ datagrams
+//!              ◀──HandsNews───     │ ▲
+//!                             samples answers      (triple buffers of each hand)
+//! ```
+//!
+//! [`Connection`] is one end of one connection's datagrams. [`HandsHost`] has all connections of a host, and
+//! [`HandsStation`] the one of a station. All are sans-IO: a driver brings datagrams with the address that they came from.
+
+mod connection;
+#[cfg(test)]
+mod connection_tests;
+mod hands_host;
+#[cfg(test)]
+mod hands_host_tests;
+mod hands_station;
+mod order;
+mod path;
+
+pub use connection::{Arrived, Connection, ConnectionCounts, ConnectionError, Reply};
+pub use hands_host::{HandsHost, HostHand, StrangerCounts};
+pub use hands_station::{HOST, HandsStation, StationHand};
+pub use order::{
+    HandNumbers, HandsController, HandsNews, HandsOrder, HandsThread, NEWS_MAX, ORDERS_MAX, Parcel, hands_channel,
+};
+pub use path::{CHALLENGE_BYTES, CHALLENGE_EVERY, Path, PathNews};

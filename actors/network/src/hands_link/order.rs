@@ -1,0 +1,175 @@
+//! What the controller of the network and the hands link tell each other, over two bounded rings.
+
+use rtrb::{Consumer, Producer, RingBuffer};
+
+use super::connection::Connection;
+use crate::datagram::{HANDS_MAX, Kind, PAYLOAD_MAX, ReceiveKey, SendKey};
+use crate::haptic::{LinkPoint, Rate};
+
+/// Most orders that wait for the hands link.
+pub const ORDERS_MAX: usize = 256;
+/// Most news that wait for the controller. A controller that is restarted finds the oldest; what does not fit is lost, as
+/// on a path.
+pub const NEWS_MAX: usize = 512;
+
+/// The payload of a datagram, in place.
+#[derive(Clone, Debug)]
+pub struct Parcel {
+    kind: Kind,
+    length: u16,
+    bytes: [u8; PAYLOAD_MAX],
+}
+
+impl Parcel {
+    /// A copy of a payload; `None` if it is longer than one can be.
+    pub fn new(kind: Kind, payload: &[u8]) -> Option<Self> {
+        let mut bytes = [0; PAYLOAD_MAX];
+        bytes.get_mut(..payload.len())?.copy_from_slice(payload);
+        Some(Self { kind, length: payload.len() as u16, bytes })
+    }
+
+    /// What it is.
+    pub fn kind(&self) -> Kind {
+        self.kind
+    }
+
+    /// The payload.
+    pub fn payload(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.length)]
+    }
+}
+
+/// Numbers of hands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HandNumbers {
+    count: u8,
+    numbers: [u8; HANDS_MAX],
+}
+
+impl HandNumbers {
+    /// These, the first [`HANDS_MAX`] of them.
+    pub fn new(hands: impl IntoIterator<Item = u8>) -> Self {
+        let mut numbers = Self::default();
+        for hand in hands.into_iter().take(HANDS_MAX) {
+            numbers.numbers[usize::from(numbers.count)] = hand;
+            numbers.count += 1;
+        }
+        numbers
+    }
+
+    /// The numbers.
+    pub fn as_slice(&self) -> &[u8] {
+        &self.numbers[..usize::from(self.count)]
+    }
+}
+
+/// From the controller. What owns memory is made there, and comes back there to be freed.
+pub enum HandsOrder<A> {
+    /// A connection begins; one of the same station ends. A host has the station's number.
+    Open {
+        /// The station at the other end, for a host.
+        station: u16,
+        /// Its end here.
+        connection: Box<Connection<A>>,
+    },
+    /// The station serves these hands from now on.
+    Serve {
+        /// The connection.
+        connection: u32,
+        /// The hands.
+        hands: HandNumbers,
+    },
+    /// A datagram is to go.
+    Send {
+        /// The connection.
+        connection: u32,
+        /// Its payload.
+        parcel: Parcel,
+    },
+    /// The next phase's key of the other side.
+    RekeyOpener {
+        /// The connection.
+        connection: u32,
+        /// The key.
+        key: ReceiveKey,
+    },
+    /// The next phase's own key.
+    RekeySealer {
+        /// The connection.
+        connection: u32,
+        /// The key.
+        key: SendKey,
+    },
+    /// A connection is over.
+    Close {
+        /// The connection.
+        connection: u32,
+    },
+}
+
+/// From the hands link.
+pub enum HandsNews<A> {
+    /// A datagram came.
+    Arrived {
+        /// The connection.
+        connection: u32,
+        /// Its payload.
+        parcel: Parcel,
+    },
+    /// A second of a connection is over.
+    Second {
+        /// The connection.
+        connection: u32,
+        /// What was counted.
+        point: LinkPoint,
+        /// The rate at which hands are sent at most.
+        rate: Rate,
+    },
+    /// The keys of a connection should be replaced.
+    Worn {
+        /// The connection.
+        connection: u32,
+    },
+    /// A connection that is over, to be freed.
+    Closed(Box<Connection<A>>),
+}
+
+/// The controller's end.
+pub struct HandsController<A> {
+    /// Where orders go.
+    pub orders: Producer<HandsOrder<A>>,
+    /// Where news come from.
+    pub news: Consumer<HandsNews<A>>,
+}
+
+impl<A> HandsController<A> {
+    /// Gives an order; false if there is no room for it.
+    pub fn order(&mut self, order: HandsOrder<A>) -> bool {
+        self.orders.push(order).is_ok()
+    }
+}
+
+/// The end of the hands link.
+pub struct HandsThread<A> {
+    /// Where orders come from.
+    pub orders: Consumer<HandsOrder<A>>,
+    /// Where news go.
+    pub news: Producer<HandsNews<A>>,
+}
+
+impl<A> HandsThread<A> {
+    /// Tells something; what does not fit is lost, and freed here.
+    pub fn tell(&mut self, news: HandsNews<A>) -> bool {
+        self.news.push(news).is_ok()
+    }
+}
+
+/// Both ends of the rings between a controller and its hands link.
+pub fn hands_channel<A>() -> (HandsController<A>, HandsThread<A>) {
+    let (order_in, order_out) = RingBuffer::new(ORDERS_MAX);
+    let (news_in, news_out) = RingBuffer::new(NEWS_MAX);
+    (
+        HandsController { orders: order_in, news: news_out },
+        HandsThread { orders: order_out, news: news_in },
+    )
+}
