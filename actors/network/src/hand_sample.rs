@@ -20,12 +20,18 @@ pub struct HandSample {
     pub grabbed: Option<(Entity, u32)>,
     /// How old the measurement was when it was sent \[µs\].
     pub age_us: u32,
+    /// From the station that owns the scene: how often it has taken up the hand's motion anew from where the instrument
+    /// was, modulo [`CLUTCHES`]. The device's station then brings its own hand there.
+    pub clutch: u8,
 }
+
+/// Where the count of clutches begins again.
+pub const CLUTCHES: u8 = 16;
 
 impl HandSample {
     /// At rest at the device's origin, disconnected, without force.
     pub fn unknown(hand: u8) -> Self {
-        Self { hand, state: DeviceState::unknown(), wrench: Wrench::ZERO, grabbed: None, age_us: 0 }
+        Self { hand, state: DeviceState::unknown(), wrench: Wrench::ZERO, grabbed: None, age_us: 0, clutch: 0 }
     }
 
     /// Whether no number is NaN or infinite and the rotation is of unit length.

@@ -12,7 +12,8 @@ pub mod mesh;
 pub mod particles;
 pub mod person;
 pub mod shape;
-pub mod task;
+pub mod station;
+mod task;
 pub mod virtual_fixture;
 pub mod visual;
 
@@ -37,6 +38,7 @@ pub use mesh::{
 pub use particles::{PARTICLES_MAX, ParticleKind, Particles};
 pub use person::{PERSON_TOTAL_MAX, PersonAction, PersonActions, PersonHand, PersonInput, PersonView};
 pub use shape::Shape;
+pub use station::{LinkState, Station, StationRole};
 pub use task::{Measured, OUTCOME, PEG_TRANSFER, ScoreKind, TaskError, TaskState, VitalSigns};
 pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
@@ -57,7 +59,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         RigidBody, Joints, JointFrames, JointState, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
         Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
-        CollisionList, TaskState, Measured, VitalSigns,
+        CollisionList, TaskState, Measured, VitalSigns, Station,
     )?;
     Ok(())
 }

@@ -79,7 +79,7 @@ impl ClientEnd {
         let Some(welcome) = &self.welcomed else { return self.facts.wish.clone() };
         let hands = welcome.session.hands.iter().filter(|hand| hand.station == Some(welcome.station));
         let hands = hands.map(|hand| hand.name.clone()).collect();
-        Wish { name: self.facts.wish.name.clone(), role: self.facts.wish.role, hands }
+        Wish { hands, ..self.facts.wish.clone() }
     }
 
     /// Keeps who serves a hand.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Revision, SimTime, Snapshot};
+use trocar_scene::{ComponentId, Registry, Revision, SimTime, Snapshot};
 
 use super::component_list::COMPONENTS_MAX;
 use super::message_error::MessageError;
@@ -35,6 +35,17 @@ impl SceneCounts {
             (rows > 0).then(|| (PlainText::new(entry.name), saturated(rows)))
         });
         Self { entities: saturated(snapshot.entities().count()), rows: rows.collect() }
+    }
+
+    /// Of so many entities and rows of components.
+    pub fn of_rows(
+        registry: &Registry,
+        entities: usize,
+        rows: impl IntoIterator<Item = (ComponentId, usize)>,
+    ) -> Self {
+        let rows = rows.into_iter().filter(|(_, count)| *count > 0);
+        let rows = rows.map(|(id, count)| (PlainText::new(registry.entry(id).name), saturated(count)));
+        Self { entities: saturated(entities), rows: rows.collect() }
     }
 
     /// In what a scene that was built differs from this one.

@@ -53,6 +53,10 @@ pub struct Wish {
     pub role: Option<Role>,
     /// Names of the hands that it wants to serve.
     pub hands: Vec<PlainName>,
+    /// Names of the hands for which it has devices; the rows of their haptics are its own, whether it serves them or not.
+    pub devices: Vec<PlainName>,
+    /// Whether a person or a program at the station says where its hands go, and not the session's virtual trainee.
+    pub moves: bool,
 }
 
 /// First message of a station.
@@ -313,7 +317,8 @@ impl<'a> ClientMessage<'a> {
     fn check(&self) -> Result<(), MessageError> {
         match self {
             Self::Hello(hello) => {
-                MessageError::limit("hands of a station", hello.wish.hands.len(), STATION_HANDS_MAX)
+                let Wish { hands, devices, .. } = &hello.wish;
+                MessageError::limit("hands of a station", hands.len().max(devices.len()), STATION_HANDS_MAX)
             }
             Self::Write(bytes) => MessageError::limit("bytes of rows", bytes.as_slice().len(), DELTA_MAX),
             Self::Request(Request { what: RequestKind::Note(note), .. }) => note.check(),

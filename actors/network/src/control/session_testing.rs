@@ -427,5 +427,6 @@ impl Pair {
 }
 
 pub fn wish(station: &str, hands: &[&str]) -> Wish {
-    Wish { name: name(station), role: None, hands: hands.iter().map(|hand| name(hand)).collect() }
+    let hands: Vec<_> = hands.iter().map(|hand| name(hand)).collect();
+    Wish { name: name(station), role: None, devices: hands.clone(), hands, moves: false }
 }

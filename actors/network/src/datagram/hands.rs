@@ -7,7 +7,7 @@ use trocar_scene::{Entity, SimTime};
 
 use super::PAYLOAD_MAX;
 use super::little_endian::{Reader, Writer};
-use crate::hand_sample::HandSample;
+use crate::hand_sample::{CLUTCHES, HandSample};
 
 /// Bytes of the clock echo.
 const ECHO_BYTES: usize = 12;
@@ -20,6 +20,9 @@ pub const ROTATION_TOLERANCE: f64 = 1e-3;
 
 const CONNECTED: u8 = 1 << 0;
 const GRABBED: u8 = 1 << 1;
+/// Where the count of clutches lies in the flags.
+const CLUTCH_SHIFT: u32 = 2;
+const CLUTCH: u8 = (CLUTCHES - 1) << CLUTCH_SHIFT;
 /// In place of the time held when there is nothing to echo.
 const NO_ECHO: u32 = u32::MAX;
 
@@ -55,7 +58,7 @@ pub enum HandsError {
     #[error("hand {0} comes twice in one datagram")]
     Repeated(u8),
     /// Bits that mean nothing yet are set.
-    #[error("hand {hand} has flags {flags:#04x}; only bits 0 (connected) and 1 (grabbed) may be set")]
+    #[error("hand {hand} has flags {flags:#04x}; only bits 0 (connected), 1 (grabbed) and 2 to 5 (clutches) may be set")]
     Flags {
         /// Number of the hand.
         hand: u8,
@@ -128,7 +131,7 @@ fn echo_fields(echo: ClockEcho) -> Option<(u64, u32)> {
 }
 
 fn encode_hand(sample: &HandSample, fields: &mut Writer<'_>) -> Result<(), HandsError> {
-    let HandSample { hand, state, wrench, grabbed, age_us } = sample;
+    let HandSample { hand, state, wrench, grabbed, age_us, clutch } = sample;
     let Isometry3 { rotation, translation } = &state.pose_in_device;
     if !sample.is_valid() {
         let length = rotation.coords.norm();
@@ -140,7 +143,9 @@ fn encode_hand(sample: &HandSample, fields: &mut Writer<'_>) -> Result<(), Hands
     let (entity, node) = grabbed.map_or((0, 0), |(entity, node)| (entity.to_bits(), node));
     fields
         .u8(*hand)
-        .u8(flag(state.connected, CONNECTED) | flag(grabbed.is_some(), GRABBED))
+        .u8(flag(state.connected, CONNECTED)
+            | flag(grabbed.is_some(), GRABBED)
+            | (clutch % CLUTCHES) << CLUTCH_SHIFT)
         .u16(state.buttons as u16)
         .u32(*age_us)
         .f32s(translation.vector.as_slice())
@@ -230,7 +235,7 @@ fn decode_hand(fields: &mut Reader<'_>) -> Decoded<HandSample> {
     let wrench: [[f64; 3]; 2] = [fields.f32s()?, fields.f32s()?];
     let [gripper] = fields.f32s()?;
     let (entity, node) = (fields.u64()?, fields.u32()?);
-    if flags & !(CONNECTED | GRABBED) != 0 {
+    if flags & !(CONNECTED | GRABBED | CLUTCH) != 0 {
         return Some(Err(HandsError::Flags { hand, flags }));
     }
     if flags & GRABBED == 0 && (entity, node) != (0, 0) {
@@ -263,6 +268,7 @@ fn decode_hand(fields: &mut Reader<'_>) -> Decoded<HandSample> {
         wrench: Wrench { force, torque },
         grabbed: (flags & GRABBED != 0).then_some((Entity::from_bits(entity), node)),
         age_us,
+        clutch: (flags & CLUTCH) >> CLUTCH_SHIFT,
     }))
 }
 

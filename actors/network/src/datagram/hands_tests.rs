@@ -21,6 +21,7 @@ fn sample(hand: u8) -> HandSample {
         wrench: Wrench { force: Vector3::new(10.0, 11.0, 12.0), torque: Vector3::new(13.0, 14.0, 15.0) },
         grabbed: Some((Entity::from_bits(0x1122_3344_5566_7788), 0x99aa_bbcc)),
         age_us: 0x0403_0201,
+        clutch: 7,
     }
 }
 
@@ -134,7 +135,7 @@ fn what_is_received_is_accepted_whole_or_refused_with_its_reason() {
     };
     // The second hand begins at 112.
     assert_eq!(refused(112, &[1]), HandsError::Repeated(1));
-    for bit in 2..8 {
+    for bit in 6..8 {
         assert_eq!(refused(113, &[1 << bit]), HandsError::Flags { hand: 2, flags: 1 << bit });
     }
     assert_eq!(refused(113, &[1]), HandsError::Grabbed(2));

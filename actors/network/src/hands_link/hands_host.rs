@@ -2,11 +2,12 @@
 
 use trocar_scene::SimTime;
 
+use super::HandsLink;
 use super::connection::{Arrived, Connection, Reply};
-use super::order::{HandNumbers, HandsNews, HandsOrder, HandsThread, Parcel};
+use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd, Parcel};
 use crate::control::STATIONS_MAX;
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header, Kind};
-use crate::hand_sample::HandSample;
+use crate::hand_sample::{CLUTCHES, HandSample};
 use crate::remote_hand::StationEnd;
 
 /// Orders that are taken at one tick.
@@ -40,7 +41,7 @@ pub struct StrangerCounts {
 pub struct HandsHost<A> {
     hands: Vec<HostHand>,
     links: Vec<Link<A>>,
-    thread: HandsThread<A>,
+    controller: LinkEnd<A>,
     samples: Vec<HandSample>,
     out: [u8; DATAGRAM_MAX],
     strangers: StrangerCounts,
@@ -48,11 +49,11 @@ pub struct HandsHost<A> {
 
 impl<A: Copy + PartialEq> HandsHost<A> {
     /// A host of a session with these hands.
-    pub fn new(hands: Vec<HostHand>, thread: HandsThread<A>) -> Self {
+    pub fn new(hands: Vec<HostHand>, controller: LinkEnd<A>) -> Self {
         Self {
             hands,
             links: Vec::with_capacity(STATIONS_MAX),
-            thread,
+            controller,
             samples: Vec::with_capacity(HANDS_MAX),
             out: [0; DATAGRAM_MAX],
             strangers: StrangerCounts::default(),
@@ -64,90 +65,9 @@ impl<A: Copy + PartialEq> HandsHost<A> {
         &self.strangers
     }
 
-    /// A datagram came; replies go out by `send`, which says whether the system took them. A stranger gets none.
-    pub fn receive(
-        &mut self,
-        now: SimTime,
-        from: A,
-        datagram: &mut [u8],
-        send: &mut dyn FnMut(A, &[u8]) -> bool,
-    ) {
-        let Self { hands, links, thread, out, strangers, .. } = self;
-        let id = Header::decode(datagram).map(|header| header.connection);
-        let link = id.ok().and_then(|id| links.iter_mut().find(|link| link.connection.id() == id));
-        let Some(link) = link else {
-            strangers.unknown += 1;
-            return;
-        };
-        let Link { station, connection, serves, .. } = link;
-        let id = connection.id();
-        let reply = match connection.receive(now, from, datagram) {
-            Ok((Arrived::Hands, reply)) => {
-                for sample in connection.samples() {
-                    if serves.as_slice().contains(&sample.hand)
-                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
-                    {
-                        hand.end.post(*station, now, sample);
-                    }
-                }
-                reply
-            }
-            Ok((Arrived::Rows(payload), reply)) => {
-                tell(thread, id, Kind::Rows, payload);
-                reply
-            }
-            Ok((Arrived::RowAcks(payload), reply)) => {
-                tell(thread, id, Kind::RowAcks, payload);
-                reply
-            }
-            Ok((Arrived::Other, reply)) => reply,
-            Err(_) => {
-                strangers.refused += 1;
-                return;
-            }
-        };
-        if let Some(Reply { kind, payload }) = reply
-            && let Some(length) = connection.seal(kind, &payload, now, out)
-        {
-            send(from, &out[..length]);
-        }
-    }
-
-    /// Sends what is due.
-    pub fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
-        self.take_orders(now, send);
-        let Self { hands, links, thread, samples, out, .. } = self;
-        for Link { connection, serves, is_worn, .. } in links.iter_mut() {
-            samples.clear();
-            for number in serves.as_slice() {
-                // The age of what came is counted for the figures of the link.
-                let _ = connection.read(*number, now);
-                if let Some(hand) = hands.iter_mut().find(|hand| hand.number == *number) {
-                    samples.push(answer_of(hand, now));
-                }
-            }
-            let id = connection.id();
-            if let Some(address) = connection.address() {
-                if let Some(length) = connection.tick(samples, now, out) {
-                    let is_sent = send(address, &out[..length]);
-                    connection.sent(samples, length, is_sent, now);
-                }
-                if let Some(length) = connection.report(now, out) {
-                    send(address, &out[..length]);
-                }
-            }
-            if let Some(point) = connection.point(now) {
-                thread.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
-            }
-            if connection.is_worn() && !*is_worn {
-                *is_worn = thread.tell(HandsNews::Worn { connection: id });
-            }
-        }
-    }
-
     fn take_orders(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         for _ in 0..ORDERS_AT_ONCE {
-            let Ok(order) = self.thread.orders.pop() else { break };
+            let Ok(order) = self.controller.orders.pop() else { break };
             self.obey(order, now, send);
         }
     }
@@ -163,7 +83,7 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                     let serves = HandNumbers::default();
                     self.links.push(Link { station, connection, serves, is_worn: false });
                 } else {
-                    self.thread.tell(HandsNews::Closed(connection));
+                    self.controller.tell(HandsNews::Closed(connection));
                 }
             }
             HandsOrder::Serve { connection, hands } => {
@@ -208,13 +128,98 @@ impl<A: Copy + PartialEq> HandsHost<A> {
 
     fn close(&mut self, at: usize) {
         let link = self.links.swap_remove(at);
-        self.thread.tell(HandsNews::Closed(link.connection));
+        self.controller.tell(HandsNews::Closed(link.connection));
     }
 }
 
-fn tell<A>(thread: &mut HandsThread<A>, connection: u32, kind: Kind, payload: &[u8]) {
+impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
+    fn receive(
+        &mut self,
+        now: SimTime,
+        from: A,
+        datagram: &mut [u8],
+        send: &mut dyn FnMut(A, &[u8]) -> bool,
+    ) {
+        let Self { hands, links, controller, out, strangers, .. } = self;
+        let id = Header::decode(datagram).map(|header| header.connection);
+        let link = id.ok().and_then(|id| links.iter_mut().find(|link| link.connection.id() == id));
+        let Some(link) = link else {
+            strangers.unknown += 1;
+            return;
+        };
+        let Link { station, connection, serves, .. } = link;
+        let id = connection.id();
+        let reply = match connection.receive(now, from, datagram) {
+            Ok((Arrived::Hands, reply)) => {
+                for sample in connection.samples() {
+                    if serves.as_slice().contains(&sample.hand)
+                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
+                    {
+                        hand.end.post(*station, now, sample);
+                    }
+                }
+                reply
+            }
+            Ok((Arrived::Rows(payload), reply)) => {
+                tell(controller, id, Kind::Rows, payload);
+                reply
+            }
+            Ok((Arrived::RowAcks(payload), reply)) => {
+                tell(controller, id, Kind::RowAcks, payload);
+                reply
+            }
+            Ok((Arrived::Other, reply)) => reply,
+            Err(_) => {
+                strangers.refused += 1;
+                return;
+            }
+        };
+        if let Some(Reply { kind, payload }) = reply
+            && let Some(length) = connection.seal(kind, &payload, now, out)
+        {
+            send(from, &out[..length]);
+        }
+    }
+
+    fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
+        self.take_orders(now, send);
+        let Self { hands, links, controller, samples, out, .. } = self;
+        for Link { connection, serves, is_worn, .. } in links.iter_mut() {
+            samples.clear();
+            for number in serves.as_slice() {
+                // The age of what came is counted for the figures of the link.
+                let _ = connection.read(*number, now);
+                if let Some(hand) = hands.iter_mut().find(|hand| hand.number == *number) {
+                    samples.push(answer_of(hand, now));
+                }
+            }
+            let id = connection.id();
+            if let Some(address) = connection.address() {
+                if let Some(length) = connection.tick(samples, now, out) {
+                    let is_sent = send(address, &out[..length]);
+                    connection.sent(samples, length, is_sent, now);
+                }
+                if let Some(length) = connection.report(now, out) {
+                    send(address, &out[..length]);
+                }
+            }
+            if let Some(point) = connection.point(now) {
+                controller.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
+            }
+            if connection.is_worn() && !*is_worn {
+                *is_worn = controller.tell(HandsNews::Worn { connection: id });
+            }
+        }
+    }
+
+    fn is_idle(&self) -> bool {
+        self.links.is_empty()
+    }
+}
+
+fn tell<A>(controller: &mut LinkEnd<A>, connection: u32, kind: Kind, payload: &[u8]) {
     if let Some(parcel) = Parcel::new(kind, payload) {
-        thread.tell(HandsNews::Arrived { connection, parcel });
+        controller.tell(HandsNews::Arrived { connection, parcel });
     }
 }
 
@@ -228,5 +233,6 @@ fn answer_of(hand: &mut HostHand, now: SimTime) -> HandSample {
         wrench: answer.wrench,
         grabbed: None,
         age_us: u32::try_from(age).unwrap_or(u32::MAX),
+        clutch: (answer.door.clutches % u64::from(CLUTCHES)) as u8,
     }
 }

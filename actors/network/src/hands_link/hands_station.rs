@@ -2,23 +2,95 @@
 
 use trocar_scene::SimTime;
 
+use super::HandsLink;
 use super::connection::{Arrived, Connection, Reply};
-use super::order::{HandNumbers, HandsNews, HandsOrder, HandsThread, Parcel};
+use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd, Parcel};
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Kind};
 use crate::hand_sample::HandSample;
-use crate::remote_hand::StationEnd;
+use crate::remote_hand::{Presence, StationEnd};
 
 /// Orders that are taken at one tick.
 const ORDERS_AT_ONCE: usize = 64;
 /// The number by which the host counts as the station that moves a hand here, when it is taken over from elsewhere.
 pub const HOST: u16 = 0;
 
+/// How long the host's place must be shown before the own device goes on from there: some steps of its driver.
+const PLACED_FOR: SimTime = SimTime::from_millis(20);
+/// Longest time for a hand to come to where the host has it; then its own device goes on from where it is.
+const PLACING_MAX: SimTime = SimTime::from_millis(2_000);
+/// What counts as being there \[m\], [rad].
+const PLACE_TOLERANCE: (f64, f64) = (1e-5, 1e-4);
+
 /// A hand whose device is here.
+///
+/// Its instrument is at the host. Whenever the host takes the hand's motion up anew (it joins, it comes back after a
+/// silence, it was handed over), the device's link first brings the hand as it is shown here to where the host has it;
+/// only then its own device goes on, from there. So both ends show the hand at the same place.
 pub struct StationHand {
-    /// Its number in datagrams.
-    pub number: u8,
-    /// The device's link: the state that it shows, and where the host's samples go while somebody else moves the hand.
-    pub end: StationEnd,
+    number: u8,
+    end: StationEnd,
+    /// Since when it is being brought to the host's place.
+    placing_since: Option<SimTime>,
+    /// Since when it has been there.
+    there_since: Option<SimTime>,
+    /// The host's count of clutches; `None` until the clutch of the present stretch is seen.
+    clutch: Option<u8>,
+    /// The count when the own device went on.
+    clutch_before: u8,
+}
+
+impl StationHand {
+    /// The hand of this number, by the link of its device.
+    pub fn new(number: u8, end: StationEnd) -> Self {
+        end.control().set_mirroring(true);
+        end.control().take(HOST);
+        Self { number, end, placing_since: None, there_since: None, clutch: None, clutch_before: 0 }
+    }
+
+    /// The hand goes to where the host has it.
+    fn place(&mut self, now: SimTime) {
+        self.end.control().take(HOST);
+        (self.placing_since, self.there_since, self.clutch) = (Some(now), None, None);
+    }
+
+    /// Nobody here moves it any more.
+    fn leave(&mut self) {
+        self.end.control().take(HOST);
+        (self.placing_since, self.there_since, self.clutch) = (None, None, None);
+    }
+
+    /// The host tells where it has the hand.
+    fn hear(&mut self, now: SimTime, sample: &HandSample) {
+        let Some(since) = self.placing_since else {
+            match self.clutch {
+                Some(clutch) if clutch != sample.clutch => self.place(now),
+                None if sample.clutch != self.clutch_before => self.clutch = Some(sample.clutch),
+                _ => {}
+            }
+            return;
+        };
+        if sample.state.connected {
+            self.end.post(HOST, now, sample);
+        }
+        let answer = self.end.answer();
+        let (far, turned) = PLACE_TOLERANCE;
+        let (shown, there) = (&answer.state.pose_in_device, &sample.state.pose_in_device);
+        let is_there = answer.presence == Presence::Live(HOST)
+            && (shown.translation.vector - there.translation.vector).norm() <= far
+            && shown.rotation.angle_to(&there.rotation) <= turned;
+        self.there_since = if is_there { self.there_since.or(Some(now)) } else { None };
+        let is_placed = self.there_since.is_some_and(|there| now.since(there) >= PLACED_FOR);
+        if is_placed || now.since(since) >= PLACING_MAX {
+            self.clutch_before = sample.clutch;
+            (self.placing_since, self.there_since) = (None, None);
+            self.end.control().give_back();
+        }
+    }
+
+    /// Whether its own device moves it.
+    fn is_own(&self) -> bool {
+        self.end.control().station().is_none()
+    }
 }
 
 /// The connection of a station. Does not allocate after it was made, but for what its orders own.
@@ -28,7 +100,7 @@ pub struct HandsStation<A> {
     host: A,
     connection: Option<Box<Connection<A>>>,
     is_worn: bool,
-    thread: HandsThread<A>,
+    controller: LinkEnd<A>,
     samples: Vec<HandSample>,
     out: [u8; DATAGRAM_MAX],
     refused: u64,
@@ -36,14 +108,14 @@ pub struct HandsStation<A> {
 
 impl<A: Copy + PartialEq> HandsStation<A> {
     /// A station with these hands, whose host receives at `host`.
-    pub fn new(hands: Vec<StationHand>, host: A, thread: HandsThread<A>) -> Self {
+    pub fn new(hands: Vec<StationHand>, host: A, controller: LinkEnd<A>) -> Self {
         Self {
             hands,
             serves: HandNumbers::default(),
             host,
             connection: None,
             is_worn: false,
-            thread,
+            controller,
             samples: Vec::with_capacity(HANDS_MAX),
             out: [0; DATAGRAM_MAX],
             refused: 0,
@@ -65,90 +137,12 @@ impl<A: Copy + PartialEq> HandsStation<A> {
         self.host = host;
     }
 
-    /// A datagram came; replies go out by `send`, which says whether the system took them.
-    pub fn receive(
-        &mut self,
-        now: SimTime,
-        from: A,
-        datagram: &mut [u8],
-        send: &mut dyn FnMut(A, &[u8]) -> bool,
-    ) {
-        let Self { hands, connection: Some(connection), thread, out, serves, .. } = self else {
-            self.refused += 1;
-            return;
-        };
-        let id = connection.id();
-        let reply = match connection.receive(now, from, datagram) {
-            Ok((Arrived::Hands, reply)) => {
-                for sample in connection.samples().iter().filter(|sample| sample.state.connected) {
-                    // Only while another one moves the hand does its sample count; the hand itself sees to that.
-                    let is_own = serves.as_slice().contains(&sample.hand);
-                    if !is_own && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand) {
-                        hand.end.post(HOST, now, sample);
-                    }
-                }
-                reply
-            }
-            Ok((Arrived::Rows(payload), reply)) => {
-                tell(thread, id, Kind::Rows, payload);
-                reply
-            }
-            Ok((Arrived::RowAcks(payload), reply)) => {
-                tell(thread, id, Kind::RowAcks, payload);
-                reply
-            }
-            Ok((Arrived::Other, reply)) => reply,
-            Err(_) => {
-                self.refused += 1;
-                return;
-            }
-        };
-        if let Some(Reply { kind, payload }) = reply
-            && let Some(length) = connection.seal(kind, &payload, now, out)
-        {
-            send(from, &out[..length]);
-        }
-    }
-
-    /// Sends what is due.
-    pub fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
-        for _ in 0..ORDERS_AT_ONCE {
-            let Ok(order) = self.thread.orders.pop() else { break };
-            self.obey(order, now, send);
-        }
-        let Self { hands, serves, host, connection: Some(connection), is_worn, thread, samples, out, .. } =
-            self
-        else {
-            return;
-        };
-        samples.clear();
-        for number in serves.as_slice() {
-            // The age of the host's answer is counted for the figures of the link.
-            let _ = connection.read(*number, now);
-            if let Some(hand) = hands.iter_mut().find(|hand| hand.number == *number) {
-                samples.push(shown(hand, now));
-            }
-        }
-        let id = connection.id();
-        if let Some(length) = connection.tick(samples, now, out) {
-            let is_sent = send(*host, &out[..length]);
-            connection.sent(samples, length, is_sent, now);
-        }
-        if let Some(length) = connection.report(now, out) {
-            send(*host, &out[..length]);
-        }
-        if let Some(point) = connection.point(now) {
-            thread.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
-        }
-        if connection.is_worn() && !*is_worn {
-            *is_worn = thread.tell(HandsNews::Worn { connection: id });
-        }
-    }
-
     fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         if let HandsOrder::Open { connection, .. } = order {
             self.close();
             self.is_worn = false;
+            // The hands that it serves are told anew, and placed anew.
+            self.serves = HandNumbers::default();
             self.connection = Some(connection);
             return;
         }
@@ -166,6 +160,14 @@ impl<A: Copy + PartialEq> HandsStation<A> {
         match order {
             HandsOrder::Serve { hands, .. } => {
                 if connection.expect_hands(hands.as_slice()).is_ok() {
+                    for hand in &mut self.hands {
+                        let served = |numbers: &HandNumbers| numbers.as_slice().contains(&hand.number);
+                        match (served(&self.serves), served(&hands)) {
+                            (false, true) => hand.place(now),
+                            (true, false) => hand.leave(),
+                            _ => {}
+                        }
+                    }
                     self.serves = hands;
                 }
             }
@@ -190,14 +192,99 @@ impl<A: Copy + PartialEq> HandsStation<A> {
 
     fn close(&mut self) {
         if let Some(connection) = self.connection.take() {
-            self.thread.tell(HandsNews::Closed(connection));
+            self.controller.tell(HandsNews::Closed(connection));
         }
     }
 }
 
-fn tell<A>(thread: &mut HandsThread<A>, connection: u32, kind: Kind, payload: &[u8]) {
+impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
+    fn receive(
+        &mut self,
+        now: SimTime,
+        from: A,
+        datagram: &mut [u8],
+        send: &mut dyn FnMut(A, &[u8]) -> bool,
+    ) {
+        let Self { hands, connection: Some(connection), controller, out, serves, .. } = self else {
+            self.refused += 1;
+            return;
+        };
+        let id = connection.id();
+        let reply = match connection.receive(now, from, datagram) {
+            Ok((Arrived::Hands, reply)) => {
+                for sample in connection.samples() {
+                    if serves.as_slice().contains(&sample.hand)
+                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
+                    {
+                        hand.hear(now, sample);
+                    }
+                }
+                reply
+            }
+            Ok((Arrived::Rows(payload), reply)) => {
+                tell(controller, id, Kind::Rows, payload);
+                reply
+            }
+            Ok((Arrived::RowAcks(payload), reply)) => {
+                tell(controller, id, Kind::RowAcks, payload);
+                reply
+            }
+            Ok((Arrived::Other, reply)) => reply,
+            Err(_) => {
+                self.refused += 1;
+                return;
+            }
+        };
+        if let Some(Reply { kind, payload }) = reply
+            && let Some(length) = connection.seal(kind, &payload, now, out)
+        {
+            send(from, &out[..length]);
+        }
+    }
+
+    fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
+        for _ in 0..ORDERS_AT_ONCE {
+            let Ok(order) = self.controller.orders.pop() else { break };
+            self.obey(order, now, send);
+        }
+        let Self { hands, serves, host, connection: Some(connection), is_worn, controller, samples, out, .. } =
+            self
+        else {
+            return;
+        };
+        samples.clear();
+        for number in serves.as_slice() {
+            // The age of the host's answer is counted for the figures of the link.
+            let _ = connection.read(*number, now);
+            let own = hands.iter_mut().find(|hand| hand.number == *number && hand.is_own());
+            if let Some(hand) = own {
+                samples.push(shown(hand, now));
+            }
+        }
+        let id = connection.id();
+        if let Some(length) = connection.tick(samples, now, out) {
+            let is_sent = send(*host, &out[..length]);
+            connection.sent(samples, length, is_sent, now);
+        }
+        if let Some(length) = connection.report(now, out) {
+            send(*host, &out[..length]);
+        }
+        if let Some(point) = connection.point(now) {
+            controller.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
+        }
+        if connection.is_worn() && !*is_worn {
+            *is_worn = controller.tell(HandsNews::Worn { connection: id });
+        }
+    }
+
+    fn is_idle(&self) -> bool {
+        self.connection.is_none()
+    }
+}
+
+fn tell<A>(controller: &mut LinkEnd<A>, connection: u32, kind: Kind, payload: &[u8]) {
     if let Some(parcel) = Parcel::new(kind, payload) {
-        thread.tell(HandsNews::Arrived { connection, parcel });
+        controller.tell(HandsNews::Arrived { connection, parcel });
     }
 }
 
@@ -211,5 +298,6 @@ fn shown(hand: &mut StationHand, now: SimTime) -> HandSample {
         wrench: answer.local_wrench,
         grabbed: None,
         age_us: u32::try_from(age).unwrap_or(u32::MAX),
+        clutch: 0,
     }
 }

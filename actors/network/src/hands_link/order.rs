@@ -135,14 +135,14 @@ pub enum HandsNews<A> {
 }
 
 /// The controller's end.
-pub struct HandsController<A> {
+pub struct ControllerEnd<A> {
     /// Where orders go.
     pub orders: Producer<HandsOrder<A>>,
     /// Where news come from.
     pub news: Consumer<HandsNews<A>>,
 }
 
-impl<A> HandsController<A> {
+impl<A> ControllerEnd<A> {
     /// Gives an order; false if there is no room for it.
     pub fn order(&mut self, order: HandsOrder<A>) -> bool {
         self.orders.push(order).is_ok()
@@ -150,14 +150,14 @@ impl<A> HandsController<A> {
 }
 
 /// The end of the hands link.
-pub struct HandsThread<A> {
+pub struct LinkEnd<A> {
     /// Where orders come from.
     pub orders: Consumer<HandsOrder<A>>,
     /// Where news go.
     pub news: Producer<HandsNews<A>>,
 }
 
-impl<A> HandsThread<A> {
+impl<A> LinkEnd<A> {
     /// Tells something; what does not fit is lost, and freed here.
     pub fn tell(&mut self, news: HandsNews<A>) -> bool {
         self.news.push(news).is_ok()
@@ -165,11 +165,11 @@ impl<A> HandsThread<A> {
 }
 
 /// Both ends of the rings between a controller and its hands link.
-pub fn hands_channel<A>() -> (HandsController<A>, HandsThread<A>) {
+pub fn hands_channel<A>() -> (ControllerEnd<A>, LinkEnd<A>) {
     let (order_in, order_out) = RingBuffer::new(ORDERS_MAX);
     let (news_in, news_out) = RingBuffer::new(NEWS_MAX);
     (
-        HandsController { orders: order_in, news: news_out },
-        HandsThread { orders: order_out, news: news_in },
+        ControllerEnd { orders: order_in, news: news_out },
+        LinkEnd { orders: order_out, news: news_in },
     )
 }

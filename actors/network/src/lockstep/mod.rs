@@ -1,5 +1,7 @@
 //! The driver in virtual time: links inside the process, with the same luck for the same seed.
 
-pub mod wire;
+mod hands_peer;
+mod wire;
 
+pub use hands_peer::{HandsPeer, Wires};
 pub use wire::{End, Wire};

@@ -99,6 +99,8 @@ pub struct DoorStatistics {
     pub silences: u64,
     /// Times at which it returned.
     pub returns: u64,
+    /// Times at which the station's motion was taken up from where the hand was.
+    pub clutches: u64,
 }
 
 /// The door of one hand.
@@ -126,6 +128,7 @@ pub struct Door {
     interval_secs: f64,
     left_secs: f64,
     holding: bool,
+    mirroring: bool,
     grip: GripMatch,
     fingers: f64,
     gate: PedalGate,
@@ -167,6 +170,7 @@ impl Door {
             interval_secs: 0.0,
             left_secs: 0.0,
             holding: false,
+            mirroring: false,
             grip: GripMatch::following(0.0),
             fingers: 0.0,
             gate: PedalGate::default(),
@@ -199,6 +203,12 @@ impl Door {
     /// Says whether the instrument holds something, so that its jaws wait for the fingers of whoever comes.
     pub fn set_holding(&mut self, holding: bool) {
         self.holding = holding;
+    }
+
+    /// Says whether the hand goes to the place that the station names, at the speed that the limits allow, rather than
+    /// follow its motion from where it is.
+    pub fn set_mirroring(&mut self, mirroring: bool) {
+        self.mirroring = mirroring;
     }
 
     /// Opens the door to a station at time `now`: the hand stays where it is shown at present, until the station's first
@@ -361,13 +371,19 @@ impl Door {
             }
             (None, Some(motion)) => {
                 self.interval_secs = 0.0;
+                self.statistics.clutches += 1;
                 if self.holding {
                     self.grip.unmatch();
                 }
-                Clutch::between(hand_in_device, motion.pose_in_device())
+                if self.mirroring {
+                    Clutch::identity()
+                } else {
+                    Clutch::between(hand_in_device, motion.pose_in_device())
+                }
             }
             (None, None) => {
                 self.interval_secs = 0.0;
+                self.statistics.clutches += 1;
                 Clutch::identity()
             }
         };

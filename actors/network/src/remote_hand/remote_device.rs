@@ -155,6 +155,7 @@ impl RemoteHand {
     fn serve_station(&mut self, now_ns: u64, station: u16) -> DeviceState {
         let now = SimTime(now_ns);
         self.door.set_holding(self.control.holding());
+        self.door.set_mirroring(self.control.mirroring());
         if self.posts.update()
             && let Some(post) = *self.posts.output_buffer()
         {

@@ -99,6 +99,7 @@ impl Owner {
 struct Shared {
     owner: AtomicU64,
     holding: AtomicBool,
+    mirroring: AtomicBool,
 }
 
 /// Says which station has a hand; clones share it. No method blocks.
@@ -133,6 +134,16 @@ impl HandControl {
     /// silence, until the new fingers have closed to them.
     pub fn set_holding(&self, holding: bool) {
         self.shared.holding.store(holding, Ordering::Release);
+    }
+
+    /// Says whether the hand goes to the place that its station names, rather than follow its motion from where it is:
+    /// for a station's own hand, which the host shows where it is.
+    pub fn set_mirroring(&self, mirroring: bool) {
+        self.shared.mirroring.store(mirroring, Ordering::Release);
+    }
+
+    pub(super) fn mirroring(&self) -> bool {
+        self.shared.mirroring.load(Ordering::Acquire)
     }
 
     pub(super) fn holding(&self) -> bool {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trocar_scene::{Commands, ComponentError, Entity, EntityAllocator, Revision, Snapshot, VertexPositions};
+use trocar_scene::{Commands, ComponentError, ComponentId, Entity, EntityAllocator, Revision, Snapshot, VertexPositions};
 
 use super::ReplicationError;
 use super::acknowledgement::RowWindow;
@@ -116,6 +116,12 @@ impl Replica {
     pub fn known(&self) -> &KnownRows {
         &self.known
     }
+    /// How many entities, and rows of each column, are at hand.
+    pub fn row_counts(&self) -> (usize, Vec<(ComponentId, usize)>) {
+        let columns = self.columns.replicated().map(|id| (id, self.known.column(id).count()));
+        (self.known.entities().len(), columns.collect())
+    }
+
     /// How much of a delta has come, and its length \[bytes\].
     pub fn progress(&self) -> (usize, usize) {
         self.pieces.progress()

@@ -271,6 +271,19 @@ impl SceneFeed {
         self.delta(now, scene)
     }
 
+    /// How many entities, and rows of each column, the station should have of `scene`.
+    pub fn row_counts(&self, scene: &Snapshot) -> (usize, Vec<(ComponentId, usize)>) {
+        let entities = scene.entities().filter(|entity| (self.entities)(*entity)).count();
+        let columns = self.columns.replicated().map(|id| {
+            let mut rows = 0;
+            scene.erased_column(id).for_each_entity(&mut |entity| {
+                rows += usize::from((self.entities)(entity) && !self.excluded.contains(&(id, entity)));
+            });
+            (id, rows)
+        });
+        (entities, columns.collect())
+    }
+
     /// Digest of what the station should have of `scene`.
     ///
     /// # Errors

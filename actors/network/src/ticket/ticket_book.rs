@@ -302,6 +302,52 @@ impl TicketBook {
         Ok(())
     }
 
+    /// The entry that this token would redeem.
+    fn open_entry(&self, token: &Token, resume: &ResumeSecret, now: u64) -> Result<usize, Refused> {
+        let (hash, resume) = (token.hash(), resume.hash());
+        let is_in_use = self
+            .entries
+            .iter()
+            .filter_map(|entry| entry.redeemed.as_ref())
+            .any(|known| known.resume == resume);
+        let at = self.entries.iter().position(|entry| entry.token == hash).ok_or(Refused::Unknown)?;
+        let entry = &self.entries[at];
+        if let Some(at) = entry.revoked_at {
+            return Err(Refused::Revoked { at });
+        }
+        if let Some(redeemed) = &entry.redeemed {
+            return Err(Refused::Spent { at: redeemed.at });
+        }
+        check_span(entry.issued_at, entry.expires, now)?;
+        if is_in_use {
+            return Err(Refused::SecretInUse);
+        }
+        Ok(at)
+    }
+
+    /// What a token would let in as; nothing is spent.
+    ///
+    /// # Errors
+    /// Those of [`Self::redeem`].
+    pub fn examine(
+        &self,
+        token: &Token,
+        resume: &ResumeSecret,
+        now: u64,
+    ) -> Result<(Role, PlainName), Refused> {
+        let entry = &self.entries[self.open_entry(token, resume, now)?];
+        Ok((entry.role, entry.person.clone()))
+    }
+
+    /// A number for a new station, from 1, that no station has had as long as the book remembers it; `None` when all are
+    /// in use.
+    pub fn free_station(&self) -> Option<u16> {
+        let taken = |number: &u16| {
+            self.entries.iter().filter_map(|entry| entry.redeemed.as_ref()).any(|known| known.station == *number)
+        };
+        (1..=u16::MAX).find(|number| !taken(number))
+    }
+
     /// Lets a station in by its token, which then lets nobody in any more. The station can come back with `resume` until
     /// [`RESUME_LIFE_SECS`] later. When the station makes that secret and shows it with its token, it can come back even
     /// if the answer to this is lost.
@@ -315,23 +361,9 @@ impl TicketBook {
         resume: &ResumeSecret,
         now: u64,
     ) -> Result<Admission, Refused> {
-        let (hash, resume) = (token.hash(), resume.hash());
-        let is_in_use = self
-            .entries
-            .iter()
-            .filter_map(|entry| entry.redeemed.as_ref())
-            .any(|known| known.resume == resume);
-        let entry = self.entries.iter_mut().find(|entry| entry.token == hash).ok_or(Refused::Unknown)?;
-        if let Some(at) = entry.revoked_at {
-            return Err(Refused::Revoked { at });
-        }
-        if let Some(redeemed) = &entry.redeemed {
-            return Err(Refused::Spent { at: redeemed.at });
-        }
-        check_span(entry.issued_at, entry.expires, now)?;
-        if is_in_use {
-            return Err(Refused::SecretInUse);
-        }
+        let at = self.open_entry(token, resume, now)?;
+        let entry = &mut self.entries[at];
+        let resume = resume.hash();
         let resume_expires = now.saturating_add(RESUME_LIFE_SECS);
         entry.redeemed = Some(Redeemed { at: now, station, resume, resume_expires });
         Ok(entry.admission(station))

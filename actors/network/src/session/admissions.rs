@@ -1,0 +1,105 @@
+//! Admissions: what a host asks of its tickets.
+
+use crate::control::{Credential, Refusal};
+use crate::ticket::{Admission, Refused, ResumeSecret, Role, TicketBook, TicketId};
+
+/// Seconds since 1970, for the expiry of tickets alone: nothing else in a session asks what day it is.
+pub trait UnixClock: Send + 'static {
+    /// Now.
+    fn unix_secs(&self) -> u64;
+}
+
+/// A clock that stands still, for sessions in virtual time.
+impl UnixClock for u64 {
+    fn unix_secs(&self) -> u64 {
+        *self
+    }
+}
+
+/// What a host asks of its tickets.
+pub trait Admissions: Send + 'static {
+    /// What a credential would let in as, and the station's number if it was there before. Nothing is spent.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    fn examine(&mut self, credential: &Credential) -> Result<(Option<u16>, Role), Refusal>;
+    /// Lets a station in, and spends the token of a ticket.
+    ///
+    /// # Errors
+    /// [`Refusal`]; then nothing is spent.
+    fn admit(&mut self, credential: &Credential) -> Result<Admission, Refusal>;
+    /// Takes in what others changed, such as a command that withdraws a ticket; to be called about once a second.
+    ///
+    /// # Errors
+    /// In words, when the tickets cannot be read; nobody is let in then.
+    fn refresh(&mut self) -> Result<(), String>;
+    /// Whether the ticket with which a station came in was withdrawn.
+    fn is_revoked(&self, ticket: TicketId) -> bool;
+    /// Seconds since 1970.
+    fn unix_secs(&self) -> u64;
+}
+
+/// Admissions of a book that is on no disk, for sessions that end with the program.
+pub struct BookAdmissions<C> {
+    /// The book.
+    pub book: TicketBook,
+    /// The clock.
+    pub clock: C,
+}
+
+/// The secret that a station shows to come back.
+fn resume_of(credential: &Credential) -> &ResumeSecret {
+    let (Credential::Ticket { resume, .. } | Credential::Resume { resume }) = credential;
+    resume
+}
+
+/// What a book says of a credential, without spending it.
+pub fn examine(
+    book: &TicketBook,
+    credential: &Credential,
+    now: u64,
+) -> Result<(Option<u16>, Role), Refused> {
+    match credential {
+        Credential::Ticket { token, resume } => {
+            book.examine(token, resume, now).map(|(role, _)| (None, role))
+        }
+        Credential::Resume { resume } => {
+            book.resume(resume, now).map(|admission| (Some(admission.station), admission.role))
+        }
+    }
+}
+
+/// Every number of a station is in use.
+pub fn no_station() -> Refusal {
+    Refusal::HostTrouble(crate::control::PlainText::new("it has no number left for another station"))
+}
+
+impl<C: UnixClock> Admissions for BookAdmissions<C> {
+    fn examine(&mut self, credential: &Credential) -> Result<(Option<u16>, Role), Refusal> {
+        examine(&self.book, credential, self.clock.unix_secs()).map_err(Refusal::Ticket)
+    }
+
+    fn admit(&mut self, credential: &Credential) -> Result<Admission, Refusal> {
+        let now = self.clock.unix_secs();
+        let admitted = match credential {
+            Credential::Ticket { token, .. } => {
+                let station = self.book.free_station().ok_or_else(no_station)?;
+                self.book.redeem(token, station, resume_of(credential), now)
+            }
+            Credential::Resume { resume } => self.book.resume(resume, now),
+        };
+        admitted.map_err(Refusal::Ticket)
+    }
+
+    fn refresh(&mut self) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn is_revoked(&self, ticket: TicketId) -> bool {
+        self.book.is_revoked(ticket)
+    }
+
+    fn unix_secs(&self) -> u64 {
+        self.clock.unix_secs()
+    }
+}

@@ -1,0 +1,402 @@
+//! The members of a session: who is in it, which scene they have, and what their hands do. It answers the questions of the
+//! connections ([`HostSession`]).
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+use trocar_scene::{Entity, Revision, SimTime, Snapshot};
+
+use super::admissions::Admissions;
+use super::own_rows::own_rows;
+use crate::control::{
+    Admitted, ClockSample, Credential, HandInfo, HeldScene, HostEvent, HostSession, LinkFigures, Note, NoteKind, PlainText,
+    Refusal, RequestKind, Roster, SceneCounts, SceneKind, SceneManifest, SceneOffer, SessionInfo, TakeOver,
+    Wish,
+};
+use crate::haptic::{LinkPoint, LinkQuality, LinkSummary, Rate};
+use crate::hands_link::HOST;
+use crate::remote_hand::HandControl;
+use crate::replication::choice::ReplicatedColumns;
+use crate::replication::scene_feed::{FeedLimits, Resumed, SceneFeed};
+use crate::ticket::{PlainName, Role, TicketId};
+
+/// Notes that wait for the actor. More of them within a tick are refused.
+pub const NOTES_MAX: usize = 256;
+
+/// A hand of the session, as the host hands it over.
+#[derive(Clone, Debug)]
+pub struct HostHandControl {
+    /// Its number in datagrams.
+    pub number: u8,
+    /// Says who moves it.
+    pub control: HandControl,
+}
+
+/// A station of the session.
+pub(super) struct Member {
+    pub ticket: TicketId,
+    pub role: Role,
+    pub connection: u32,
+    pub feed: SceneFeed,
+    /// Whether it has the scene and follows.
+    pub is_running: bool,
+    /// Hands for which it has devices.
+    pub devices: Vec<PlainName>,
+    pub moves: bool,
+    pub quality: Option<LinkQuality>,
+    pub clock: Option<ClockSample>,
+    pub forbidden: u64,
+    pub writes_refused: u64,
+    /// Phase of the keys that it uses since the last look.
+    pub rekeyed: Option<u32>,
+}
+
+/// How a station's link does.
+#[derive(Clone, Debug, Default)]
+pub struct MemberFigures {
+    /// The station.
+    pub station: u16,
+    /// Its figures.
+    pub summary: LinkSummary,
+}
+
+/// Everything that a session knows of its stations.
+pub(super) struct Members {
+    pub info: SessionInfo,
+    pub columns: Arc<ReplicatedColumns>,
+    pub limits: FeedLimits,
+    pub admissions: Box<dyn Admissions>,
+    pub roster: Roster,
+    pub hands: Vec<HostHandControl>,
+    pub members: BTreeMap<u16, Member>,
+    /// The scene as of this tick.
+    pub scene: Arc<Snapshot>,
+    /// Notes for the scene and for all stations.
+    pub notes: VecDeque<Note>,
+    /// Connections that a newer one of their station replaced.
+    pub superseded: Vec<u32>,
+    /// Hands whose server changed.
+    pub served: Vec<(u8, Option<u16>)>,
+    /// Tickets to pass on: from, to, bytes.
+    pub peer_tickets: Vec<(u16, u16, Vec<u8>)>,
+    /// Whether the roster is to be told anew.
+    pub roster_changed: bool,
+    pub host_trouble: Option<String>,
+    /// Mentors that have asked for a hand.
+    pub asked: BTreeMap<u8, u16>,
+    /// Hands that were handed over, and whom they go back to.
+    pub lent: BTreeMap<u8, Option<u16>>,
+    /// Whether a person at the host answers for hands that the host itself serves.
+    pub is_attended: bool,
+}
+
+impl Members {
+    /// The hands that a station serves, by their numbers.
+    pub fn served_by(&self, station: u16) -> impl Iterator<Item = u8> + '_ {
+        let of_station = move |hand: &&HandInfo| hand.station == Some(station);
+        self.roster.hands().iter().filter(of_station).map(|hand| hand.number)
+    }
+
+    /// Names to a station's feed the rows that the station writes itself, of the hands for which it has devices.
+    fn exclude_own_rows(&mut self, station: u16) {
+        let Some(member) = self.members.get_mut(&station) else { return };
+        let has_device = |hand: &&HandInfo| member.devices.contains(&hand.name);
+        let hands: Vec<Entity> =
+            self.roster.hands().iter().filter(has_device).map(|hand| hand.entity).collect();
+        // A station's hands have far fewer rows than a feed can leave out.
+        member.feed.exclude(own_rows(self.columns.registry(), &self.scene, &hands, member.moves));
+    }
+
+    /// A hand goes to another station, or back to the host.
+    fn hand_over(&mut self, hand: u8, station: Option<u16>) {
+        if let Some(known) = self.hands.iter().find(|known| known.number == hand) {
+            match station {
+                Some(station) => known.control.take(station),
+                None => known.control.give_back(),
+            }
+        }
+        self.served.push((hand, station));
+        self.roster_changed = true;
+    }
+
+    /// A station's connection ended; `is_over` if it left and does not come back.
+    pub fn disconnected(&mut self, station: u16, connection: u32, is_over: bool, now: SimTime) {
+        self.roster_changed = true;
+        if let Some(member) = self.members.get_mut(&station)
+            && member.connection == connection
+        {
+            member.is_running = false;
+            self.return_hands_of(station);
+        }
+        if is_over {
+            let hands = self.roster.leave(station, connection);
+            self.left(station, connection, &hands);
+        } else {
+            self.roster.break_off(station, connection, now);
+        }
+    }
+
+    fn left(&mut self, station: u16, connection: u32, hands: &[u8]) {
+        for hand in hands {
+            if let Some(known) = self.hands.iter().find(|known| known.number == *hand) {
+                known.control.give_back_from(station);
+            }
+            self.served.push((*hand, None));
+        }
+        if self.members.get(&station).is_some_and(|member| member.connection == connection) {
+            self.members.remove(&station);
+        }
+    }
+
+    /// Lets go of stations that were away for too long.
+    pub fn expire(&mut self, now: SimTime) {
+        while let Some((station, hands)) = self.roster.expire(now) {
+            let connection = self.members.get(&station).map_or(0, |member| member.connection);
+            self.left(station, connection, &hands);
+            self.roster_changed = true;
+        }
+    }
+
+    /// The phase of keys that a station uses since the last call.
+    pub fn take_rekeyed(&mut self, station: u16) -> Option<u32> {
+        self.members.get_mut(&station)?.rekeyed.take()
+    }
+
+    /// Stations whose ticket was withdrawn.
+    pub fn revoked(&self) -> Vec<u16> {
+        let is_revoked = |member: &Member| self.admissions.is_revoked(member.ticket);
+        self.members.iter().filter(|(_, member)| is_revoked(member)).map(|(station, _)| *station).collect()
+    }
+
+    fn take_over(&mut self, station: u16, hand: u8, step: TakeOver) -> Result<(), Refusal> {
+        let info = self.roster.hands().iter().find(|info| info.number == hand).cloned();
+        let Some(info) = info else {
+            let text = format!("the session has no hand number {hand}");
+            return Err(Refusal::HostTrouble(PlainText::new(text)));
+        };
+        let not_served = || Refusal::HandNotServed { hand: PlainText::new(info.name.as_str()) };
+        let serves = |by: u16| info.station == Some(by) || (info.station.is_none() && by == HOST);
+        match step {
+            TakeOver::Ask => {
+                self.asked.insert(hand, station);
+                if info.station.is_none() && !self.is_attended {
+                    return self.take_over(HOST, hand, TakeOver::Accept);
+                }
+            }
+            TakeOver::Decline => {
+                self.asked.remove(&hand);
+            }
+            TakeOver::Accept if serves(station) => {
+                let mentor = self.asked.remove(&hand).ok_or_else(not_served)?;
+                self.lend(&info, mentor)?;
+            }
+            TakeOver::Return if serves(station) || self.lent.get(&hand) == Some(&owner(station)) => {
+                self.return_hand(&info)?;
+            }
+            TakeOver::Accept | TakeOver::Return => return Err(not_served()),
+        }
+        Ok(())
+    }
+
+    fn lend(&mut self, info: &HandInfo, mentor: u16) -> Result<(), Refusal> {
+        if let Some(station) = info.station {
+            self.roster.give_hand(station, &info.name)?;
+        }
+        if let Err(refusal) = self.roster.take_hand(mentor, &info.name) {
+            // Whoever had it keeps it.
+            if let Some(station) = info.station {
+                self.roster.take_hand(station, &info.name)?;
+            }
+            return Err(refusal);
+        }
+        self.lent.entry(info.number).or_insert(info.station);
+        self.hand_over(info.number, Some(mentor));
+        Ok(())
+    }
+
+    /// A hand goes back to whom it was taken from.
+    fn return_hand(&mut self, info: &HandInfo) -> Result<(), Refusal> {
+        if let Some(station) = info.station {
+            self.roster.give_hand(station, &info.name)?;
+        }
+        let before = self.lent.remove(&info.number).flatten();
+        let before = before.filter(|station| self.roster.take_hand(*station, &info.name).is_ok());
+        self.hand_over(info.number, before);
+        Ok(())
+    }
+
+    /// A mentor's link broke: what it had taken over goes back at once.
+    fn return_hands_of(&mut self, mentor: u16) {
+        self.asked.retain(|_, station| *station != mentor);
+        let of_mentor = |info: &&HandInfo| info.station == Some(mentor) && self.lent.contains_key(&info.number);
+        let lent: Vec<HandInfo> = self.roster.hands().iter().filter(of_mentor).cloned().collect();
+        for info in lent {
+            // The mentor has the hand, so that it can be given back.
+            let _ = self.return_hand(&info);
+        }
+    }
+
+    fn offer_scene(&mut self, station: u16, held: Option<HeldScene>) -> Result<SceneOffer, Refusal> {
+        let trouble = |error: String| Refusal::HostTrouble(PlainText::new(error));
+        let Some(member) = self.members.get_mut(&station) else {
+            return Err(trouble("the station is not in the session".to_owned()));
+        };
+        let resumed = held.filter(|held| member.feed.resume(held.revision) == Resumed::Known);
+        if resumed.is_none() {
+            member.feed = SceneFeed::new(self.columns.clone(), self.limits);
+        }
+        if held.is_some() {
+            // Its own controllers run already, and what they write is not to be written by others.
+            self.exclude_own_rows(station);
+        }
+        let Some(member) = self.members.get_mut(&station) else {
+            return Err(trouble("the station is not in the session".to_owned()));
+        };
+        let (scene, feed) = (&self.scene, &mut member.feed);
+        let told = feed.delta(self.scene.time(), scene).map_err(|error| trouble(error.to_string()))?;
+        let bytes = told.unwrap_or_default();
+        let hash = *blake3::hash(&bytes).as_bytes();
+        let (kind, digest) = match resumed {
+            Some(held) => (SceneKind::Missed { since: held.revision }, hash),
+            None => (SceneKind::Whole, digest_of(&feed.digest(scene).map_err(|error| trouble(error.to_string()))?)),
+        };
+        let revision = feed.sent_revision().unwrap_or(scene.revision());
+        let (entities, rows) = feed.row_counts(scene);
+        let mut info = self.info.clone();
+        (info.hands, info.stations) = (self.roster.hands().to_vec(), self.roster.stations());
+        Ok(SceneOffer {
+            session: info,
+            host_unix_secs: self.admissions.unix_secs(),
+            manifest: SceneManifest {
+                kind,
+                revision,
+                time: scene.time(),
+                bytes: u32::try_from(bytes.len()).map_err(|error| trouble(error.to_string()))?,
+                hash,
+                counts: SceneCounts::of_rows(self.columns.registry(), entities, rows),
+                digest,
+            },
+            scene: bytes.into(),
+        })
+    }
+}
+
+/// A second of a link, for the roster.
+pub(super) fn figures(point: &LinkPoint, rate: Rate) -> LinkFigures {
+    let micros = |millis: f64| (millis * 1e3).clamp(0.0, f64::from(u32::MAX)) as u32;
+    LinkFigures {
+        round_trip_us: micros(point.round_trip.unwrap_or_default()),
+        jitter_us: micros(point.jitter),
+        loss_ppm: (point.loss * 1e6).clamp(0.0, 1e6) as u32,
+        age_us: micros(point.age.unwrap_or_default()),
+        rate_hz: (point.rate.clamp(0.0, f64::from(u16::MAX)) as u16).min(rate.hz() as u16),
+    }
+}
+
+/// Who serves a hand, by the number of a station that may be the host's.
+fn owner(station: u16) -> Option<u16> {
+    (station != HOST).then_some(station)
+}
+
+/// A digest as the manifest has it.
+pub(super) fn digest_of(digest: &crate::replication::state_digest::StateDigest) -> [u8; 32] {
+    let mut bytes = Vec::new();
+    digest.write(&mut bytes);
+    *blake3::hash(&bytes).as_bytes()
+}
+
+impl HostSession for Members {
+    fn check(&mut self, credential: &Credential, wish: &Wish) -> Result<Role, Refusal> {
+        if let Some(why) = &self.host_trouble {
+            return Err(Refusal::HostTrouble(PlainText::new(why.as_str())));
+        }
+        let (station, role) = self.admissions.examine(credential)?;
+        self.roster.check(station, &wish.name, &wish.hands)?;
+        Ok(role)
+    }
+
+    fn admit(
+        &mut self,
+        credential: &Credential,
+        wish: &Wish,
+        role: Role,
+        _: SimTime,
+    ) -> Result<Admitted, Refusal> {
+        let admission = self.admissions.admit(credential)?;
+        let station = admission.station;
+        let arrival = self.roster.arrive(station, wish.name.clone(), role);
+        self.superseded.extend(arrival.superseded);
+        self.roster_changed = true;
+        let before: Vec<u8> = self.served_by(station).collect();
+        for hand in &wish.hands {
+            let number = self.roster.take_hand(station, hand)?;
+            if !before.contains(&number) {
+                self.hand_over(number, Some(station));
+            }
+        }
+        let connection = arrival.connection;
+        let feed = SceneFeed::new(self.columns.clone(), self.limits);
+        let member = self.members.entry(station).or_insert_with(|| Member {
+            ticket: admission.ticket,
+            role,
+            connection,
+            feed,
+            is_running: false,
+            devices: Vec::new(),
+            moves: wish.moves,
+            quality: None,
+            clock: None,
+            forbidden: 0,
+            writes_refused: 0,
+            rekeyed: None,
+        });
+        (member.role, member.connection, member.moves) = (role, connection, wish.moves);
+        (member.is_running, member.devices) = (false, wish.devices.clone());
+        Ok(Admitted { station, connection, role })
+    }
+
+    fn offer(&mut self, admitted: &Admitted, held: Option<HeldScene>) -> Result<SceneOffer, Refusal> {
+        self.offer_scene(admitted.station, held)
+    }
+
+    fn request(&mut self, station: u16, what: &RequestKind, now: SimTime) -> Result<(), Refusal> {
+        match what {
+            RequestKind::TakeHand(hand) => {
+                let number = self.roster.take_hand(station, hand)?;
+                self.hand_over(number, Some(station));
+            }
+            RequestKind::GiveHand(hand) => {
+                let number = self.roster.give_hand(station, hand)?;
+                self.hand_over(number, None);
+            }
+            RequestKind::Note(what) => {
+                if self.notes.len() >= NOTES_MAX {
+                    let text = "too many notes at once; some were not shown";
+                    return Err(Refusal::HostTrouble(PlainText::new(text)));
+                }
+                if let NoteKind::TakeOver { hand, step } = what {
+                    self.take_over(station, *hand, *step)?;
+                }
+                self.notes.push_back(Note { station, at: now, what: what.clone() });
+            }
+            RequestKind::PeerTicket { to, ticket } => {
+                self.peer_tickets.push((station, *to, ticket.clone()));
+            }
+        }
+        Ok(())
+    }
+
+    fn hear(&mut self, station: u16, event: HostEvent<'_>) {
+        let Some(member) = self.members.get_mut(&station) else { return };
+        match event {
+            HostEvent::Joined(Revision(_)) => {
+                member.is_running = true;
+                self.exclude_own_rows(station);
+            }
+            HostEvent::Write(_) => member.writes_refused += 1,
+            HostEvent::Forbidden(_) => member.forbidden += 1,
+            HostEvent::Clock(sample) => member.clock = Some(sample),
+            HostEvent::Rekeyed(phase) => member.rekeyed = Some(phase),
+        }
+    }
+}

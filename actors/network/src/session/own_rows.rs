@@ -1,0 +1,26 @@
+//! Own rows: what a station writes itself of the hands that it serves, and so is never sent to it.
+
+use trocar_scene::{
+    DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry, Snapshot,
+};
+
+use crate::replication::delta::RowSet;
+
+/// The rows that the controllers of these hands write: what the device measures and renders, and where the instrument is to
+/// be. Both ends compute the same, of the same scene. `moves`: a person or a program at the station says where the hands
+/// go, in place of the session's virtual trainee.
+pub fn own_rows(registry: &Registry, scene: &Snapshot, hands: &[Entity], moves: bool) -> RowSet {
+    let mut rows = RowSet::new();
+    for hand in hands {
+        let of_hand = [
+            registry.id::<DeviceState>(),
+            registry.id::<DeviceForce>(),
+            registry.id::<HapticStatus>(),
+            registry.id::<HandTarget>().filter(|_| moves),
+        ];
+        rows.extend(of_hand.into_iter().flatten().map(|id| (id, *hand)));
+        let instrument = scene.get::<Hand>(*hand).map(|hand| hand.instrument);
+        rows.extend(registry.id::<InstrumentTarget>().zip(instrument));
+    }
+    rows
+}

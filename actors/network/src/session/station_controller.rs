@@ -1,0 +1,56 @@
+//! The network's actor at a station: steps the machine, and writes what comes from the host into the station's scene.
+
+use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, SimTime, Snapshot, Station, Tick};
+
+use super::machine_slot::{HeldMachine, MachineSlot};
+use super::station_machine::{StationMachine, StationNews};
+
+/// Time between two rows of the station's own link.
+const ROW_EVERY: SimTime = SimTime::from_millis(1_000);
+
+/// The network's actor at a station.
+pub struct StationController<A> {
+    machine: HeldMachine<StationMachine<A>>,
+    row_at: SimTime,
+}
+
+impl<A: Copy + PartialEq + Send + 'static> StationController<A> {
+    /// Takes the machine of the session out of its slot.
+    ///
+    /// # Errors
+    /// When an earlier life died while it worked with it.
+    pub fn new(
+        context: &BuildContext<'_>,
+        slot: &MachineSlot<StationMachine<A>>,
+    ) -> Result<Self, ControllerError> {
+        let lost = "an earlier life of the network died at work, and its connection with it";
+        let machine = slot.take().ok_or_else(|| ControllerError::Failed(lost.to_owned()))?;
+        Ok(Self { machine, row_at: context.time })
+    }
+}
+
+impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
+    fn access(&self) -> Access {
+        Access::new().replicates().contributes::<Station>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let (stepped, row) = self.machine.work(|machine| {
+            let stepped = machine.step(tick.time, scene, out);
+            for news in machine.take_news() {
+                match news {
+                    StationNews::Away(why) => tracing::warn!("away from the host: {why}"),
+                    StationNews::Back => tracing::info!("back at the host"),
+                    StationNews::Refused(refusal) => tracing::warn!("the host refused: {refusal}"),
+                    StationNews::Note(_) => {}
+                }
+            }
+            (stepped, machine.row())
+        });
+        if tick.time >= self.row_at {
+            self.row_at = tick.time + ROW_EVERY;
+            out.put(tick.me, row);
+        }
+        stepped.map_err(|error| ControllerError::Failed(error.to_string()))
+    }
+}
