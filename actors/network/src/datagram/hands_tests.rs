@@ -193,7 +193,7 @@ fn any_sample() -> impl Strategy<Value = HandSample> {
         UnitQuaternion::try_new(Quaternion::from(coords), 1e-3).unwrap_or(UnitQuaternion::identity())
     });
     let motion = (numbers(), rotation, numbers(), numbers(), -10.0..10.0_f64);
-    let rest = (any::<u16>(), any::<bool>(), any::<Option<(u64, u32)>>(), any::<u32>());
+    let rest = (any::<u16>(), any::<bool>(), any::<Option<(u64, u32)>>(), any::<u32>(), 0..CLUTCHES);
     (motion, numbers(), numbers(), rest).prop_map(|(motion, force, torque, rest)| HandSample {
         hand: 0,
         state: DeviceState {
@@ -207,6 +207,7 @@ fn any_sample() -> impl Strategy<Value = HandSample> {
         wrench: Wrench { force, torque },
         grabbed: rest.2.map(|(entity, node)| (Entity::from_bits(entity), node)),
         age_us: rest.3,
+        clutch: rest.4,
     })
 }
 
@@ -244,8 +245,8 @@ proptest! {
             let turned = (a.pose_in_device.rotation.coords - b.pose_in_device.rotation.coords).norm();
             prop_assert!(turned < 2e-7, "{turned}");
             let exact = |sample: &HandSample| {
-                let HandSample { hand, state, grabbed, age_us, .. } = *sample;
-                (hand, state.buttons, state.connected, grabbed, age_us)
+                let HandSample { hand, state, grabbed, age_us, clutch, .. } = *sample;
+                (hand, state.buttons, state.connected, grabbed, age_us, clutch)
             };
             prop_assert_eq!(exact(sent), exact(got));
         }

@@ -2,6 +2,8 @@
 
 mod hands_peer;
 mod wire;
+mod wire_streams;
 
 pub use hands_peer::{HandsPeer, Wires};
 pub use wire::{End, Wire};
+pub use wire_streams::{WireHostStreams, WireStationStream};

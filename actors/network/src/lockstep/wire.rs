@@ -79,6 +79,8 @@ struct OneWay {
     next_number: u64,
     next_expected: u64,
     received: Vec<u8>,
+    /// The sender sends no more; the receiver learns of it behind the last byte.
+    is_finished: bool,
 }
 
 impl OneWay {
@@ -127,6 +129,7 @@ impl OneWay {
         self.early.clear();
         self.received.clear();
         self.next_expected = self.next_number;
+        self.is_finished = false;
     }
 }
 
@@ -159,6 +162,7 @@ impl Wire {
 
     /// Connects the stream; what an earlier one still had is gone.
     pub fn connect(&self) -> u64 {
+        self.disconnect();
         let mut inner = self.lock();
         inner.is_connected = true;
         inner.connections += 1;
@@ -173,6 +177,19 @@ impl Wire {
             let path = way.segments.fork(|_| None);
             way.break_stream(path);
         }
+    }
+
+    /// This end sends no more: the other one learns of it behind the last byte, as of a closed connection.
+    pub fn finish(&self, from: End) {
+        self.lock().ways[from as usize].is_finished = true;
+    }
+
+    /// Whether the other end has finished, and everything of it was taken.
+    pub fn is_finished(&self, at: End, now: SimTime) -> bool {
+        let mut inner = self.lock();
+        let way = &mut inner.ways[1 - at as usize];
+        way.carry(now);
+        way.is_finished && way.under_way() == 0 && way.received.is_empty()
     }
 
     /// The number of the connection, if the stream is connected.

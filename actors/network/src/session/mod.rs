@@ -15,6 +15,8 @@ mod host_controller;
 mod host_machine;
 mod host_members;
 mod machine_slot;
+#[cfg(test)]
+mod machines_tests;
 mod own_rows;
 mod station_controller;
 mod station_machine;
