@@ -29,8 +29,8 @@ const STOP_LIMIT: Duration = Duration::from_millis(200);
 /// Period of steps while session time is paused \[ns\]: short enough to detect an unplugged device.
 const STILL_PERIOD_NS: u64 = 50_000_000;
 
-/// Session time, as a function of the time since its start \[ns\], and whether it is paused. Called at every step: it
-/// must neither block nor allocate.
+/// Session time \[ns\], as a function of the time since the session's start \[ns\], and whether it is paused. Called at
+/// every step: it must neither block nor allocate.
 #[derive(Clone)]
 pub struct SessionTime(Arc<dyn Fn(u64) -> (u64, bool) + Send + Sync>);
 
@@ -41,7 +41,7 @@ impl SessionTime {
     }
 }
 
-/// Time without pauses.
+/// Time from zero, without pauses.
 impl Default for SessionTime {
     fn default() -> Self {
         Self::new(|elapsed_ns| (elapsed_ns, false))
@@ -65,7 +65,7 @@ pub struct DriverThreadConfig {
     pub priority: Option<u8>,
     /// How long before a tick the thread wakes to spin \[ns\]; at most 30 % of a period is used.
     pub spin_ns: u64,
-    /// Start of the session: instant at which session time is zero. Shared by all users of the driver.
+    /// Start of the session, from which [`Self::session_time`] counts. Shared by all users of the driver.
     pub session_start: Instant,
     /// Session time since then. While it is paused the driver steps 20 times per second.
     pub session_time: SessionTime,

@@ -36,7 +36,7 @@ pub struct ControllerSpec {
     pub writer: u16,
     /// Ticks per second, > 0.
     pub rate_hz: f64,
-    /// First tick, counted from the start of the session; staggers controllers of one rate.
+    /// Session time of tick 0; tick `n` is due `n` periods later. Staggers controllers of one rate.
     pub phase: SimTime,
     /// Builds it.
     pub factory: Factory,
@@ -136,6 +136,10 @@ pub trait CommitSink: Send {
     fn close(&mut self, limit: Duration) -> bool;
 }
 
+/// Latest [`SessionSpec::begin`]: 2^53 ns, which is 104 days. Up to there an `f64` holds every nanosecond, and so do due
+/// times that are computed from rates.
+pub const BEGIN_MAX: SimTime = SimTime(1 << 53);
+
 /// A session: the initial scene and all participants.
 pub struct SessionSpec {
     /// Name of the scenario.
@@ -148,13 +152,21 @@ pub struct SessionSpec {
     pub registry: Arc<Registry>,
     /// The scene at the start.
     pub scene: Store,
+    /// Session time at the start, at most [`BEGIN_MAX`]. A station that joins a host begins at the host's session time,
+    /// so that time stamps in the scene mean the same at both.
+    ///
+    /// It moves no grid: controllers, peers, publications and stop checks of lock-step are due at the same session times
+    /// as in a session that began at zero, from the first one at or after `begin`, and ticks have the same numbers. The
+    /// times of a fault plan, of replayed hands and of [`Self::until`] are session times too.
+    pub begin: SimTime,
     /// The controllers.
     pub controllers: Vec<ControllerSpec>,
     /// Peers that lock-step steps; ignored in live mode.
     pub peers: Vec<Box<dyn Peer>>,
     /// Fault targets beside the controllers and the Model.
     pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
-    /// The faults to inject.
+    /// The faults to inject, at session times. As in a branch, a fault that is over before [`Self::begin`] is never
+    /// injected, because there was nothing that it could strike; one that still lasts then is injected at `begin`.
     pub faults: FaultPlan,
     /// Takes the commits; [`Recorder::install`](crate::recorder::Recorder::install) sets it.
     pub commit_sink: Option<Box<dyn CommitSink>>,
@@ -164,7 +176,7 @@ pub struct SessionSpec {
     pub zombies_max: u32,
     /// Called first at every end.
     pub zero_forces: Vec<ZeroForces>,
-    /// End of the session; none: until stopped.
+    /// Session time of the end; none: until stopped. One that is not after [`Self::begin`] ends the session at once.
     pub until: Option<SimTime>,
     /// HandleParts the session when the goal is reached.
     pub stop_when: Option<StopWhen>,
@@ -184,6 +196,7 @@ impl SessionSpec {
             seed,
             registry: scene.view().registry().clone(),
             scene,
+            begin: SimTime::ZERO,
             controllers,
             peers: Vec::new(),
             fault_sinks: Vec::new(),
@@ -225,6 +238,8 @@ pub struct SessionOutcome {
     pub code: i32,
     /// Why it gave up, if it did.
     pub reason: Option<String>,
+    /// Session time at the start.
+    pub begin: SimTime,
     /// Session time at the end.
     pub sim: SimTime,
     /// Wall-clock duration.

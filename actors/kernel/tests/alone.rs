@@ -2,6 +2,7 @@
 //!
 //! Tests in real time, of signals, and of processes that must not be disturbed: one after another.
 
+mod begin;
 mod bench;
 mod conformance;
 mod guests;

@@ -63,6 +63,7 @@ fn recording(registry: &Arc<Registry>, file: &Path) {
         scenario_text: "schema = 1\nname = \"toy\"\n".into(),
         seed: 42,
         station: 0,
+        begin: SimTime::ZERO,
         mode: "lockstep".into(),
         devices: BTreeMap::new(),
         extra: BTreeMap::new(),

@@ -73,11 +73,11 @@ impl Assembly {
             station: 0,
             scene: store.snapshot(),
             roles,
-            until: options.seconds.map(SimTime::from_secs_f64),
+            until: options.seconds.map(|seconds| options.begin + SimTime::from_secs_f64(seconds)),
             faults: options.faults.clone(),
             fault_targets: options.fault_targets.clone(),
         };
-        let spec = plan.first(options.seed, &ports);
+        let spec = plan.first((options.seed, options.begin), &ports);
         Ok(Self { spec, hands, plan: Arc::new(plan), actors: app.actors.clone() })
     }
 }

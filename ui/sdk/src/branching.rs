@@ -9,7 +9,7 @@ use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::lockstep::{LockstepSession, Moment};
 use trocar_kernel::spec::SessionSpec;
 use trocar_kernel::{BranchError as KernelError, SessionError};
-use trocar_scene::{Snapshot, Store};
+use trocar_scene::{SimTime, Snapshot, Store};
 
 use crate::hands::{HandPort, OpenedHand, SteppedHand};
 use crate::session::plan::{BoundToHands, SessionPlan};
@@ -41,6 +41,8 @@ pub(crate) struct Origin {
     /// For each hand its device before it was opened; `None` for a device that exists only once.
     pub prototypes: Vec<Option<Box<dyn HapticDevice>>>,
     pub seed: u64,
+    /// Session time at the start.
+    pub begin: SimTime,
 }
 
 impl Origin {
@@ -50,6 +52,7 @@ impl Origin {
             plan: self.plan.clone(),
             prototypes: self.prototypes.iter().map(fork).collect(),
             seed: self.seed,
+            begin: self.begin,
         }
     }
 
@@ -75,7 +78,7 @@ fn once(port: &HandPort) -> BranchError {
 }
 
 impl Session {
-    /// Resets the session: the scene of the start, time zero, the same seed. Nothing is read or parsed again. A
+    /// Resets the session: the scene and the time of the start, the same seed. Nothing is read or parsed again. A
     /// recording ends here; what follows is not recorded.
     ///
     /// ```
@@ -232,6 +235,6 @@ fn cast(
     hands: &[OpenedHand],
 ) -> Result<(Vec<HandPort>, SessionSpec), BranchError> {
     let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
-    let spec = origin.plan.other(seed, scene, &ports)?;
+    let spec = origin.plan.other((seed, origin.begin), scene, &ports)?;
     Ok((ports, spec))
 }

@@ -235,20 +235,25 @@ const STALE_AFTER: SimTime = SimTime::from_millis(5);
 pub struct HandFaults {
     faults: DeviceFaults,
     monitor: DeviceMonitor,
+    /// Session time at the start.
+    begin: SimTime,
 }
 
 impl HandFaults {
-    /// For the hand of `port`.
-    pub fn sink(port: &HandPort) -> Arc<dyn FaultSink> {
-        Arc::new(Self { faults: port.faults.clone(), monitor: port.monitor.clone() })
+    /// For the hand of `port` in a session that starts at the session time `begin`.
+    pub fn sink(port: &HandPort, begin: SimTime) -> Arc<dyn FaultSink> {
+        Arc::new(Self { faults: port.faults.clone(), monitor: port.monitor.clone(), begin })
     }
 }
 
 impl FaultSink for HandFaults {
     fn fault(&self, order: &FaultOrder) {
         let until = if order.begins { DeviceFaults::FOREVER } else { 0 };
-        // Instantaneous faults end by themselves, counted from the driver's latest step.
-        let after = |span: SimTime| self.monitor.sample().published_at_ns.saturating_add(span.as_nanos());
+        // Instantaneous faults end by themselves, counted from the driver's latest step, or from the start before it.
+        let stepped = |at_ns: u64| at_ns.max(self.begin.as_nanos());
+        let after = |span: SimTime| {
+            stepped(self.monitor.sample().published_at_ns).saturating_add(span.as_nanos())
+        };
         match order.kind {
             FaultKind::Unplug => self.faults.unplug_until(until),
             FaultKind::Nan => self.faults.nan_until(until),

@@ -65,7 +65,12 @@ impl<'a> SessionBuilder<'a> {
         self.options.seed = seed;
         self
     }
-    /// Ends after this much session time \[s\], even before the exercise is over.
+    /// Starts at this session time instead of zero, as a station that joins another one does.
+    pub fn begin(mut self, begin: SimTime) -> Self {
+        self.options.begin = begin;
+        self
+    }
+    /// Ends this long after the start \[s\], even before the exercise is over.
     pub fn seconds(mut self, seconds: f64) -> Self {
         self.options.seconds = Some(seconds);
         self

@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::recorder::RecorderOptions;
 use trocar_kernel::spec::FaultSink;
+use trocar_scene::SimTime;
 
 /// Further targets for faults, by name, that belong to the program.
 #[derive(Clone, Default)]
@@ -23,7 +24,10 @@ impl std::fmt::Debug for FaultTargets {
 pub struct RunOptions {
     /// Run in virtual time on one thread instead of real time.
     pub lockstep: bool,
-    /// End after this much session time \[s\]; `None`: when the exercise is over.
+    /// Session time at the start, for a station that joins a host: see
+    /// [`SessionSpec::begin`](trocar_kernel::spec::SessionSpec::begin).
+    pub begin: SimTime,
+    /// End this long after the start \[s\]; `None`: when the exercise is over.
     pub seconds: Option<f64>,
     /// Seed of all randomness.
     pub seed: u64,
@@ -52,6 +56,7 @@ impl Default for RunOptions {
     fn default() -> Self {
         Self {
             lockstep: false,
+            begin: SimTime::ZERO,
             seconds: None,
             seed: 1,
             hands: Vec::new(),

@@ -90,6 +90,7 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
             scenario_text: scenario.text().to_owned(),
             seed: options.seed,
             station: assembly.spec.station,
+            begin: assembly.spec.begin,
             mode: if options.lockstep { "lockstep" } else { "live" }.to_owned(),
             devices: assembly.hands.iter().map(|hand| (hand.port().name.clone(), hand.describe())).collect(),
             extra: std::collections::BTreeMap::new(),
@@ -137,16 +138,17 @@ pub fn run(
 ) -> Result<RunOutcome, RunError> {
     let begun = Instant::now();
     let mut session = start(app, scenario, options)?;
-    let mut trace = RunTrace::new();
+    let start = session.begin();
+    let mut trace = RunTrace::starting_at(start.as_secs_f64());
     trace.sample(&session.snapshot());
     let warnings = forecast(&session.snapshot(), scenario);
     let mut health = session.health();
     let (mut motions, mut contacts) = (HandMotions::default(), ContactWatch::default());
     let mut frozen = FrozenWatch::default();
     let rows = session.reports();
-    let mut rates = RateWatch::new(rows.into_iter().map(|row| (row.name, row.target_hz)));
+    let mut rates = RateWatch::new(start, rows.into_iter().map(|row| (row.name, row.target_hz)));
     rates.look(session.now(), &session.ticks());
-    let mut next = LOOK_EVERY;
+    let mut next = SimTime((start.0 / LOOK_EVERY.0 + 1) * LOOK_EVERY.0);
     let mut is_cut_off = false;
     while session.run_until(next) {
         if options.stop.load(Ordering::Relaxed) {
@@ -157,7 +159,7 @@ pub fn run(
         trace.sample(&scene);
         let now = session.now();
         rates.look(now, &session.ticks());
-        motions.look(scene.time().as_secs_f64(), &scene);
+        motions.look(scene.time().max(start).as_secs_f64(), &scene);
         contacts.look(now, &scene);
         frozen.look(&scene);
         if scene.iter::<TaskState>().next().is_none() {
@@ -229,7 +231,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     let scene = &outcome.snapshot;
     let mode = if options.lockstep { Mode::Lockstep } else { Mode::Live };
     let mut summary = RunSummary::new(&scenario.name, mode, options.seed);
-    summary.sim_secs = outcome.sim.as_secs_f64();
+    summary.sim_secs = outcome.sim.since(outcome.begin).as_secs_f64();
     summary.wall_secs = wall_secs;
     summary.state_hash = Some(outcome.hash.to_string());
     summary.task = task_summary(scene);

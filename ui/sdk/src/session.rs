@@ -98,6 +98,7 @@ impl Session {
             plan: assembly.plan,
             prototypes: assembly.hands.iter().map(OpenedHand::prototype).collect(),
             seed: assembly.spec.seed,
+            begin: assembly.spec.begin,
         };
         let mut spec = assembly.spec;
         spec.peers.extend(assembly.hands.into_iter().map(OpenedHand::into_peer));
@@ -112,13 +113,15 @@ impl Session {
     pub fn live(assembly: Assembly) -> Result<Self, RunError> {
         let hands: Vec<HandPort> = assembly.hands.iter().map(|hand| hand.port().clone()).collect();
         let (start, clock) = (Instant::now(), Arc::<PausableClock>::default());
+        let begin = assembly.spec.begin;
         let priority =
             sched::fifo_priority(RuntimeClass::Driver).and_then(|p| u8::try_from(p).ok()).unwrap_or(1);
         let mut drivers = Vec::with_capacity(hands.len());
         for hand in assembly.hands {
-            drivers.push(hand.into_thread(start, pause::device_time(&clock), priority)?);
+            drivers.push(hand.into_thread(start, pause::device_time(&clock, begin), priority)?);
         }
-        let live = LiveSession::start_on(assembly.spec, Clock::pausable(start, clock))?;
+        let clock = Clock::pausable(start, clock).beginning_at(begin);
+        let live = LiveSession::start_on(assembly.spec, clock)?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
@@ -176,7 +179,15 @@ impl Session {
         &self.hands
     }
 
-    /// Time of the session.
+    /// Session time at the start: zero, unless [`RunOptions::begin`](crate::run::RunOptions::begin) says otherwise.
+    pub fn begin(&self) -> SimTime {
+        match &self.running {
+            Running::Lockstep(session) => session.begin(),
+            Running::Live(session, _) => session.begin(),
+        }
+    }
+
+    /// Session time.
     pub fn now(&self) -> SimTime {
         match &self.running {
             Running::Lockstep(session) => session.now(),

@@ -93,9 +93,16 @@ impl RunTrace {
         Self::default()
     }
 
+    /// An empty trace of a session that starts at the session time `secs` \[s\]: the scene that it starts with may be
+    /// older.
+    pub fn starting_at(secs: f64) -> Self {
+        Self { secs, ..Self::default() }
+    }
+
     /// Samples the scene. Call it about a hundred times per second; a snapshot older than the last one is ignored.
     pub fn sample(&mut self, scene: &Snapshot) {
         let secs = scene.time().as_secs_f64();
+        let secs = if self.begun { secs } else { secs.max(self.secs) };
         if secs < self.secs {
             return;
         }

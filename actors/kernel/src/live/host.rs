@@ -98,10 +98,11 @@ async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
     drop_after(hosted.controller, cause)
 }
 
-/// The first tick of a session is the next one of the schedule; a later life continues where the last one stopped.
+/// The first tick of a session is the next one of the schedule, and not before the session begins; a later life
+/// continues where the last one stopped.
 fn schedule(shared: &Shared, writer: &Writer, life: &Life) -> Schedule {
     let (phase, period) = (writer.spec.phase, writer.spec.period());
-    let now = shared.clock.now();
+    let now = shared.clock.now().max(shared.begin);
     let next = if life.incarnation > 1 && writer.state.stats.ticks() > 0 {
         writer.next_tick.load(Ordering::Relaxed)
     } else if now <= phase {

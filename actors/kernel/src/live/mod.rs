@@ -33,7 +33,7 @@ use crate::model_core::ModelCore;
 use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
 use crate::signal::Signal;
-use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
+use crate::spec::{BEGIN_MAX, ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
 use crate::state_hash::StateHash;
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
@@ -75,6 +75,9 @@ pub enum LiveError {
     /// A scene that cannot be encoded.
     #[error("the scene at the start: {0}")]
     Scene(#[from] ComponentError),
+    /// The session begins too late.
+    #[error("begin: {0}; valid: up to {BEGIN_MAX}")]
+    Begin(SimTime),
     /// The operating system gave no thread.
     #[error("no thread for the session: {0}")]
     Thread(#[from] std::io::Error),
@@ -96,7 +99,7 @@ pub struct LiveSession {
 }
 
 impl LiveSession {
-    /// Starts the session and returns when every child runs.
+    /// Starts the session, at [`SessionSpec::begin`], and returns when every child runs.
     ///
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
@@ -104,15 +107,18 @@ impl LiveSession {
         Self::start_at(spec, Instant::now())
     }
 
-    /// Like [`Self::start`], with session time zero at `origin`, which device drivers share.
+    /// Like [`Self::start`], with the session's begin at `origin`, which device drivers share.
     ///
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
     pub fn start_at(spec: SessionSpec, origin: Instant) -> Result<Self, LiveError> {
-        Self::start_on(spec, Clock::since(origin))
+        let clock = Clock::since(origin).beginning_at(spec.begin);
+        Self::start_on(spec, clock)
     }
 
-    /// Like [`Self::start_at`], with the session's clock, which device drivers share and which pauses them as well.
+    /// Like [`Self::start_at`], with the session's clock, which device drivers share and which pauses them as well. It
+    /// shows session time, so for a session that begins now it is [`Clock::starting_at`] the session's begin; while it
+    /// shows an earlier time, no controller ticks.
     ///
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
@@ -146,6 +152,9 @@ impl LiveSession {
     }
 
     fn launch(spec: SessionSpec, clock: Clock) -> Result<Self, LiveError> {
+        if spec.begin > BEGIN_MAX {
+            return Err(LiveError::Begin(spec.begin));
+        }
         check_controllers(&spec.controllers)?;
         let children = spec.children();
         let root = spec.tree.clone().unwrap_or_else(|| GroupSpec::default_tree(children.clone()));
@@ -158,14 +167,16 @@ impl LiveSession {
         for (name, _) in &spec.fault_sinks {
             targets = targets.with(name, TargetClass::of_sink(name));
         }
-        let schedule = FaultSchedule::new(&spec.faults, &targets)?;
+        let mut schedule = FaultSchedule::new(&spec.faults, &targets)?;
+        schedule.skip_to(spec.begin);
         let faults = FaultLog::new(&spec.faults);
         let core = ModelCore::new(Store::from_snapshot(spec.scene.view()), spec.station)?;
         let (reports, inbox) = sync_channel(REPORTS_MAX);
         let order: Vec<String> = spec.controllers.iter().map(|controller| controller.name.clone()).collect();
         let shared = share(
             &spec.scene,
-            (clock, spec.station, spec.seed),
+            (clock, spec.begin),
+            (spec.station, spec.seed),
             spec.controllers,
             spec.commit_sink,
             &supervisor,
@@ -214,7 +225,11 @@ impl LiveSession {
     pub fn snapshots(&self) -> Arc<ArcSwap<Snapshot>> {
         self.shared.published.clone()
     }
-    /// Time of the session.
+    /// Session time at the start.
+    pub fn begin(&self) -> SimTime {
+        self.shared.begin
+    }
+    /// Session time.
     pub fn elapsed(&self) -> SimTime {
         match &lock(&self.board.status).ended {
             Some(ended) => ended.at,
@@ -223,7 +238,7 @@ impl LiveSession {
     }
     /// One row per controller, in the order of the session, as it is now.
     pub fn stats(&self) -> Vec<ControllerReport> {
-        let elapsed = self.elapsed();
+        let elapsed = self.elapsed().since(self.begin());
         self.order.iter().map(|index| self.shared.writers[*index].report(elapsed)).collect()
     }
     /// How many ticks each controller has run so far, in the order of the session.
@@ -242,7 +257,7 @@ impl LiveSession {
     }
     /// The Model's row: it has no rate; its ticks are its wake-ups.
     pub fn model_stats(&self) -> ControllerReport {
-        self.shared.model.stats.report(self.elapsed())
+        self.shared.model.stats.report(self.elapsed().since(self.begin()))
     }
     /// How many batches the Model has taken.
     pub fn batches(&self) -> u64 {
@@ -362,11 +377,12 @@ impl LiveSession {
         let status = lock(&self.board.status);
         let ended = status.ended.clone();
         let sim = ended.as_ref().map_or_else(|| self.shared.clock.now(), |ended| ended.at);
+        let elapsed = sim.since(self.begin());
         let snapshot = self.snapshot();
         let hash = *lock(&self.shared.final_hash);
         let refused = self.order.iter().filter_map(|index| {
             let writer = &self.shared.writers[*index];
-            all_refused(&writer.report(sim), writer.state.stats.refusal()?, &snapshot)
+            all_refused(&writer.report(elapsed), writer.state.stats.refusal()?, &snapshot)
         });
         SessionOutcome {
             refused: refused.collect(),
@@ -376,12 +392,13 @@ impl LiveSession {
                 Some(ended) => ended.reason.clone(),
                 None => Some("the supervisor did not end within its limit".to_owned()),
             },
+            begin: self.begin(),
             sim,
             wall: SimTime::from(self.begun.elapsed()),
             hash: hash.unwrap_or(StateHash([0; 32])),
             snapshot,
-            controllers: self.order.iter().map(|index| self.shared.writers[*index].report(sim)).collect(),
-            model: self.shared.model.stats.report(sim),
+            controllers: self.order.iter().map(|index| self.shared.writers[*index].report(elapsed)).collect(),
+            model: self.shared.model.stats.report(elapsed),
             faults: status.faults.clone(),
             incidents: status.incidents.clone(),
             held: status.held.clone(),
@@ -450,7 +467,8 @@ fn check_controllers(controllers: &[ControllerSpec]) -> Result<(), LiveError> {
 
 fn share(
     scene: &Store,
-    (clock, station, seed): (Clock, u16, u64),
+    (clock, begin): (Clock, SimTime),
+    (station, seed): (u16, u64),
     controllers: Vec<ControllerSpec>,
     commit_sink: Option<Box<dyn crate::spec::CommitSink>>,
     tree: &Supervisor,
@@ -501,6 +519,7 @@ fn share(
     let ring = bell.clone();
     Ok(Arc::new(Shared {
         clock: clock.clone(),
+        begin,
         seed,
         station,
         published: Arc::new(ArcSwap::from_pointee(scene.snapshot())),

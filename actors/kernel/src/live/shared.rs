@@ -153,7 +153,7 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
-    /// Its row of the report.
+    /// Its row of the report; `elapsed` is the time since the session began.
     pub(crate) fn report(&self, elapsed: SimTime) -> ControllerReport {
         self.state.stats.set_account(Account {
             sent: self.lane.sent(),
@@ -217,6 +217,8 @@ pub(crate) enum Report {
 
 pub(crate) struct Shared {
     pub(crate) clock: Clock,
+    /// Session time at the start.
+    pub(crate) begin: SimTime,
     pub(crate) seed: u64,
     pub(crate) station: u16,
     pub(crate) published: Arc<ArcSwap<Snapshot>>,

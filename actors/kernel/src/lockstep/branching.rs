@@ -11,7 +11,7 @@ use std::sync::Arc;
 use thiserror::Error;
 use trocar_scene::{Batch, Commands, ComponentError, EntityAllocator, Revision, SimTime, Snapshot, Store};
 
-use super::session::LockstepSession;
+use super::session::{LockstepSession, PUBLISH_EVERY};
 use super::slot::{ActiveFaults, Slot};
 use crate::faults::{BatchInFlight, FaultLog, FaultSchedule, LinkFaults, second_of};
 use crate::model_core::{ModelCore, Transfers};
@@ -77,6 +77,12 @@ fn for_a_branch(batch: &Batch, epoch: u32, empty: impl FnOnce() -> Commands) -> 
     let mut second = (batch.provenance.epoch == epoch).then(|| second_of(batch, empty()))??;
     second.provenance.epoch = FIRST_EPOCH;
     Some(second)
+}
+
+/// Number of the first event at `at` or later.
+fn first_event_from(scene: &Snapshot, at: SimTime) -> u64 {
+    let found = scene.events().since(0).find(|(_, event)| event.at >= at);
+    found.map_or(scene.events().next(), |(number, _)| number)
 }
 
 struct PresentState {
@@ -159,8 +165,8 @@ impl LockstepSession {
     /// recorded one.
     ///
     /// The present is the [present](Self::present). The times of the last 256 snapshots issued by this session and its
-    /// ancestors are known; any other is taken as complete at the time of its last batch. Event cursors follow from the
-    /// time, so an event at the instant of the last tick may be delivered twice; planned faults that are over do not
+    /// ancestors are known; any other is taken as complete at the time of its last batch, or at the session's begin if
+    /// that is later. Event cursors follow from the time, so an event at the instant of the last tick may be delivered twice; planned faults that are over do not
     /// recur, lasting ones begin again.
     ///
     /// # Errors
@@ -177,7 +183,7 @@ impl LockstepSession {
         }
         let (at, head) = match known {
             Some(given) => (given.at, given.head),
-            None => (SimTime(snapshot.time().0 + 1), Chain::begin(snapshot)?.head()),
+            None => (SimTime(snapshot.time().0 + 1).max(self.begin), Chain::begin(snapshot)?.head()),
         };
         let station = self.core.station();
         let allocator = |writer: u16| {
@@ -207,7 +213,7 @@ impl LockstepSession {
     }
 
     /// Starts the controllers of `spec` in the scene of a moment, at its time. `spec` is as for a new session of the
-    /// same controllers; the scene is the moment's, and its peers must be in the state of the moment.
+    /// same controllers, also in its begin; the scene is the moment's, and its peers must be in the state of the moment.
     ///
     /// Shares only immutable data with the session of the moment.
     ///
@@ -215,7 +221,7 @@ impl LockstepSession {
     /// As [`Self::new`].
     pub fn resume(spec: SessionSpec, moment: Moment) -> Result<Self, SessionError> {
         let scene = Store::from_snapshot(&moment.scene);
-        Self::begin(SessionSpec { scene, ..spec }, Some(moment))
+        Self::start_at(SessionSpec { scene, ..spec }, Some(moment))
     }
 
     /// The peers, in stepping order.
@@ -223,29 +229,45 @@ impl LockstepSession {
         self.peers.iter().map(|slot| &*slot.peer)
     }
 
+    /// Begins a new session, before controllers are built.
+    pub(super) fn begin_anew(&mut self) {
+        let begin = self.begin;
+        self.stand_at(begin);
+        if begin > SimTime::ZERO {
+            // What the scene tells of the time before is not news.
+            let heard = first_event_from(self.core.view(), begin);
+            self.slots.iter_mut().for_each(|slot| slot.cursor = heard);
+        }
+    }
+
+    /// Sets the clock, and what is due next by the grids of controllers, peers, publications, stop checks and faults.
+    fn stand_at(&mut self, at: SimTime) {
+        self.now = at;
+        self.slots.iter_mut().for_each(|slot| slot.skip_to(at));
+        for slot in &mut self.peers {
+            slot.next = SimTime(at.0.next_multiple_of(slot.peer.period_ns()));
+        }
+        self.next_publish = SimTime((at.0 / PUBLISH_EVERY.0 + 1) * PUBLISH_EVERY.0);
+        if let Some(stop) = &self.stop_when {
+            self.next_stop_check = SimTime(at.0.next_multiple_of(stop.every.0.max(1)));
+        }
+        self.faults.skip_to(at);
+    }
+
     /// Restores the state of a moment, before controllers are built.
     pub(super) fn go_on_from(&mut self, moment: Moment) {
         let Moment { scene, at, mut slots, operator, given, present, .. } = moment;
         self.resuming = true;
-        self.now = at;
+        self.stand_at(at);
         for slot in &mut self.slots {
-            slot.skip_to(at);
             let Some(known) = slots.iter_mut().find(|known| known.name == slot.spec.name) else { continue };
-            let heard = || {
-                let last = slot.last_tick();
-                let unheard = scene.events().since(0).find(|(_, event)| event.at >= last);
-                unheard.map_or(scene.events().next(), |(number, _)| number)
-            };
+            let heard = || first_event_from(&scene, slot.last_tick(self.begin));
             slot.cursor = known.cursor.unwrap_or_else(heard);
             slot.allocator = known.allocator.fork();
             slot.active_faults = known.active_faults;
             slot.link = std::mem::take(&mut known.link);
             slot.queue = std::mem::take(&mut known.queue);
             self.queued |= !slot.queue.is_empty();
-        }
-        for slot in &mut self.peers {
-            let period = slot.peer.period_ns();
-            slot.next = SimTime(at.0.div_ceil(period) * period);
         }
         self.operator = OperatorWriter::new(operator.0, operator.1);
         self.given = given.into();
@@ -254,21 +276,12 @@ impl LockstepSession {
                 self.until = present.until;
                 self.next_publish = present.next_publish;
                 self.next_stop_check = present.next_stop_check;
-                if present.faults_anew {
-                    self.faults.skip_to(at);
-                } else {
+                if !present.faults_anew {
                     self.faults = present.faults;
                     self.fault_log = present.fault_log;
                 }
             }
-            None => {
-                self.next_publish = at;
-                if let Some(stop) = &self.stop_when {
-                    let every = stop.every.0.max(1);
-                    self.next_stop_check = SimTime(at.0.div_ceil(every) * every);
-                }
-                self.faults.skip_to(at);
-            }
+            None => self.next_publish = at,
         }
     }
 

@@ -9,6 +9,8 @@
 //! [`Supervisor`](crate::supervision::Supervisor), [`FaultSchedule`](crate::faults::FaultSchedule).
 
 #[cfg(test)]
+mod begin_tests;
+#[cfg(test)]
 mod branch_tests;
 mod branching;
 mod faulting;

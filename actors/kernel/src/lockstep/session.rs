@@ -19,7 +19,8 @@ use crate::operator::OPERATOR;
 use crate::runtime::panics::guarded;
 use crate::runtime::{ControllerReport, Permission, TickStats};
 use crate::spec::{
-    CommitSink, FaultKind, FaultSink, MODEL, Mode, Peer, SessionOutcome, SessionSpec, StopWhen, ZeroForces,
+    BEGIN_MAX, CommitSink, FaultKind, FaultSink, MODEL, Mode, Peer, SessionOutcome, SessionSpec, StopWhen,
+    ZeroForces,
 };
 use crate::state_hash::StateHash;
 use crate::supervision::{Action, ChildId, Event, GroupSpec, Supervisor, TreeError};
@@ -27,7 +28,7 @@ use crate::supervision::{Action, ChildId, Event, GroupSpec, Supervisor, TreeErro
 /// Publication period of the Model, and so the most that a roll-back after a panic can lose. Publications and goal
 /// checks have their own time grid, independent of other due times, so that a read-only participant (a recorder)
 /// changes nothing.
-const PUBLISH_EVERY: SimTime = SimTime::from_millis(10);
+pub(super) const PUBLISH_EVERY: SimTime = SimTime::from_millis(10);
 
 /// Longest wait for closing a recording; long, because virtual time has no deadline.
 const CLOSE_MAX: Duration = Duration::from_secs(60);
@@ -55,6 +56,9 @@ pub enum SessionError {
     /// A controller is missing from the tree.
     #[error("controller '{0}' does not stand in the supervisor tree")]
     NotSupervised(String),
+    /// The session begins too late.
+    #[error("begin: {0}; valid: up to {BEGIN_MAX}")]
+    Begin(SimTime),
     /// A fault does not fit the session.
     #[error(transparent)]
     Fault(#[from] FaultPlanError),
@@ -70,6 +74,8 @@ pub(super) struct PeerSlot {
 
 /// A session on one thread in virtual time.
 pub struct LockstepSession {
+    /// Session time at the start; in a branch, that of the session from which it stems.
+    pub(super) begin: SimTime,
     pub(super) now: SimTime,
     pub(super) registry: Arc<Registry>,
     pub(super) seed: u64,
@@ -114,16 +120,19 @@ pub struct LockstepSession {
 }
 
 impl LockstepSession {
-    /// Starts a session at time zero with all its controllers.
+    /// Starts a session at [`SessionSpec::begin`] with all its controllers.
     ///
     /// # Errors
     /// [`SessionError`]; a controller whose first construction fails ends the session, as in live mode.
     pub fn new(spec: SessionSpec) -> Result<Self, SessionError> {
-        Self::begin(spec, None)
+        Self::start_at(spec, None)
     }
 
-    /// Starts all controllers at time zero, or at the moment of another session.
-    pub(super) fn begin(mut spec: SessionSpec, moment: Option<Moment>) -> Result<Self, SessionError> {
+    /// Starts all controllers at the session's begin, or at the moment of another session.
+    pub(super) fn start_at(mut spec: SessionSpec, moment: Option<Moment>) -> Result<Self, SessionError> {
+        if spec.begin > BEGIN_MAX {
+            return Err(SessionError::Begin(spec.begin));
+        }
         let children = spec.children();
         let mut core = match &moment {
             Some(moment) => moment.core(spec.scene, spec.station),
@@ -151,12 +160,13 @@ impl LockstepSession {
             if peer.period_ns() == 0 {
                 return Err(SessionError::Period(peer.name().to_owned()));
             }
-            peers.push(PeerSlot { peer, next: SimTime::ZERO });
+            peers.push(PeerSlot { peer, next: spec.begin });
         }
         let operator = EntityAllocator::new(spec.station, OPERATOR.0);
         operator.skip_to(core.view().first_free(spec.station, OPERATOR.0));
         let mut session = Self {
-            now: SimTime::ZERO,
+            begin: spec.begin,
+            now: spec.begin,
             registry: core.view().registry().clone(),
             seed: spec.seed,
             core,
@@ -174,13 +184,13 @@ impl LockstepSession {
             queued: false,
             zombies: Vec::new(),
             deadline: SimTime::ZERO,
-            next_publish: PUBLISH_EVERY,
+            next_publish: spec.begin,
             fault_sinks: spec.fault_sinks,
             faults: FaultSchedule::default(),
             fault_log: FaultLog::new(&spec.faults),
             zero_forces: spec.zero_forces,
             stop_when: spec.stop_when,
-            next_stop_check: SimTime::ZERO,
+            next_stop_check: spec.begin,
             until: spec.until.unwrap_or(NEVER),
             resuming: false,
             given: VecDeque::new(),
@@ -193,8 +203,9 @@ impl LockstepSession {
             begun: Instant::now(),
         };
         session.faults = FaultSchedule::new(&spec.faults, &session.fault_targets())?;
-        if let Some(moment) = moment {
-            session.go_on_from(moment);
+        match moment {
+            Some(moment) => session.go_on_from(moment),
+            None => session.begin_anew(),
         }
         session.tell(Event::Tick);
         session.resuming = false;
@@ -226,6 +237,11 @@ impl LockstepSession {
     /// Whether the session is still running.
     pub fn is_running(&self) -> bool {
         self.exit.is_none() && self.now < self.until
+    }
+
+    /// Session time at the start; of a branch, at the start of the session from which it stems.
+    pub fn begin(&self) -> SimTime {
+        self.begin
     }
 
     /// Current session time.
@@ -280,7 +296,7 @@ impl LockstepSession {
         self.forget_zombies();
         let snapshot = self.core.published().clone();
         let refused = self.slots.iter().filter_map(|slot| {
-            let report = slot.report(self.now);
+            let report = slot.report(self.elapsed());
             all_refused(&report, slot.stats.refusal()?, &snapshot)
         });
         SessionOutcome {
@@ -288,12 +304,13 @@ impl LockstepSession {
             mode: Mode::Lockstep,
             code: self.exit.unwrap_or(0),
             reason: self.supervisor.reason().map(str::to_owned),
+            begin: self.begin,
             sim: self.now,
             wall: SimTime::from(self.begun.elapsed()),
             hash: self.core.hash(),
             snapshot,
             controllers: self.reports(),
-            model: self.model_stats.report(self.now),
+            model: self.model_stats.report(self.elapsed()),
             faults: self.fault_log.rows().to_vec(),
             incidents: self.supervisor.incidents().to_vec(),
             held: self.supervisor.given_up(),
@@ -307,7 +324,12 @@ impl LockstepSession {
     /// One row per controller, in the order of the session, as it is now. Lateness is zero by construction; step times
     /// are measured on the machine.
     pub fn reports(&self) -> Vec<ControllerReport> {
-        self.slots.iter().map(|slot| slot.report(self.now)).collect()
+        self.slots.iter().map(|slot| slot.report(self.elapsed())).collect()
+    }
+
+    /// Time since the session began.
+    fn elapsed(&self) -> SimTime {
+        self.now.since(self.begin)
     }
 
     /// Statistics of every controller so far, in the order of the session.

@@ -246,9 +246,9 @@ impl Slot {
         self.spec.phase + SimTime((number as f64 * 1e9 / self.spec.rate_hz).round() as u64)
     }
 
-    /// The time of the tick before the next one; zero before the first.
-    pub(super) fn last_tick(&self) -> SimTime {
-        self.number.checked_sub(1).map_or(SimTime::ZERO, |number| self.time_of(number))
+    /// The time of the tick before the next one; `begin`, that of the session, before the first.
+    pub(super) fn last_tick(&self, begin: SimTime) -> SimTime {
+        self.number.checked_sub(1).map_or(begin, |number| self.time_of(number).max(begin))
     }
 
     /// Continues at `now`, before the ticks due then; earlier ticks count as done.
@@ -261,8 +261,8 @@ impl Slot {
         self.next = self.time_of(self.number);
     }
 
-    /// Its row of the report.
-    pub(super) fn report(&self, now: SimTime) -> ControllerReport {
+    /// Its row of the report; `elapsed` is the time since the session began.
+    pub(super) fn report(&self, elapsed: SimTime) -> ControllerReport {
         let LinkCounts { lost, corrupted, delayed, duplicated, reordered } = *self.link.counts();
         self.stats.set_account(Account {
             sent: self.sent,
@@ -271,7 +271,7 @@ impl Slot {
             delayed: delayed + reordered,
             duplicated,
         });
-        self.stats.report(now)
+        self.stats.report(elapsed)
     }
 
     /// Advances to the next due time and returns the number of the tick due now.

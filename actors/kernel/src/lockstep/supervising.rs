@@ -78,7 +78,7 @@ impl LockstepSession {
         let context = BuildContext {
             scene: self.core.view(),
             // Its state in the scene dates from its last tick.
-            time: if self.resuming { slot.last_tick() } else { self.now },
+            time: if self.resuming { slot.last_tick(self.begin) } else { self.now },
             period: slot.spec.period(),
             name: &slot.spec.name,
             me: slot.me,

@@ -18,6 +18,8 @@ pub struct RecordingHead {
     pub seed: u64,
     /// This station's number.
     pub station: u16,
+    /// Session time at the start, which is the time of the first keyframe.
+    pub begin: SimTime,
     /// How it was run: `live` or `lockstep`.
     pub mode: String,
     /// Capabilities of each device by name.

@@ -72,6 +72,7 @@ pub(crate) fn head() -> RecordingHead {
         scenario_text: "schema = 1\nname = \"toy\"\n".into(),
         seed: 42,
         station: 0,
+        begin: SimTime::ZERO,
         mode: "lockstep".into(),
         devices: BTreeMap::from([("left".to_owned(), serde_json::json!({"force_newtons_max": 3.3}))]),
         extra: BTreeMap::new(),
@@ -79,13 +80,19 @@ pub(crate) fn head() -> RecordingHead {
 }
 
 fn session(path: &Path, options: RecorderOptions, plan: FaultPlan) -> LockstepSession {
+    session_from(SimTime::ZERO, path, options, plan)
+}
+
+fn session_from(begin: SimTime, path: &Path, options: RecorderOptions, plan: FaultPlan) -> LockstepSession {
     let scene = scene();
+    let head = RecordingHead { begin, ..head() };
     let recorder =
-        Recorder::create(path, &head(), scene.view(), options).expect("the folder can be written to");
+        Recorder::create(path, &head, scene.view(), options).expect("the folder can be written to");
     let mover = ControllerSpec::new("mover", 1, RuntimeClass::Simulation, 1_000.0, |_| Ok(Box::new(Mover)));
     let mut spec = SessionSpec::new("toy", 42, scene, vec![mover]);
     recorder.install(&mut spec);
     spec.faults = plan;
+    spec.begin = begin;
     LockstepSession::new(spec).expect("starts")
 }
 
@@ -125,6 +132,24 @@ fn a_replay_ends_in_the_same_hash_and_scene() {
     assert_eq!(replay.view().get::<Count>(RING), outcome.snapshot.get::<Count>(RING));
     assert_eq!(replay.view().revision(), outcome.snapshot.revision());
     assert_eq!(replay.view().entities().count(), outcome.snapshot.entities().count());
+}
+
+#[test]
+fn a_recording_begins_when_its_session_does() {
+    let folder = Folder::new();
+    let (file, begin) = (folder.file("a.mcap"), secs(1_234.567_8));
+    let mut session = session_from(begin, &file, RecorderOptions::exact(), FaultPlan::new(1));
+    session.step_until(begin + secs(12.0));
+    let outcome = session.finish();
+    let recording = Recording::open(&file).expect("opens");
+    assert!(recording.is_complete());
+    let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");
+    assert_eq!(replay.time(), begin, "that of the first keyframe");
+    assert_eq!(replay.run_to_end().expect("agrees"), outcome.hash);
+    let start = recording.snapshot_at(&registry(), begin).expect("is in it");
+    assert_eq!(start.get::<Count>(RING), scene().view().get::<Count>(RING));
+    let keyframes = recording.items().filter(|item| matches!(item, Ok(Item::Keyframe(_))));
+    assert_eq!(keyframes.count(), 2, "one for each begun ten seconds");
 }
 
 #[test]

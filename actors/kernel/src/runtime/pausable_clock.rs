@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_scene::SimTime;
 
-/// Converts the time since a session's origin to session time. Readers never block.
+/// Converts the time since a session's time zero to session time. Readers never block.
 ///
 /// One word, so that every read is atomic. Upper bit set: the time at which the clock is paused; clear: the total
 /// paused time so far \[ns\]. 63 bits of nanoseconds are 292 years.
@@ -14,7 +14,7 @@ pub struct PausableClock(AtomicU64);
 const PAUSED: u64 = 1 << 63;
 
 impl PausableClock {
-    /// Session time when `elapsed` has passed since the origin.
+    /// Session time when `elapsed` has passed since time zero, or would have in a session that began later.
     pub fn at(&self, elapsed: SimTime) -> SimTime {
         let word = self.0.load(Ordering::Acquire);
         if word & PAUSED == 0 { SimTime(elapsed.0.saturating_sub(word)) } else { SimTime(word & !PAUSED) }

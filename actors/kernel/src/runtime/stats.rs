@@ -178,7 +178,7 @@ impl TickStats {
         SimTime(self.cpu_before.load(Ordering::Relaxed) + self.cpu_now.load(Ordering::Relaxed))
     }
 
-    /// The row of the report; `elapsed` is the session's time so far.
+    /// The row of the report; `elapsed` is the time since the session began.
     pub fn report(&self, elapsed: SimTime) -> ControllerReport {
         let ran = self.ticks();
         let missed = self.ticks_missed();

@@ -16,25 +16,36 @@ pub const WAIT_MAX: SimTime = SimTime::from_millis(50);
 /// The task yields to the runtime after this many ticks without a wait.
 const YIELD_EVERY: u32 = 16;
 
-/// Time since the start of the session, on the system's monotonic clock; clones read the same time.
+/// Session time, on the system's monotonic clock; clones read the same time.
 #[derive(Clone, Debug)]
 pub struct Clock {
     start: Instant,
+    /// Session time at `start`. The instant at which it was zero may lie before all that the system's clock can tell.
+    begin: SimTime,
     pausable: Arc<PausableClock>,
 }
 
 impl Clock {
-    /// Clock of a session that starts now.
+    /// Clock of a session that starts now, at time zero.
     pub fn start() -> Self {
         Self::since(Instant::now())
     }
-    /// Clock of a session that started at `start`; several clocks can share that origin.
+    /// Clock of a session that starts now, at the session time `begin`.
+    pub fn starting_at(begin: SimTime) -> Self {
+        Self::start().beginning_at(begin)
+    }
+    /// Clock of a session that started at `start`, at time zero; several clocks can share that origin.
     pub fn since(start: Instant) -> Self {
         Self::pausable(start, Arc::default())
     }
     /// The same, paused and resumed through `pausable`.
     pub fn pausable(start: Instant, pausable: Arc<PausableClock>) -> Self {
-        Self { start, pausable }
+        Self { start, begin: SimTime::ZERO, pausable }
+    }
+    /// The same clock for a session that started at the session time `begin` instead of zero.
+    #[must_use]
+    pub fn beginning_at(self, begin: SimTime) -> Self {
+        Self { begin, ..self }
     }
     /// Session time, without the paused spans.
     pub fn now(&self) -> SimTime {
@@ -48,8 +59,9 @@ impl Clock {
     pub fn resume(&self) {
         self.pausable.resume(self.elapsed());
     }
+    /// Session time, with the paused spans.
     fn elapsed(&self) -> SimTime {
-        SimTime(self.start.elapsed().as_nanos() as u64)
+        self.begin + SimTime::from(self.start.elapsed())
     }
 }
 
@@ -362,6 +374,26 @@ mod tests {
         let mut schedule = Schedule::new(SimTime::ZERO, MS, 100);
         let first = schedule.take(SimTime(130_200_000)).expect("a tick");
         assert_eq!((first.number, first.missed), (130, 30));
+    }
+
+    #[test]
+    fn a_clock_that_starts_later_than_at_zero_pauses_and_goes_on_like_any_other() {
+        // Fifty years: longer than any machine has been up.
+        let begin = SimTime::from_millis(50 * 365 * 86_400_000);
+        let clock = Clock::starting_at(begin);
+        let other = clock.clone();
+        let first = clock.now();
+        assert!(first >= begin && first < begin + SimTime::from_millis(10_000), "{first}");
+        other.pause();
+        let paused = clock.now();
+        std::thread::sleep(MS.to_duration());
+        assert_eq!(clock.now(), paused);
+        assert!(paused >= first);
+        other.resume();
+        let resumed = clock.now();
+        assert!(resumed >= paused && resumed < paused + SimTime::from_millis(10_000), "{resumed}");
+        std::thread::sleep(MS.to_duration());
+        assert!(clock.now() >= resumed + MS);
     }
 
     /// How many of 50 ticks run; none before it is due.

@@ -13,10 +13,10 @@ use super::{Running, Session};
 const FADE_MAX: Duration = Duration::from_millis(200);
 const LOOK: Duration = Duration::from_millis(1);
 
-/// Session time for the device drivers, computed from the time since the start.
-pub(super) fn device_time(clock: &Arc<PausableClock>) -> SessionTime {
+/// Session time for the device drivers, computed from the time since the start of a session that starts at `begin`.
+pub(super) fn device_time(clock: &Arc<PausableClock>, begin: SimTime) -> SessionTime {
     let clock = clock.clone();
-    SessionTime::new(move |elapsed_ns| (clock.at(SimTime(elapsed_ns)).as_nanos(), clock.is_paused()))
+    SessionTime::new(move |elapsed_ns| (clock.at(begin + SimTime(elapsed_ns)).as_nanos(), clock.is_paused()))
 }
 
 impl Session {

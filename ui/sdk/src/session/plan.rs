@@ -89,30 +89,36 @@ impl Role {
 }
 
 impl SessionPlan {
-    /// The session that the plan was made for.
-    pub fn first(&self, seed: u64, hands: &[HandPort]) -> SessionSpec {
+    /// The session that the plan was made for, with this seed and begin.
+    pub fn first(&self, start: (u64, SimTime), hands: &[HandPort]) -> SessionSpec {
         let controllers = self.roles.iter().map(Role::first).collect();
-        let mut spec = self.session(seed, Store::from_snapshot(&self.scene), controllers, hands);
+        let mut spec = self.session(start, Store::from_snapshot(&self.scene), controllers, hands);
         // A session derived from this one later registers its own windows, if any.
         spec.fault_sinks.extend(self.fault_targets.0.iter().cloned());
         spec
     }
 
-    /// Another session of the same controllers, beginning in `scene`.
-    pub fn other(&self, seed: u64, scene: Store, hands: &[HandPort]) -> Result<SessionSpec, BoundToHands> {
+    /// Another session of the same controllers, with this seed and begin, beginning in `scene`.
+    pub fn other(
+        &self,
+        start: (u64, SimTime),
+        scene: Store,
+        hands: &[HandPort],
+    ) -> Result<SessionSpec, BoundToHands> {
         let controllers = self.roles.iter().map(|role| role.other(hands)).collect::<Result<_, _>>()?;
-        Ok(self.session(seed, scene, controllers, hands))
+        Ok(self.session(start, scene, controllers, hands))
     }
 
     fn session(
         &self,
-        seed: u64,
+        (seed, begin): (u64, SimTime),
         scene: Store,
         controllers: Vec<ControllerSpec>,
         hands: &[HandPort],
     ) -> SessionSpec {
         let mut spec = SessionSpec::new(&self.scenario, seed, scene, controllers);
         spec.station = self.station;
+        spec.begin = begin;
         spec.until = self.until;
         spec.stop_when = Some(StopWhen {
             every: STOP_CHECK,
@@ -123,7 +129,7 @@ impl SessionPlan {
             let fence = port.slot.fence().clone();
             let zero: ZeroForces = Arc::new(move || fence.zero_all_forces());
             spec.zero_forces.push(zero);
-            spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port)));
+            spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port, begin)));
         }
         spec
     }

@@ -20,6 +20,8 @@ const SAMPLE_EVERY: SimTime = SimTime::from_millis(250);
 /// Counts the ticks of each actor as a session goes on.
 #[derive(Clone, Debug)]
 pub struct RateWatch {
+    /// Session time at the start.
+    begin: SimTime,
     actors: Vec<Actor>,
     /// Session time of each sample in the last span, oldest first.
     times: VecDeque<SimTime>,
@@ -39,17 +41,18 @@ struct Actor {
 }
 
 impl RateWatch {
-    /// For actors of these names and rates \[Hz\], in the order in which their ticks are told.
-    pub fn new(actors: impl IntoIterator<Item = (String, f64)>) -> Self {
+    /// For a session that starts at the session time `begin`, and actors of these names and rates \[Hz\], in the order in
+    /// which their ticks are told.
+    pub fn new(begin: SimTime, actors: impl IntoIterator<Item = (String, f64)>) -> Self {
         let actors = actors.into_iter().map(|(name, rate_hz)| Actor {
             name,
             rate_hz,
             first: None,
-            last: (SimTime::ZERO, 0),
+            last: (begin, 0),
             ticks: VecDeque::new(),
-            worst: (1.0, SimTime::ZERO),
+            worst: (1.0, begin),
         });
-        Self { actors: actors.collect(), times: VecDeque::new() }
+        Self { begin, actors: actors.collect(), times: VecDeque::new() }
     }
 
     /// Takes in how many ticks each actor has run at `now`, the time of the session without its pauses.
@@ -96,7 +99,7 @@ impl RateWatch {
                     name: actor.name.clone(),
                     share: whole,
                     worst_share: worst.min(whole),
-                    worst_at_secs: if worst < whole { at.as_secs_f64() } else { 0.0 },
+                    worst_at_secs: if worst < whole { at } else { self.begin }.as_secs_f64(),
                 })
             })
             .collect();
@@ -118,7 +121,7 @@ mod tests {
 
     /// Feeds ticks at `rate(t)` Hz for `secs`, looked at 50 times per second.
     fn watched(target_hz: f64, secs: f64, rate: impl Fn(f64) -> f64) -> Vec<SlowActor> {
-        let mut watch = RateWatch::new([("organs".to_owned(), target_hz)]);
+        let mut watch = RateWatch::new(SimTime::ZERO, [("organs".to_owned(), target_hz)]);
         let mut ticks = 1.0;
         for look in 0..(secs * 50.0) as u64 {
             let now = look as f64 / 50.0;
@@ -163,7 +166,7 @@ mod tests {
 
     #[test]
     fn what_it_takes_to_start_is_not_counted() {
-        let mut watch = RateWatch::new([("liver".to_owned(), 50.0)]);
+        let mut watch = RateWatch::new(SimTime::ZERO, [("liver".to_owned(), 50.0)]);
         for look in 0..1_000_u64 {
             // It is built for five seconds.
             watch.look(SimTime::from_millis(20 * look), &[look.saturating_sub(250)]);
