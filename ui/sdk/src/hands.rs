@@ -251,9 +251,8 @@ impl FaultSink for HandFaults {
         let until = if order.begins { DeviceFaults::FOREVER } else { 0 };
         // Instantaneous faults end by themselves, counted from the driver's latest step, or from the start before it.
         let stepped = |at_ns: u64| at_ns.max(self.begin.as_nanos());
-        let after = |span: SimTime| {
-            stepped(self.monitor.sample().published_at_ns).saturating_add(span.as_nanos())
-        };
+        let after =
+            |span: SimTime| stepped(self.monitor.sample().published_at_ns).saturating_add(span.as_nanos());
         match order.kind {
             FaultKind::Unplug => self.faults.unplug_until(until),
             FaultKind::Nan => self.faults.nan_until(until),

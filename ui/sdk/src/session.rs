@@ -1,5 +1,7 @@
 //! A running session, in virtual or real time.
 
+#[cfg(test)]
+mod begin_tests;
 mod forecast;
 mod losses;
 mod pause;

@@ -243,8 +243,8 @@ fn of_the_faults_before_the_begin_only_those_that_still_last_are_injected() {
     let injected: Vec<Option<SimTime>> = outcome.faults.iter().map(|row| row.injected).collect();
     assert_eq!(injected, [None, None, Some(BEGIN), Some(secs(12.6))]);
     assert_eq!(outcome.faults[2].healed, Some(secs(12.5)));
-    let restarts: Vec<u32> = outcome.controllers[..3].iter().map(|row| row.restarts).collect();
-    assert_eq!(restarts, [1, 0, 0]);
+    let failed: Vec<&str> = outcome.incidents.iter().map(|incident| incident.child.as_str()).collect();
+    assert_eq!(failed, ["10000 Hz"]);
     let dropped: Vec<u64> = outcome.controllers[..3].iter().map(|row| row.dropped).collect();
     assert_eq!(dropped, [0, 0, 52], "333 Hz for 0.1544 s");
 }
