@@ -176,12 +176,18 @@ impl HapticsController {
         })
     }
 
+    /// From when on a row counts: from when it was first seen, or from its own stamp if that is earlier. Of a scene that
+    /// comes over a network only the arrival counts: a long path is no reason to fade, one that fell silent is.
+    fn age_from(&self, stamp: SimTime, seen_at: SimTime) -> SimTime {
+        if self.remote_scene { seen_at } else { stamp.min(seen_at) }
+    }
+
     /// The simulation's force, of the time at which it was first seen or of an earlier one.
     fn instrument_force(&mut self, scene: &Snapshot, now: SimTime) -> Option<InstrumentForce> {
         let instrument = self.rig.instrument;
         let seen_at = self.seen.force.at(scene.changed::<InstrumentForce>(instrument), now);
         let force = scene.get::<InstrumentForce>(instrument)?;
-        Some(InstrumentForce { at: force.at.min(seen_at), ..*force })
+        Some(InstrumentForce { at: self.age_from(force.at, seen_at), ..*force })
     }
 
     /// The simulation's local contact model, likewise.
@@ -189,14 +195,14 @@ impl HapticsController {
         let instrument = self.rig.instrument;
         let seen_at = self.seen.model.at(scene.changed::<LocalContactModel>(instrument), now);
         let model = scene.get::<LocalContactModel>(instrument)?;
-        Some(LocalContactModel { at: model.at.min(seen_at), ..*model })
+        Some(LocalContactModel { at: self.age_from(model.at, seen_at), ..*model })
     }
 
     /// The hand's virtual fixture, likewise.
     fn fixture(&mut self, scene: &Snapshot, now: SimTime) -> Option<VirtualFixture> {
         let seen_at = self.seen.fixture.at(scene.changed::<VirtualFixture>(self.hand), now);
         let fixture = scene.get::<VirtualFixture>(self.hand)?;
-        Some(VirtualFixture { at: fixture.at.min(seen_at), ..*fixture })
+        Some(VirtualFixture { at: self.age_from(fixture.at, seen_at), ..*fixture })
     }
 
     /// Wrench on the hand in the device's frame, before the driver's limits.

@@ -198,6 +198,12 @@ fn a_force_of_another_station_is_full_until_50_ms_and_zero_from_100_ms() {
 }
 
 #[test]
+fn how_long_a_force_was_under_way_is_no_reason_to_fade() {
+    // Its stamp is 100 ms old when it is first seen.
+    assert_eq!([0, 50, 100].map(|age| asked_for(true, SimTime::ZERO, age)), [1.0, 1.0, 0.0]);
+}
+
+#[test]
 fn a_force_stamped_by_a_clock_that_is_ahead_fades_all_the_same() {
     let ahead = SimTime::from_millis(3_600_000);
     assert_eq!([50, 100].map(|age| asked_for(true, ahead, age)), [1.0, 0.0]);

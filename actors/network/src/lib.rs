@@ -17,5 +17,6 @@ pub mod lockstep;
 pub mod reflector;
 pub mod remote_hand;
 pub mod replication;
+pub mod session;
 pub mod streams;
 pub mod ticket;

@@ -56,8 +56,10 @@ pub trait HostStreams: Send + 'static {
     fn close(&mut self, stream: StreamId);
 }
 
-/// The one stream of a station.
-pub trait StationStream: Send + 'static {
+/// The one stream of a station; `A` is an address of datagrams.
+pub trait StationStream<A>: Send + 'static {
+    /// Where the host that was reached takes datagrams; `None` before it was reached.
+    fn peer(&self) -> Option<A>;
     /// Begins a new connection; an earlier one is closed. It tries all addresses that it knows.
     fn connect(&mut self, now: SimTime);
     /// Goes on with the handshake, and says where the stream is.

@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::components::device::Side;
 use crate::components::graph::{Pose, check_rotation};
 use crate::components::instrument::ActivationMode;
+use crate::entity::Entity;
+use crate::snapshot::Snapshot;
 use crate::time::SimTime;
 use crate::{Component, ComponentError};
 
@@ -145,6 +147,11 @@ impl Default for PersonInput {
 }
 
 impl PersonInput {
+    /// The person of a scene. Of several it is the one of the station with the highest number: a station sees itself and
+    /// its host, and its own person comes first.
+    pub fn of(scene: &Snapshot) -> Option<(Entity, &Self)> {
+        scene.iter::<Self>().max_by_key(|(entity, _)| (entity.station(), std::cmp::Reverse(*entity)))
+    }
     /// Input for a hand.
     pub fn hand(&self, side: Side) -> &PersonHand {
         match side {

@@ -18,7 +18,9 @@ pub use picture::{PictureArgs, PictureQuality, StereoLayout, WindowArgs, size};
 #[command(
     after_help = "Exit codes: 0 ok, 1 an expectation failed or the exercise was not completed, 2 usage, \
     3 a device or graphics adapter is missing, 4 a scenario or file cannot be used, a result could not be written or a \
-    picture not be made, 70 internal error, 129, 130 and 143 ended by SIGHUP, SIGINT and SIGTERM.\n\
+    picture not be made, 69 a host cannot be reached or a port is in use, 70 internal error, 75 full, taken or too slow: \
+    later perhaps, 76 the other program does not understand this one, 77 ticket or role do not allow it, 129, 130 and 143 \
+    ended by SIGHUP, SIGINT and SIGTERM.\n\
     No score is clinically validated."
 )]
 pub struct Cli {
@@ -47,6 +49,12 @@ pub fn command() -> clap::Command {
 pub enum Command {
     /// Run a scenario: leaves a score, a recording and a report
     Run(RunArgs),
+    /// Host a session of a scenario: others join it with the tickets that it prints
+    Host(crate::host::HostArgs),
+    /// Join a session with a ticket: same scene, own hands, own window
+    Join(crate::join::JoinArgs),
+    /// Look on at a session with a ticket, and point and draw if the ticket allows it
+    Watch(crate::join::WatchArgs),
     /// List what there is: scenarios, controllers, components, devices, fault plans, suites, tissues, templates
     List(ListArgs),
     /// Play a recording back, and compare it with its own hashes
@@ -95,6 +103,7 @@ impl Command {
     pub fn assets(&self) -> &[PathBuf] {
         match self {
             Command::Run(args) => &args.session.assets,
+            Command::Host(args) => args.assets(),
             Command::Graph(args) => &args.session.assets,
             _ => &[],
         }
@@ -102,7 +111,7 @@ impl Command {
 }
 
 /// What to simulate.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = "Session")]
 pub struct SessionArgs {
     /// Name of a scenario (see `trocar list`), or a TOML file

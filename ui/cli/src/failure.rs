@@ -4,6 +4,7 @@ use std::fmt::Display;
 
 use trocar::app::AppError;
 use trocar::assembly::AssemblyError;
+use trocar::network::NetworkError;
 use trocar::run::RunError;
 use trocar::summary::Exit;
 use trocar_kernel::live::LiveError;
@@ -59,6 +60,12 @@ impl From<AppError> for Failure {
             AppError::Scenario(_) => Self::invalid(error),
             AppError::Setup(_) => Self::internal(error),
         }
+    }
+}
+
+impl From<NetworkError> for Failure {
+    fn from(error: NetworkError) -> Self {
+        Self { exit: Exit::of_network(error.exit_class()), message: error.to_string() }
     }
 }
 

@@ -20,6 +20,8 @@ mod failure;
 mod faults;
 mod gallery;
 mod graph;
+mod host;
+mod join;
 mod list;
 mod live_table;
 mod mesh;
@@ -93,6 +95,9 @@ impl CommandLine for App {
 fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit, Failure> {
     match command {
         Command::Run(args) => run::run(app, &args),
+        Command::Host(args) => host::host(app, &args),
+        Command::Join(args) => join::join(app, &args),
+        Command::Watch(args) => join::watch(app, &args),
         Command::List(args) => list::list(app, &args),
         Command::Replay(args) => replay::replay(app, &args),
         Command::Recording { command } => recording::recording(app, &command),

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use trocar::app::App;
+use trocar::network::Network;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
@@ -36,9 +37,14 @@ const BY_THE_WINDOW: &str = "a person at the window";
 
 /// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
+    run_in(app, args, &Network::None)
+}
+
+/// The same as part of a session over a network.
+pub fn run_in(app: &App, args: &RunArgs, network: &Network) -> Result<Exit, Failure> {
     let by_default = !(args.json || args.lockstep || args.pictures.are_asked_for());
     let Some(windows) = window::connect(&args.window, by_default)? else {
-        return told(args, attempt(app, args, 1, None));
+        return told(args, attempt(app, args, network, 1, None));
     };
     let bindings = match &args.bindings {
         Some(file) => bindings(file)?,
@@ -46,11 +52,11 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
     };
     // Errors in the scenario are reported before a window opens.
     let startup = Startup::new(&args.session.scenario, READING, args.json);
-    let (scenario, _) = tune::scenario(app, &args.session)?;
+    let (scenario, _) = scenario(app, args, network)?;
     let show = Show {
         title: if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() },
         folder: Some(scenario.folder().to_owned()),
-        first: Arc::new(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
+        first: Arc::new(first_scene(app, &scenario, network)?),
         play: args.play.then_some(bindings),
     };
     drop(startup);
@@ -58,7 +64,7 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
         let mut number = 0_u32;
         loop {
             number = number.saturating_add(1);
-            let outcome = attempt(app, args, number, Some(&mut host));
+            let outcome = attempt(app, args, network, number, Some(&mut host));
             let next = host.wait(match &outcome {
                 Ok((summary, exit)) => verdict(summary, *exit != Exit::Ok),
                 Err(failure) => {
@@ -106,15 +112,32 @@ fn told(args: &RunArgs, outcome: Result<(RunSummary, Exit), Failure>) -> Result<
     }
 }
 
+/// The scenario of the command line, or that of the host that was joined.
+fn scenario(app: &App, args: &RunArgs, network: &Network) -> Result<(Scenario, Option<Tuner>), Failure> {
+    match network.station() {
+        Some(station) => Ok((station.scenario.clone(), None)),
+        None => tune::scenario(app, &args.session),
+    }
+}
+
+/// The scene at the start.
+fn first_scene(app: &App, scenario: &Scenario, network: &Network) -> Result<Snapshot, Failure> {
+    match network.station() {
+        Some(station) => Ok(station.scene.clone()),
+        None => Ok(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
+    }
+}
+
 /// One session from start to end: the first one, or a repetition.
 fn attempt(
     app: &App,
     args: &RunArgs,
+    network: &Network,
     number: u32,
     mut host: Option<&mut SessionHost>,
 ) -> Result<(RunSummary, Exit), Failure> {
     let startup = Startup::new(&args.session.scenario, READING, args.json);
-    let (scenario, tuner) = tune::scenario(app, &args.session)?;
+    let (scenario, tuner) = scenario(app, args, network)?;
     let named = [&args.record, &args.report, &args.pictures.picture].map(|file| file.as_deref());
     let stdout_is_taken = output::takes_stdout(args.json, named)?;
     // From here on a signal ends the command in good order, so that no place stays claimed.
@@ -126,6 +149,8 @@ fn attempt(
     options.record = files.recorder_file().map(Path::to_owned);
     options.recorder.exact = args.record_exact;
     options.play = args.play;
+    options.network = network.clone();
+    options.begin = network.station().map_or(options.begin, |station| station.now());
 
     if options.lockstep && app.actors().next().is_some() {
         let names = app.actors().collect::<Vec<_>>().join(", ");
@@ -147,7 +172,7 @@ fn attempt(
         // In virtual time a session is over before a user could tune it.
         tuning_service.open();
     }
-    let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
+    let first = first_scene(app, &scenario, network)?;
     // What was mended, and what is doubtful, in the meshes and values of the scenario, and what its methods cannot bear, is
     // said before anything runs.
     let mut known = doubts(&first);

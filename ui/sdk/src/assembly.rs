@@ -3,16 +3,21 @@
 use std::path::{Component, Path};
 use std::sync::Arc;
 
+use trocar_devices::HapticDevice;
 use trocar_kernel::spec::{SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime};
+use trocar_scene::{Commands, ControllerEntry, Entity, EntityAllocator, SCENARIO_SPAWNER, SimTime, Store};
 
 use crate::app::App;
 use crate::app::actors::ActorKind;
 pub use crate::error::AssemblyError;
 use crate::hands::{HandPort, OpenedHand};
 use crate::kind::KindContext;
+use crate::kinds::MANUAL;
+use crate::network::{
+    self, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, STATION_WRITER, StationHands,
+};
 use crate::options::RunOptions;
 use crate::play;
 use crate::session::plan::{Role, SessionPlan};
@@ -23,6 +28,8 @@ pub struct Assembly {
     pub spec: SessionSpec,
     /// The opened hands.
     pub hands: Vec<OpenedHand>,
+    /// What moves the hands' datagrams, if others share the session.
+    pub network: Option<NetworkPart>,
     /// The plan for branches and resets. Changes to `spec` hold for this session only.
     pub(crate) plan: Arc<SessionPlan>,
     /// Actors that join when the session runs live.
@@ -37,17 +44,31 @@ impl Assembly {
     pub fn new(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Self, AssemblyError> {
         let played = options.play.then(|| play::played(scenario)).transpose()?;
         let scenario = played.as_ref().unwrap_or(scenario);
-        let hands = open_hands(app, scenario, options)?;
+        let station = options.network.station();
+        let own_part = station.map(|_| own_part(scenario, options));
+        let scenario = own_part.as_ref().unwrap_or(scenario);
+        let mut network_hands = WrappedHands::new(&options.network);
+        let hands = open_hands(app, scenario, options, &mut network_hands)?;
         let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
-        let mut store = scenario.spawn(app.registry())?;
-        let allocator = EntityAllocator::new(0, SCENARIO_SPAWNER);
+        let mut store = match station {
+            Some(station) => Store::from_snapshot(&station.scene),
+            None => scenario.spawn(app.registry())?,
+        };
+        let number = station.map_or(0, |station| station.number);
+        let allocator = EntityAllocator::new(number, SCENARIO_SPAWNER);
         // Entities that are added to the scene are numbered after those of the file.
-        allocator.skip_to(store.view().first_free(0, SCENARIO_SPAWNER));
+        allocator.skip_to(store.view().first_free(number, SCENARIO_SPAWNER));
         let mut commands = Commands::new(app.registry().clone(), allocator);
         for hand in &hands {
             commands.put(hand.port().entity, hand.info());
         }
-        let mut roles = Vec::with_capacity(scenario.controllers.len());
+        let mut roles = Vec::with_capacity(scenario.controllers.len() + 1);
+        let mut network = None;
+        if let Some(station) = station {
+            let (blueprint, part) = network::stationed(station, network_hands.take_station())?;
+            roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, blueprint));
+            network = Some(part);
+        }
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind_of(&entry.kind) else {
                 let known = app.kinds().collect::<Vec<_>>().join(", ");
@@ -58,27 +79,33 @@ impl Assembly {
             if let Some(arrange) = blueprint.arrange.take() {
                 arrange(store.view(), &mut commands);
             }
-            // Spawner 0 is the scenario's; writers count from 1 in the order of the file.
-            roles.push(Role::new(&entry.name, index as u16 + 1, entry.rate_hz, blueprint));
+            // Spawner 0 is the scenario's; writers count from 1 in the order of the file, after a station's network.
+            roles.push(Role::new(&entry.name, roles.len() as u16 + 1, entry.rate_hz, blueprint));
         }
         stagger_haptics(&mut roles);
         if let Some(error) = commands.error() {
             return Err(scenario.error_at("hand", 0, error.to_string()).into());
         }
         commands.seal();
-        store.apply(&mut commands, SimTime::ZERO);
+        store.apply(&mut commands, options.begin);
+        let scene = store.snapshot();
+        let hosted = network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
+        if let Some((blueprint, part)) = hosted {
+            roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, blueprint));
+            network = Some(part);
+        }
 
         let plan = SessionPlan {
             scenario: scenario.name.clone(),
-            station: 0,
-            scene: store.snapshot(),
+            station: number,
+            scene,
             roles,
             until: options.seconds.map(|seconds| options.begin + SimTime::from_secs_f64(seconds)),
             faults: options.faults.clone(),
             fault_targets: options.fault_targets.clone(),
         };
         let spec = plan.first((options.seed, options.begin), &ports);
-        Ok(Self { spec, hands, plan: Arc::new(plan), actors: app.actors.clone() })
+        Ok(Self { spec, hands, network, plan: Arc::new(plan), actors: app.actors.clone() })
     }
 }
 
@@ -97,6 +124,7 @@ fn open_hands(
     app: &App,
     scenario: &Scenario,
     options: &RunOptions,
+    network: &mut WrappedHands<'_>,
 ) -> Result<Vec<OpenedHand>, AssemblyError> {
     for (name, _) in &options.hands {
         if !scenario.hands.iter().any(|hand| hand.name == *name) {
@@ -116,9 +144,57 @@ fn open_hands(
             return Err(scenario.error_at("hand", index, reason).into());
         }
         let device = app.make_device(&hand.name, hand.entity, text)?;
+        let device = network.wrap(&hand.name, hand.entity, device)?;
         opened.push(OpenedHand::new(&hand.name, hand.entity, device));
     }
     Ok(opened)
+}
+
+/// The part of a scenario that a station computes itself: the haptics of the hands for which it has devices, and the person
+/// that moves them.
+fn own_part(scenario: &Scenario, options: &RunOptions) -> Scenario {
+    let mut own = scenario.clone();
+    own.hands.retain(|hand| options.hands.iter().any(|(name, _)| *name == hand.name));
+    let serves = |entry: &ControllerEntry| {
+        let of_hand = own.hands.iter().any(|hand| entry.name == format!("haptics.{}", hand.name));
+        of_hand || (entry.kind == MANUAL && options.play)
+    };
+    own.controllers = scenario.controllers.iter().filter(|entry| serves(entry)).cloned().collect();
+    own
+}
+
+/// The hands of a session that others share: its network stands between their devices and their drivers.
+struct WrappedHands<'a> {
+    network: &'a Network,
+    host: NetworkHands,
+    station: StationHands,
+}
+
+impl<'a> WrappedHands<'a> {
+    fn new(network: &'a Network) -> Self {
+        Self { network, host: NetworkHands::default(), station: StationHands::default() }
+    }
+
+    fn wrap(
+        &mut self,
+        name: &str,
+        entity: Entity,
+        device: Box<dyn HapticDevice>,
+    ) -> Result<Box<dyn HapticDevice>, NetworkError> {
+        match self.network {
+            Network::None => Ok(device),
+            Network::Host(_) | Network::LockstepHost(_) => self.host.wrap(name, entity, device),
+            Network::Station(station) => self.station.wrap(station, name, device),
+        }
+    }
+
+    fn take_host(&mut self) -> NetworkHands {
+        std::mem::take(&mut self.host)
+    }
+
+    fn take_station(&mut self) -> StationHands {
+        std::mem::take(&mut self.station)
+    }
 }
 
 /// Whether a device's text names a file by an absolute path or one that leaves the folder.

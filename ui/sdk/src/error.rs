@@ -7,6 +7,7 @@ use trocar_kernel::live::LiveError;
 use trocar_kernel::recorder::RecorderError;
 use trocar_scene::scenario::ScenarioError;
 
+use crate::network::NetworkError;
 use crate::recorded_hand::RecordedHandError;
 
 /// Why a session could not be assembled.
@@ -70,6 +71,9 @@ pub enum AssemblyError {
         /// Why.
         source: RecordedHandError,
     },
+    /// The session cannot take part in a network.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
 }
 
 /// Why a run could not start or could not be finished.
@@ -90,4 +94,7 @@ pub enum RunError {
     /// The recording could not be created.
     #[error(transparent)]
     Recorder(#[from] RecorderError),
+    /// The thread of the network's hands could not be started.
+    #[error("the network's hands: {0}")]
+    Network(std::io::Error),
 }

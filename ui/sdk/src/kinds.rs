@@ -237,7 +237,8 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let config = HapticsConfig {
         renderer,
         passivity: params.passivity.unwrap_or(default.passivity),
-        remote_scene: params.remote_scene.unwrap_or(default.remote_scene),
+        // What a station feels of its host's scene has come over the network.
+        remote_scene: params.remote_scene.unwrap_or(context.options.network.station().is_some()),
         felt_window_secs: params.felt_window_secs.unwrap_or(default.felt_window_secs),
         status_period_secs: params.status_period_secs.unwrap_or(default.status_period_secs),
     };
@@ -422,7 +423,8 @@ fn autopilot(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
 fn manual(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let config: ManualConfig = parse_or_default(&context.entry.params)?;
     config.check().map_err(|reason| context.entry.params.error(reason))?;
-    let mut blueprint = plain(RuntimeClass::Task, move |context| ManualController::new(&config, context));
+    let own: Vec<Entity> = context.hands.iter().map(|port| port.entity).collect();
+    let mut blueprint = plain(RuntimeClass::Task, move |context| ManualController::new(&config, &own, context));
     // Without a hand the controller returns the error when it is built.
     blueprint.arrange = Some(Box::new(|scene, out| add_person(scene, out).unwrap_or_default()));
     Ok(blueprint)

@@ -86,6 +86,7 @@ pub mod guide;
 pub mod hands;
 mod kind;
 mod kinds;
+pub mod network;
 pub mod open;
 mod options;
 pub mod outline;
@@ -125,4 +126,4 @@ pub use trocar_devices as devices;
 #[doc(no_inline)]
 pub use trocar_kernel as kernel;
 #[doc(no_inline)]
-pub use trocar_network as network;
+

@@ -9,6 +9,8 @@ use trocar_kernel::recorder::RecorderOptions;
 use trocar_kernel::spec::FaultSink;
 use trocar_scene::SimTime;
 
+use crate::network::Network;
+
 /// Further targets for faults, by name, that belong to the program.
 #[derive(Clone, Default)]
 pub struct FaultTargets(pub Vec<(String, Arc<dyn FaultSink>)>);
@@ -48,6 +50,8 @@ pub struct RunOptions {
     pub left_handed: bool,
     /// A person moves the hands instead of the virtual trainee: see [`crate::play`].
     pub play: bool,
+    /// Whether others share the session over a network, and how.
+    pub network: Network,
     /// Set from outside to end the run early.
     pub stop: Arc<AtomicBool>,
 }
@@ -67,6 +71,7 @@ impl Default for RunOptions {
             skill: None,
             left_handed: false,
             play: false,
+            network: Network::None,
             stop: Arc::default(),
         }
     }

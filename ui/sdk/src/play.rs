@@ -44,7 +44,7 @@ const RATE_HZ: f64 = 100.0;
 
 /// The entity that takes the person's input, in a session that a person plays.
 pub fn person(scene: &Snapshot) -> Option<Entity> {
-    scene.iter::<PersonInput>().next().map(|(entity, _)| entity)
+    PersonInput::of(scene).map(|(entity, _)| entity)
 }
 
 /// The scenario with a person instead of its virtual trainee, or as a further controller where there is none.

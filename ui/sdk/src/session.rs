@@ -22,12 +22,14 @@ use trocar_kernel::runtime::sched;
 use trocar_kernel::runtime::{Clock, ControllerReport, PausableClock, TickStats};
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::{GroupSpec, RuntimeClass};
+use trocar_network::live::hands_thread::HandsThread;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
 use crate::branching::Origin;
 use crate::error::RunError;
 use crate::hands::{HandPort, OpenedHand};
+use crate::network::NetworkPart;
 
 /// First writer number of guests: above those of any scenario's controllers, below the operator's.
 const GUESTS_FROM: u16 = 0x8000;
@@ -42,6 +44,8 @@ pub struct Session {
     pub(crate) hands: Vec<HandPort>,
     drivers: Vec<DriverThread>,
     actors: Vec<HostedActor>,
+    /// What moves the hands' datagrams, if others share the session.
+    network: Option<HandsThread>,
     next_guest: u16,
     pub(crate) fences_raised: bool,
     /// In virtual time, the plan and prototypes for resets and branches.
@@ -104,6 +108,7 @@ impl Session {
         };
         let mut spec = assembly.spec;
         spec.peers.extend(assembly.hands.into_iter().map(OpenedHand::into_peer));
+        spec.peers.extend(assembly.network.and_then(NetworkPart::into_peer));
         let running = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
         Ok(Self::new(running, hands, Vec::new(), Some(origin)))
     }
@@ -123,8 +128,11 @@ impl Session {
             drivers.push(hand.into_thread(start, pause::device_time(&clock, begin), priority)?);
         }
         let clock = Clock::pausable(start, clock).beginning_at(begin);
+        let network = assembly.network.map(|part| part.start(clock.clone())).transpose();
+        let network = network.map_err(RunError::Network)?.flatten();
         let live = LiveSession::start_on(assembly.spec, clock)?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
+        session.network = network;
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
             let Running::Live(live, _) = &session.running else { break };
@@ -141,7 +149,8 @@ impl Session {
         origin: Option<Origin>,
     ) -> Self {
         let (actors, next_guest) = (Vec::new(), GUESTS_FROM);
-        Self { running, hands, drivers, actors, next_guest, fences_raised: false, origin }
+        let network = None;
+        Self { running, hands, drivers, actors, network, next_guest, fences_raised: false, origin }
     }
 
     fn number_of_a_guest(&mut self) -> Result<WriterId, LiveError> {
@@ -360,6 +369,7 @@ impl Session {
             Running::Lockstep(session) => session.finish(),
             Running::Live(session, _) => session.stop(0),
         };
+        drop(self.network);
         let mut driver_errors = Vec::new();
         for driver in self.drivers {
             if let Err(error) = driver.stop() {

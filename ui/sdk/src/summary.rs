@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-pub use trocar_kernel::bench::{Better, Row as BenchResult};
+pub use trocar_network::control::ExitClass;
+use trocar_kernel::bench::{Better, Row as BenchResult};
 pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Hits, Quantiles};
 use trocar_kernel::spec::FaultKind;
 pub use trocar_scene::components::ScoreKind;
@@ -33,8 +34,16 @@ pub enum Exit {
     DeviceMissing = 3,
     /// A scenario or another file is invalid, a result could not be written, or a picture could not be made.
     Invalid = 4,
+    /// The host of a session cannot be reached, or is gone; or a port is in use.
+    Unavailable = 69,
     /// The program itself failed.
     Internal = 70,
+    /// A session is full, a hand is taken, a link is too slow: it may work later.
+    Later = 75,
+    /// Two programs of a session do not understand each other.
+    Protocol = 76,
+    /// A ticket does not let in, or a role does not allow it.
+    NotAllowed = 77,
     /// SIGHUP ended the command: its terminal was closed.
     HungUp = 129,
     /// SIGINT ended the command: Ctrl-C.
@@ -44,6 +53,20 @@ pub enum Exit {
 }
 
 impl Exit {
+    /// Of what a session over a network came to.
+    pub const fn of_network(class: ExitClass) -> Self {
+        match class {
+            ExitClass::Done => Self::Ok,
+            ExitClass::Usage => Self::Usage,
+            ExitClass::Scenario => Self::Invalid,
+            ExitClass::Unavailable => Self::Unavailable,
+            ExitClass::Internal => Self::Internal,
+            ExitClass::Later => Self::Later,
+            ExitClass::Protocol => Self::Protocol,
+            ExitClass::NotAllowed => Self::NotAllowed,
+        }
+    }
+
     /// The numeric exit code.
     pub const fn code(self) -> u8 {
         self as u8

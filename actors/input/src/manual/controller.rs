@@ -38,13 +38,14 @@ pub struct ManualState {
     pub hands: [Option<ManualHand>; 2],
 }
 
-/// Adds the person to a scene, with an existing hand active; does nothing if the scene has one.
+/// Adds the person to a scene, with an existing hand active; does nothing if the scene has one of this station.
 ///
 /// # Errors
 /// [`NoHands`] when the scene has no hands.
 pub fn add_person(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
     let side = scene.iter::<Hand>().map(|(_, hand)| hand.side).min().ok_or(NoHands)?;
-    if scene.iter::<PersonInput>().next().is_none() {
+    let station = out.me().station();
+    if !scene.iter::<PersonInput>().any(|(person, _)| person.station() == station) {
         let person = out.spawn();
         out.put(person, Name(PERSON.to_owned()));
         out.put(person, PersonInput { in_charge: side, ..PersonInput::default() });
@@ -69,20 +70,22 @@ fn wrong(what: impl std::fmt::Display) -> ControllerError {
 }
 
 impl ManualController {
-    /// Finds the person and the hands in the scene, and continues where an earlier life stopped; the first life takes
+    /// Finds the person in the scene, and its hands among `own`, those of this station; continues where an earlier life stopped; the first life takes
     /// the hands over at their current poses.
     ///
     /// # Errors
     /// Names the missing part of the scene or the invalid parameter.
-    pub fn new(limits: &ManualConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+    pub fn new(
+        limits: &ManualConfig,
+        own: &[Entity],
+        context: &BuildContext<'_>,
+    ) -> Result<Self, ControllerError> {
         limits.check().map_err(wrong)?;
         let scene = context.scene;
-        let (person, input) = scene
-            .iter::<PersonInput>()
-            .next()
+        let (person, input) = PersonInput::of(scene)
             .ok_or_else(|| wrong("no entity has the component 'person_input'"))?;
         let of_side =
-            |side| scene.iter::<Hand>().find(|(_, hand)| hand.side == side).map(|(entity, _)| entity);
+            |side| own.iter().copied().find(|hand| scene.get::<Hand>(*hand).is_some_and(|hand| hand.side == side));
         let hands = [of_side(Side::Left), of_side(Side::Right)];
         if hands == [None, None] {
             return Err(wrong(NoHands));

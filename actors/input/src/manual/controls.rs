@@ -44,7 +44,7 @@ impl Controls {
     /// A source of input that continues from an earlier one's state in the scene, for the scene's hands. Its first
     /// [`Controls::input`] must be written at once.
     pub fn new(bindings: Bindings, scene: &Snapshot) -> Self {
-        let before = scene.iter::<PersonInput>().next().map(|(_, input)| *input).unwrap_or_default();
+        let before = PersonInput::of(scene).map(|(_, input)| *input).unwrap_or_default();
         let has = |side| scene.iter::<Hand>().any(|(_, hand)| hand.side == side);
         Self::resuming(bindings, &before, [has(Side::Left), has(Side::Right)])
     }

@@ -74,7 +74,7 @@ impl<A: Copy + PartialEq> HandsHost<A> {
 
     fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         match order {
-            HandsOrder::Open { station, connection } => {
+            HandsOrder::Open { station, connection, peer: _ } => {
                 let of_station = |link: &Link<A>| link.station == station;
                 if let Some(at) = self.links.iter().position(of_station) {
                     self.close(at);

@@ -97,7 +97,7 @@ impl StationHand {
 pub struct HandsStation<A> {
     hands: Vec<StationHand>,
     serves: HandNumbers,
-    host: A,
+    host: Option<A>,
     connection: Option<Box<Connection<A>>>,
     is_worn: bool,
     controller: LinkEnd<A>,
@@ -107,12 +107,12 @@ pub struct HandsStation<A> {
 }
 
 impl<A: Copy + PartialEq> HandsStation<A> {
-    /// A station with these hands, whose host receives at `host`.
-    pub fn new(hands: Vec<StationHand>, host: A, controller: LinkEnd<A>) -> Self {
+    /// A station with these hands.
+    pub fn new(hands: Vec<StationHand>, controller: LinkEnd<A>) -> Self {
         Self {
             hands,
             serves: HandNumbers::default(),
-            host,
+            host: None,
             connection: None,
             is_worn: false,
             controller,
@@ -132,13 +132,9 @@ impl<A: Copy + PartialEq> HandsStation<A> {
         self.connection.as_deref()
     }
 
-    /// Datagrams go there from now on: the control channel has found the host at another of its addresses.
-    pub fn set_host(&mut self, host: A) {
-        self.host = host;
-    }
-
     fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
-        if let HandsOrder::Open { connection, .. } = order {
+        if let HandsOrder::Open { connection, peer, .. } = order {
+            self.host = peer.or(self.host);
             self.close();
             self.is_worn = false;
             // The hands that it serves are told anew, and placed anew.
@@ -172,10 +168,11 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                 }
             }
             HandsOrder::Send { parcel, .. } => {
-                if let Some(length) =
-                    connection.seal(parcel.kind(), parcel.payload(), now, &mut self.out)
+                if let Some(host) = self.host
+                    && let Some(length) =
+                        connection.seal(parcel.kind(), parcel.payload(), now, &mut self.out)
                 {
-                    send(self.host, &self.out[..length]);
+                    send(host, &self.out[..length]);
                 }
             }
             HandsOrder::RekeyOpener { key, .. } => {
@@ -262,12 +259,14 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
             }
         }
         let id = connection.id();
-        if let Some(length) = connection.tick(samples, now, out) {
-            let is_sent = send(*host, &out[..length]);
-            connection.sent(samples, length, is_sent, now);
-        }
-        if let Some(length) = connection.report(now, out) {
-            send(*host, &out[..length]);
+        if let Some(host) = *host {
+            if let Some(length) = connection.tick(samples, now, out) {
+                let is_sent = send(host, &out[..length]);
+                connection.sent(samples, length, is_sent, now);
+            }
+            if let Some(length) = connection.report(now, out) {
+                send(host, &out[..length]);
+            }
         }
         if let Some(point) = connection.point(now) {
             controller.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });

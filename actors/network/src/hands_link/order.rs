@@ -71,6 +71,8 @@ pub enum HandsOrder<A> {
         station: u16,
         /// Its end here.
         connection: Box<Connection<A>>,
+        /// Where the other end takes datagrams, if that is known before one has come from there.
+        peer: Option<A>,
     },
     /// The station serves these hands from now on.
     Serve {

@@ -52,7 +52,7 @@ impl HandsThread {
     /// When the system starts no thread.
     pub fn spawn(
         socket: UdpSocket,
-        link: impl HandsLink<SocketAddr>,
+        link: Box<dyn HandsLink<SocketAddr>>,
         clock: Clock,
     ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
@@ -84,7 +84,7 @@ impl Drop for HandsThread {
 
 fn run(
     socket: &UdpSocket,
-    mut link: impl HandsLink<SocketAddr>,
+    mut link: Box<dyn HandsLink<SocketAddr>>,
     clock: &Clock,
     stop: &AtomicBool,
     counts: &HandsThreadCounts,

@@ -37,8 +37,8 @@ pub struct HandsPeer {
 
 impl HandsPeer {
     /// The link at this end of the wires.
-    pub fn new(name: &str, link: impl HandsLink<usize>, wires: Wires, end: End) -> Self {
-        Self { name: name.to_owned(), link: Box::new(link), wires, end }
+    pub fn new(name: &str, link: Box<dyn HandsLink<usize>>, wires: Wires, end: End) -> Self {
+        Self { name: name.to_owned(), link, wires, end }
     }
 }
 

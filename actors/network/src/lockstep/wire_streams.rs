@@ -110,7 +110,12 @@ impl WireStationStream {
     }
 }
 
-impl StationStream for WireStationStream {
+impl StationStream<usize> for WireStationStream {
+    /// A station has one wire.
+    fn peer(&self) -> Option<usize> {
+        Some(0)
+    }
+
     fn connect(&mut self, now: SimTime) {
         self.open_at = now + self.handshake;
         self.connection = Some(self.wire.connect());

@@ -290,7 +290,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             return;
         };
         let quality = LinkQuality::new(connection.meter().histograms().clone());
-        let is_open = self.hands.order(HandsOrder::Open { station, connection })
+        let is_open = self.hands.order(HandsOrder::Open { station, connection, peer: None })
             && self.hands.order(HandsOrder::Serve { connection: id, hands });
         if let Some(member) = self.members.members.get_mut(&station) {
             member.quality = Some(quality);

@@ -169,7 +169,7 @@ impl Bench {
             commands,
             scene,
             machine,
-            hands: HandsPeer::new("network.hands", links, wires.clone(), End::Host),
+            hands: HandsPeer::new("network.hands", Box::new(links), wires.clone(), End::Host),
             device: Device { hand: host_hand, shown: None },
             moving,
         };
@@ -235,7 +235,7 @@ impl Station {
         let (hand, end) = remote_hand(0.03);
         let (controller, link) = hands_channel();
         let number = wires.all().len() - 1;
-        let links = HandsStation::new(vec![StationHand::new(0, end)], 0, link);
+        let links = HandsStation::new(vec![StationHand::new(0, end)], link);
         let own = Wires::default();
         own.add(wire.clone());
         let hands: Vec<PlainName> = hands.iter().map(|hand| name(hand)).collect();
@@ -256,7 +256,7 @@ impl Station {
             store: Store::new(registry.clone()),
             commands: Commands::new(registry, EntityAllocator::new(1, 1)),
             machine,
-            hands: HandsPeer::new("network.hands", links, own, End::Station),
+            hands: HandsPeer::new("network.hands", Box::new(links), own, End::Station),
             device: Device { hand, shown: None },
             columns,
             news: Vec::new(),

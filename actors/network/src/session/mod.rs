@@ -21,7 +21,7 @@ mod own_rows;
 mod station_controller;
 mod station_machine;
 
-pub use admissions::{Admissions, BookAdmissions, UnixClock};
+pub use admissions::{Admissions, BookAdmissions, UnixClock, examine, no_station};
 pub use host_controller::HostController;
 pub use host_machine::{HostMachine, HostSetup, Incident};
 pub use host_members::{HostHandControl, MemberFigures};

@@ -1,7 +1,7 @@
 //! Own rows: what a station writes itself of the hands that it serves, and so is never sent to it.
 
 use trocar_scene::{
-    DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry, Snapshot,
+    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry, Snapshot,
 };
 
 use crate::replication::delta::RowSet;
@@ -20,7 +20,9 @@ pub fn own_rows(registry: &Registry, scene: &Snapshot, hands: &[Entity], moves: 
         ];
         rows.extend(of_hand.into_iter().flatten().map(|id| (id, *hand)));
         let instrument = scene.get::<Hand>(*hand).map(|hand| hand.instrument);
-        rows.extend(registry.id::<InstrumentTarget>().zip(instrument));
+        let of_instrument =
+            [registry.id::<InstrumentTarget>(), registry.id::<Activation>().filter(|_| moves)];
+        rows.extend(of_instrument.into_iter().flatten().zip(instrument.into_iter().cycle()));
     }
     rows
 }

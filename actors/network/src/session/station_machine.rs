@@ -67,7 +67,7 @@ pub enum StationError {
 /// A station's connection and its copy of the scene. `A` is the address of a datagram.
 pub struct StationMachine<A> {
     control: ClientControl,
-    stream: Box<dyn StationStream>,
+    stream: Box<dyn StationStream<A>>,
     hands: ControllerEnd<A>,
     sender: SenderConfig,
     secret: u64,
@@ -101,7 +101,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     /// [`Self::replicate`].
     pub fn new(
         setup: StationSetup,
-        stream: Box<dyn StationStream>,
+        stream: Box<dyn StationStream<A>>,
         hands: ControllerEnd<A>,
         now: SimTime,
     ) -> Self {
@@ -130,6 +130,11 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             was_running: false,
             has_joined: false,
         }
+    }
+
+    /// Where the host that was reached takes datagrams.
+    pub fn peer(&self) -> Option<A> {
+        self.stream.peer()
     }
 
     /// The host's welcome, once it has come.
@@ -357,7 +362,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         let histograms = connection.meter().histograms().clone();
         self.quality.get_or_insert_with(|| LinkQuality::new(histograms));
         self.connection = Some(id);
-        self.hands.order(HandsOrder::Open { station, connection });
+        self.hands.order(HandsOrder::Open { station, connection, peer: self.stream.peer() });
     }
 
     /// The hands of the session that this station serves.

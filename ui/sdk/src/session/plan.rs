@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use trocar_kernel::faults::FaultPlan;
+use trocar_kernel::FlowLimit;
 use trocar_kernel::spec::{ControllerSpec, Factory, Fence, SessionSpec, StopWhen, ZeroForces};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{SimTime, Snapshot, Store, TaskState};
@@ -68,6 +69,10 @@ impl Role {
             });
         spec.phase = self.phase;
         spec.fences = fences;
+        if self.class == RuntimeClass::Network {
+            // A scene that arrives whole is one batch, of whatever size.
+            spec.flow = FlowLimit::UNLIMITED;
+        }
         spec
     }
 

@@ -20,7 +20,7 @@ pub(super) fn charge(ui: &mut Ui, scene: &Snapshot, hands: Hands, wishes: &mut W
 
 /// The hand in charge with its instrument: `right hand: hook.right`.
 fn in_charge(scene: &Snapshot) -> String {
-    let Some((_, input)) = scene.iter::<PersonInput>().next() else {
+    let Some((_, input)) = PersonInput::of(scene) else {
         return "no hand is in charge yet".to_owned();
     };
     let side = input.in_charge.as_str();

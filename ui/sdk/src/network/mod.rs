@@ -1,0 +1,131 @@
+//! Sessions over a network: a host that others join, and stations that join it.
+//!
+//! ```no_run
+//! use std::sync::Arc;
+//! use trocar::network::{HostOptions, Network, NetworkHost};
+//! use trocar::prelude::*;
+//! use trocar::run;
+//!
+//! let app = App::new();
+//! let host = Arc::new(NetworkHost::open(&HostOptions::default())?);
+//! println!("{}", host.ticket("Ana", trocar::network::ticket::Role::Operate)?);
+//! let options = RunOptions { network: Network::Host(host), ..RunOptions::default() };
+//! run::run(&app, &app.scenario("peg-transfer")?, &options, &mut |_| ())?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! A station [joins](join) with a ticket: it gets scenario and scene from the host, and runs its own haptics, window and
+//! network on them.
+
+mod host;
+mod part;
+mod station;
+
+use std::fmt;
+use std::sync::Arc;
+
+use thiserror::Error;
+use trocar_kernel::spec::Factory;
+use trocar_kernel::supervision::RuntimeClass;
+use trocar_network::control::{ControlError, ExitClass};
+use trocar_network::live::sockets::SocketError;
+use trocar_network::ticket::StoreError;
+
+pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
+pub(crate) use host::{NetworkHands, hosted};
+pub use part::NetworkPart;
+pub use station::{JoinOptions, JoinProgress, Joining, Station, join};
+pub(crate) use station::{STATION_WRITER, StationHands, stationed};
+use crate::kind::Blueprint;
+
+#[doc(no_inline)]
+pub use trocar_network::*;
+
+/// Name of the network's actor.
+pub const NETWORK: &str = "network";
+/// Ticks per second of the network's actor \[Hz\]: rows of the scene go at 60 Hz, each at the next tick.
+pub const NETWORK_HZ: f64 = 250.0;
+
+/// Name of the hands link in virtual time.
+const HANDS_PEER: &str = "network.hands";
+
+/// The network's actor: it takes what may be a whole scene at once, so that its flow has no limit of its own.
+fn blueprint(factory: Factory) -> Blueprint {
+    Blueprint {
+        class: RuntimeClass::Network,
+        factory,
+        fences: Vec::new(),
+        for_hands: None,
+        arrange: None,
+    }
+}
+
+/// How a session takes part in a network.
+#[derive(Clone, Default)]
+pub enum Network {
+    /// Not at all.
+    #[default]
+    None,
+    /// It is the host, over sockets.
+    Host(Arc<NetworkHost>),
+    /// It is the host, over wires inside the process, in virtual time.
+    LockstepHost(Arc<LockstepHost>),
+    /// It is a station, which has joined.
+    Station(Arc<Station>),
+}
+
+impl fmt::Debug for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::None => "None",
+            Self::Host(_) => "Host",
+            Self::LockstepHost(_) => "LockstepHost",
+            Self::Station(_) => "Station",
+        })
+    }
+}
+
+impl Network {
+    /// The station, if the session is one.
+    pub fn station(&self) -> Option<&Arc<Station>> {
+        match self {
+            Self::Station(station) => Some(station),
+            _ => None,
+        }
+    }
+}
+
+/// Why a session cannot take part in a network.
+#[derive(Debug, Error)]
+pub enum NetworkError {
+    /// A port or an address.
+    #[error(transparent)]
+    Socket(#[from] SocketError),
+    /// The host's file of tickets.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The host did not let the station in, or the link does not carry.
+    #[error("{0}")]
+    Control(ControlError),
+    /// What the scenario says of its network.
+    #[error("{0}")]
+    Scenario(String),
+    /// A name, an address or a ticket.
+    #[error("{0}")]
+    Usage(String),
+    /// The system.
+    #[error("{0}")]
+    System(String),
+}
+
+impl NetworkError {
+    /// Class of the exit code.
+    pub fn exit_class(&self) -> ExitClass {
+        match self {
+            Self::Socket(_) | Self::System(_) => ExitClass::Unavailable,
+            Self::Store(_) | Self::Scenario(_) => ExitClass::Scenario,
+            Self::Control(error) => error.exit_class(),
+            Self::Usage(_) => ExitClass::Usage,
+        }
+    }
+}

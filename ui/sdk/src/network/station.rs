@@ -1,0 +1,380 @@
+//! The station's side: it joins a host, gets scenario and scene from it, and runs a session of its own on them.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use ring::rand::SystemRandom;
+use trocar_devices::HapticDevice;
+use trocar_kernel::runtime::Clock;
+use trocar_network::control::{
+    ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
+};
+use trocar_network::datagram::Seal;
+use trocar_network::hands_link::{HandsLink, HandsStation, LinkEnd, StationHand, hands_channel};
+use trocar_network::haptic::SenderConfig;
+use trocar_network::live::sockets;
+use trocar_network::live::tls_station_stream::TlsStationStream;
+use trocar_network::lockstep::{End, HandsPeer, Wire, WireStationStream, Wires};
+use trocar_network::remote_hand::{DoorLimits, RemoteHand};
+use trocar_network::replication::choice::ReplicatedColumns;
+use trocar_network::session::{MachineSlot, StationController, StationError, StationMachine, StationSetup};
+use trocar_network::streams::StationStream;
+use trocar_network::ticket::{ResumeSecret, Role, Ticket};
+use trocar_scene::scenario::Scenario;
+use trocar_scene::{BuildContext, Commands, Controller, EntityAllocator, SimTime, Snapshot, Store};
+
+use super::host::{NetworkSettings, plain_name, random_secret};
+use super::part::NetworkPart;
+use super::{HANDS_PEER, NetworkError};
+use crate::app::App;
+use crate::kind::Blueprint;
+
+/// The writer under which a station's network joins before there is a session: the first of its controllers.
+pub(crate) const STATION_WRITER: u16 = 1;
+/// Time between two looks at the link while a station joins.
+const LOOK: Duration = Duration::from_millis(2);
+
+/// How a station joins.
+#[derive(Clone, Debug, Default)]
+pub struct JoinOptions {
+    /// Its name; without one it gets that of its role and a random number.
+    pub name: Option<String>,
+    /// A lower role than the ticket's.
+    pub role: Option<Role>,
+    /// Hands that it serves, each with its device: (hand, spec).
+    pub hands: Vec<(String, String)>,
+    /// Whether a person at the station moves its hands, and not the session's virtual trainee.
+    pub play: bool,
+    /// Datagrams without protection, for the loopback alone.
+    pub insecure: bool,
+    /// The secret with which a station comes back after its program ended, in place of the ticket's token.
+    pub resume: Option<ResumeSecret>,
+}
+
+/// How far a station has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct JoinProgress {
+    /// Where the connection is.
+    pub state: ClientState,
+    /// Bytes of the scene that have arrived, of how many.
+    pub scene: Option<(u32, u32)>,
+}
+
+/// A station on its way into a session; `A` is an address of datagrams.
+pub struct Joining<A> {
+    machine: StationMachine<A>,
+    link: LinkEnd<A>,
+    devices: Vec<String>,
+    moves: bool,
+    app_registry: Arc<trocar_scene::Registry>,
+    /// Since the welcome.
+    begun: Option<Begun>,
+}
+
+struct Begun {
+    scenario: Scenario,
+    store: Store,
+    commands: Commands,
+}
+
+/// A station that is in a session, and whose own session has not begun.
+pub struct Station {
+    /// The host's scenario, without what its entities are made of.
+    pub scenario: Scenario,
+    /// The scene as it was when the station joined.
+    pub scene: Snapshot,
+    /// Its number.
+    pub number: u16,
+    /// Its name.
+    pub name: String,
+    /// What it may do.
+    pub role: Role,
+    /// The session's seed.
+    pub seed: u64,
+    /// The hands of the session.
+    pub hands: Vec<HandInfo>,
+    /// Whether a person at the station moves its hands.
+    pub moves: bool,
+    clock: Option<Clock>,
+    parts: Mutex<Option<Parts>>,
+}
+
+enum Parts {
+    Live { machine: Box<StationMachine<SocketAddr>>, link: LinkEnd<SocketAddr>, peer: SocketAddr },
+    Lockstep { machine: Box<StationMachine<usize>>, link: LinkEnd<usize>, wire: Wire },
+}
+
+impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
+    /// A station with this credential, over this stream.
+    ///
+    /// # Errors
+    /// [`NetworkError`] when a name does not travel.
+    pub fn new(
+        app: &App,
+        options: &JoinOptions,
+        credential: Credential,
+        stream: Box<dyn StationStream<A>>,
+        now: SimTime,
+    ) -> Result<Self, NetworkError> {
+        let secret = random_secret(0);
+        let name = options.name.clone().unwrap_or_else(|| format!("station {:04x}", secret & 0xffff));
+        let hands: Result<Vec<_>, _> = options.hands.iter().map(|(hand, _)| plain_name(hand)).collect();
+        let hands = hands?;
+        let setup = StationSetup {
+            facts: ClientFacts {
+                program: PlainText::new(env!("CARGO_PKG_VERSION")),
+                components: ComponentList::of(app.registry()),
+                scenario: None,
+                wish: Wish {
+                    name: plain_name(&name)?,
+                    role: options.role,
+                    devices: hands.clone(),
+                    hands,
+                    moves: options.play,
+                },
+            },
+            credential,
+            sender: SenderConfig::default(),
+            secret,
+        };
+        let (controller, link) = hands_channel();
+        Ok(Self {
+            machine: StationMachine::new(setup, stream, controller, now),
+            link,
+            devices: options.hands.iter().map(|(hand, _)| hand.clone()).collect(),
+            moves: options.play,
+            app_registry: app.registry().clone(),
+            begun: None,
+        })
+    }
+
+    /// One step; whether the station is in the session.
+    ///
+    /// # Errors
+    /// [`NetworkError`]: not let in, or the link does not carry.
+    pub fn step(&mut self, now: SimTime) -> Result<bool, NetworkError> {
+        if self.begun.is_none()
+            && let Some(welcome) = self.machine.welcome()
+        {
+            let begun = Begun::new(welcome, self.app_registry.clone())?;
+            let settings = NetworkSettings::of(&begun.scenario)?;
+            let columns = ReplicatedColumns::new(&self.app_registry, &settings.columns)
+                .map_err(|error| NetworkError::Scenario(error.to_string()))?;
+            let has_device = |hand: &&HandInfo| self.devices.iter().any(|name| name == hand.name.as_str());
+            let devices = welcome.session.hands.iter().filter(has_device).map(|hand| hand.entity).collect();
+            self.machine.replicate(Arc::new(columns), devices);
+            self.begun = Some(begun);
+        }
+        let stepped = match &mut self.begun {
+            Some(begun) => {
+                begun.commands.begin(now);
+                let scene = begun.store.snapshot();
+                let stepped = self.machine.step(now, &scene, &mut begun.commands);
+                begun.apply(now)?;
+                stepped
+            }
+            None => {
+                let registry = self.app_registry.clone();
+                let scene = Store::new(registry.clone()).snapshot();
+                let mut nothing = Commands::new(registry, EntityAllocator::new(0, STATION_WRITER));
+                self.machine.step(now, &scene, &mut nothing)
+            }
+        };
+        stepped.map_err(|StationError::Over(error)| NetworkError::Control(error))?;
+        Ok(self.machine.state() == ClientState::Running)
+    }
+
+    /// How far it has come.
+    pub fn progress(&self) -> JoinProgress {
+        JoinProgress { state: self.machine.state(), scene: self.machine.progress() }
+    }
+
+    /// Why the link is down, if it is.
+    pub fn trouble(&self) -> Option<String> {
+        self.machine.error().map(ToString::to_string)
+    }
+
+    fn station(
+        self,
+        clock: Option<Clock>,
+        parts: impl FnOnce(Box<StationMachine<A>>, LinkEnd<A>) -> Parts,
+    ) -> Option<Station> {
+        let Self { machine, link, moves, begun, .. } = self;
+        let Begun { scenario, store, .. } = begun?;
+        let Welcome { station, role, session, .. } = machine.welcome()?.clone();
+        let name = session.stations.iter().find(|info| info.number == station)?.name.as_str().to_owned();
+        Some(Station {
+            scenario,
+            scene: store.snapshot(),
+            number: station,
+            name,
+            role,
+            seed: session.seed,
+            hands: session.hands,
+            moves,
+            clock,
+            parts: Mutex::new(Some(parts(Box::new(machine), link))),
+        })
+    }
+}
+
+impl Joining<usize> {
+    /// A station over a wire inside the process, in virtual time; `number` is the wire's at its host.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub fn over(
+        app: &App,
+        options: &JoinOptions,
+        ticket: &Ticket,
+        wire: &Wire,
+        number: usize,
+        now: SimTime,
+    ) -> Result<Self, NetworkError> {
+        let stream = WireStationStream::new(wire.clone(), number, SimTime::from_millis(2));
+        Self::new(app, options, credential(ticket, options)?, Box::new(stream), now)
+    }
+
+    /// The station, once it is in the session.
+    pub fn joined(self, wire: &Wire) -> Option<Station> {
+        let wire = wire.clone();
+        self.station(None, |machine, link| Parts::Lockstep { machine, link, wire })
+    }
+}
+
+impl Begun {
+    fn new(welcome: &Welcome, registry: Arc<trocar_scene::Registry>) -> Result<Self, NetworkError> {
+        let session = &welcome.session;
+        let file = format!("{}.toml", session.scenario_name);
+        let scenario = Scenario::outline(Path::new(&file), &session.scenario_text)
+            .map_err(|error| NetworkError::Scenario(format!("the host's scenario: {error}")))?;
+        let allocator = EntityAllocator::new(welcome.station, STATION_WRITER);
+        Ok(Self { scenario, store: Store::new(registry.clone()), commands: Commands::new(registry, allocator) })
+    }
+
+    fn apply(&mut self, now: SimTime) -> Result<(), NetworkError> {
+        self.commands.seal();
+        if let Some(error) = self.commands.error() {
+            return Err(NetworkError::System(format!("the host's scene: {error}")));
+        }
+        self.store
+            .check_room(&self.commands)
+            .map_err(|error| NetworkError::System(format!("the host's scene: {error}")))?;
+        self.store.apply(&mut self.commands, now);
+        self.commands.clear();
+        Ok(())
+    }
+}
+
+fn credential(ticket: &Ticket, options: &JoinOptions) -> Result<Credential, NetworkError> {
+    if let Some(resume) = &options.resume {
+        return Ok(Credential::Resume { resume: resume.clone() });
+    }
+    let resume = ResumeSecret::random(&SystemRandom::new())
+        .map_err(|error| NetworkError::System(error.to_string()))?;
+    Ok(Credential::Ticket { token: ticket.token().clone(), resume })
+}
+
+/// Joins a session over sockets, and waits until the scene is there. `progress` is called every few milliseconds.
+///
+/// # Errors
+/// [`NetworkError`]; also when `stop` was set meanwhile.
+pub fn join(
+    app: &App,
+    ticket: &Ticket,
+    options: &JoinOptions,
+    stop: &AtomicBool,
+    progress: &mut dyn FnMut(&JoinProgress, Option<&str>),
+) -> Result<Station, NetworkError> {
+    let seal = if options.insecure { Seal::Checksum } else { Seal::Aead };
+    let stream = TlsStationStream::new(ticket.addresses().to_vec(), *ticket.fingerprint(), seal)
+        .map_err(|error| NetworkError::Usage(error.to_string()))?;
+    let clock = Clock::start();
+    let now = clock.now();
+    let mut joining = Joining::new(app, options, credential(ticket, options)?, Box::new(stream), now)?;
+    while !joining.step(clock.now())? {
+        progress(&joining.progress(), joining.trouble().as_deref());
+        if stop.load(Ordering::Relaxed) {
+            return Err(NetworkError::System("the join was ended before the scene was there".to_owned()));
+        }
+        std::thread::sleep(LOOK);
+    }
+    let Some(peer) = joining.machine.peer() else {
+        return Err(NetworkError::System("the host's address is unknown".to_owned()));
+    };
+    joining
+        .station(Some(clock), |machine, link| Parts::Live { machine, link, peer })
+        .ok_or_else(|| NetworkError::System("the host told nothing of its session".to_owned()))
+}
+
+impl Station {
+    /// The session time at which the station's own session begins.
+    pub fn now(&self) -> SimTime {
+        self.clock.as_ref().map_or(SimTime::ZERO, Clock::now)
+    }
+
+    /// The number of a hand in datagrams.
+    pub fn hand_number(&self, name: &str) -> Option<u8> {
+        self.hands.iter().find(|hand| hand.name.as_str() == name).map(|hand| hand.number)
+    }
+}
+
+/// The hands of a station, as its network reaches them.
+#[derive(Default)]
+pub(crate) struct StationHands(Vec<StationHand>);
+
+impl StationHands {
+    /// Wraps the device of a hand, so that it shows where the host has the hand before it goes on.
+    ///
+    /// # Errors
+    /// [`NetworkError`] when the session has no such hand.
+    pub fn wrap(
+        &mut self,
+        station: &Station,
+        name: &str,
+        device: Box<dyn HapticDevice>,
+    ) -> Result<Box<dyn HapticDevice>, NetworkError> {
+        let number = station.hand_number(name).ok_or_else(|| {
+            let known: Vec<&str> = station.hands.iter().map(|hand| hand.name.as_str()).collect();
+            NetworkError::Usage(format!("the session has no hand '{name}'; there are: {}", known.join(", ")))
+        })?;
+        let (hand, end) = RemoteHand::over(number, DoorLimits::default(), device)
+            .map_err(|error| NetworkError::Scenario(error.to_string()))?;
+        self.0.push(StationHand::new(number, end));
+        Ok(Box::new(hand))
+    }
+}
+
+/// The actor of a station's session, and its hands link.
+pub(crate) fn stationed(
+    station: &Station,
+    hands: StationHands,
+) -> Result<(Blueprint, NetworkPart), NetworkError> {
+    let parts = station.parts.lock().unwrap_or_else(PoisonError::into_inner).take();
+    match parts {
+        Some(Parts::Live { machine, link, peer }) => {
+            let socket = sockets::station(&peer)?;
+            let link: Box<dyn HandsLink<SocketAddr>> = Box::new(HandsStation::new(hands.0, link));
+            Ok((blueprint(*machine), NetworkPart::Live { socket, link }))
+        }
+        Some(Parts::Lockstep { machine, link, wire }) => {
+            let link: Box<dyn HandsLink<usize>> = Box::new(HandsStation::new(hands.0, link));
+            let wires = Wires::default();
+            wires.add(wire);
+            let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station);
+            Ok((blueprint(*machine), NetworkPart::Lockstep(Box::new(peer))))
+        }
+        None => Err(NetworkError::System("the station's session has ended; join again".to_owned())),
+    }
+}
+
+fn blueprint<A: Copy + PartialEq + Send + 'static>(machine: StationMachine<A>) -> Blueprint {
+    let slot = MachineSlot::new(machine);
+    let factory = move |context: &BuildContext<'_>| {
+        Ok(Box::new(StationController::new(context, &slot)?) as Box<dyn Controller>)
+    };
+    super::blueprint(Arc::new(factory))
+}
