@@ -1,8 +1,19 @@
 //! The driver in real time: sockets, TLS, and the threads that move bytes. Nothing else in the crate touches a socket.
+//!
+//! [`TlsHostStreams`](tls_host_streams::TlsHostStreams) and [`TlsStationStream`](tls_station_stream::TlsStationStream) are
+//! the [`streams`](crate::streams) of the control channel over TCP. Both work without threads and without waiting; only
+//! names are looked up on a thread of their own, since the system's resolver waits.
 
+mod dial;
 pub mod hands_thread;
 pub mod interfaces;
+mod leaving;
+mod lookup;
 pub mod reflector;
 pub mod sockets;
 pub mod store_admissions;
 pub mod tls;
+pub mod tls_host_streams;
+mod tls_socket;
+pub mod tls_station_stream;
+mod unreached;
