@@ -54,7 +54,7 @@ mod resume_tests;
 mod roster;
 mod scene_assembly;
 #[cfg(test)]
-mod session_testing;
+pub(crate) mod session_testing;
 
 pub use blob::Blob;
 pub use client::{

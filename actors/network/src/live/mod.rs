@@ -13,7 +13,17 @@ pub mod reflector;
 pub mod sockets;
 pub mod store_admissions;
 pub mod tls;
+#[cfg(test)]
+mod tls_dial_tests;
 pub mod tls_host_streams;
+#[cfg(test)]
+mod tls_join_tests;
 mod tls_socket;
 pub mod tls_station_stream;
+#[cfg(test)]
+mod tls_strangers_tests;
+#[cfg(test)]
+mod tls_streams_tests;
+#[cfg(test)]
+mod tls_testing;
 mod unreached;
