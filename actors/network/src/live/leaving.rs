@@ -46,6 +46,11 @@ impl Leaving {
         }
     }
 
+    /// Whether none is under way.
+    pub fn is_empty(&self) -> bool {
+        self.sockets.is_empty()
+    }
+
     /// Goes on.
     pub fn work(&mut self, now: SimTime) {
         self.sockets.retain_mut(|gone| {

@@ -8,6 +8,7 @@
 //! | openers: connections whose handshake is not done | [`OPENERS_MAX`], and a quarter of the files that the process may open |
 //! | time from a new connection to the end of its handshake | [`OPENING_TIME_MAX`] 5 s |
 //! | handshakes moved on in one `work` | [`HANDSHAKES_MAX`] |
+//! | time between two looks at the openers' sockets | [`LOOK_EVERY`], longer when there are many |
 //! | streams | [`STREAMS_MAX`] |
 //! | memory of an opener | 64 KiB, the longest handshake message that rustls takes |
 //! | bytes of a stream that wait for the system, that one call takes or gives | [`SEND_BUFFER`], [`SENT_MAX`], [`RECEIVED_MAX`] |
@@ -46,6 +47,11 @@ pub const STREAMS_MAX: usize = 256;
 pub const ACCEPTED_MAX: usize = 32;
 /// Most handshakes that one `work` moves on: each may cost a signature and a key exchange, some 0.1 ms.
 pub const HANDSHAKES_MAX: usize = 8;
+/// Shortest time between two looks at the openers' sockets.
+pub const LOOK_EVERY: SimTime = SimTime::from_millis(1);
+/// The time between two looks is at least this long for each opener. A look takes some 0.2 µs for each, so that idle
+/// strangers in any number take 4 % of a processor.
+const LOOK_EVERY_FOR_EACH: SimTime = SimTime::from_micros(5);
 /// Most closed streams whose last words are under way.
 pub const LEAVING_MAX: usize = 64;
 /// One of so many files that the process may open is an opener's at most: scenes and recordings need some, too.
@@ -94,8 +100,10 @@ pub struct TlsHostStreams {
     /// By their numbers, and so by their age.
     openers: BTreeMap<u64, Opener>,
     openers_max: usize,
-    /// The opener whose handshake was moved on last: the next ones have their turn first.
-    moved_on: u64,
+    /// Openers that were ready at the last look and have not had their turn, the newest last: it comes first, since those
+    /// who make others wait are older. The next look comes when all have had their turn.
+    ready: Vec<u64>,
+    next_look: SimTime,
     streams: BTreeMap<StreamId, Stream>,
     leaving: Leaving,
     next_number: u64,
@@ -143,7 +151,8 @@ impl TlsHostStreams {
             datagrams,
             openers: BTreeMap::new(),
             openers_max: usize::try_from(files).unwrap_or(OPENERS_MAX).clamp(1, OPENERS_MAX),
-            moved_on: 0,
+            ready: Vec::new(),
+            next_look: SimTime::ZERO,
             streams: BTreeMap::new(),
             leaving: Leaving::new(LEAVING_MAX),
             next_number: 0,
@@ -172,15 +181,20 @@ impl TlsHostStreams {
         self.streams.len()
     }
 
-    /// Appends what a driver may wait for before it calls `work` and `receive` again. A stream from which `receive` gave
-    /// as many bytes as were asked for may have more, of which the system does not know.
+    /// Appends what a driver may wait for before it calls `work` and `receive` again, until [`Self::due`]. A stream from
+    /// which `receive` gave as many bytes as were asked for may have more, of which the system does not know.
     pub fn wake_on<'a>(&'a self, into: &mut Vec<PollFd<'a>>) {
         if !self.is_short_of_files {
             into.push(PollFd::new(&self.listener, PollFlags::IN));
         }
-        into.extend(self.openers.values().map(|opener| opener.socket.poll_fd()));
         let streams = self.streams.values().filter(|stream| stream.socket.over().is_none());
         into.extend(streams.map(|stream| stream.socket.poll_fd()));
+    }
+
+    /// When `work` is due although no socket of [`Self::wake_on`] is ready; `None` as long as nobody opens or leaves.
+    pub fn due(&self) -> Option<SimTime> {
+        let is_busy = !self.openers.is_empty() || !self.leaving.is_empty() || self.is_short_of_files;
+        is_busy.then_some(self.next_look)
     }
 
     fn accept(&mut self, now: SimTime) {
@@ -231,7 +245,12 @@ impl TlsHostStreams {
         }
     }
 
-    fn shake_hands(&mut self, opened: &mut Vec<StreamId>) {
+    fn look(&mut self, now: SimTime) {
+        if now < self.next_look || !self.ready.is_empty() {
+            return;
+        }
+        let for_all = SimTime(LOOK_EVERY_FOR_EACH.0 * self.openers.len() as u64);
+        self.next_look = now + for_all.max(LOOK_EVERY);
         if self.openers.is_empty() {
             return;
         }
@@ -241,17 +260,20 @@ impl TlsHostStreams {
             return;
         }
         let numbers = self.openers.keys().zip(&sockets);
-        let ready: Vec<u64> =
-            numbers.filter(|(_, socket)| !socket.revents().is_empty()).map(|(number, _)| *number).collect();
-        let next = ready.partition_point(|number| *number <= self.moved_on);
-        for number in ready[next..].iter().chain(&ready[..next]).take(HANDSHAKES_MAX) {
-            self.moved_on = *number;
-            let Some(opener) = self.openers.get_mut(number) else { continue };
+        let ready = numbers.filter(|(_, socket)| !socket.revents().is_empty()).map(|(number, _)| *number);
+        self.ready = ready.collect();
+    }
+
+    fn shake_hands(&mut self, opened: &mut Vec<StreamId>) {
+        for _ in 0..HANDSHAKES_MAX {
+            let Some(number) = self.ready.pop() else { return };
+            // It may have been dropped meanwhile.
+            let Some(opener) = self.openers.get_mut(&number) else { continue };
             match opener.socket.shake_hands() {
                 Ok(false) => {}
-                Ok(true) => opened.extend(self.open(*number)),
+                Ok(true) => opened.extend(self.open(number)),
                 Err(_) => {
-                    self.openers.remove(number);
+                    self.openers.remove(&number);
                     self.counts.failed += 1;
                 }
             }
@@ -292,6 +314,7 @@ impl HostStreams for TlsHostStreams {
     fn work(&mut self, now: SimTime, opened: &mut Vec<StreamId>) {
         self.end_slow_openers(now);
         self.accept(now);
+        self.look(now);
         self.shake_hands(opened);
         for stream in self.streams.values_mut() {
             stream.socket.flush();
