@@ -83,16 +83,19 @@ fn a_thousand_slow_openers_do_not_keep_a_station_out() {
     for stranger in slow.iter_mut().skip(1).step_by(3) {
         stranger.write_all(&hello[..hello.len() / 2]).expect("writes");
     }
-    let mut said = 0;
+    let (mut said, mut next_byte) = (0, clock.now());
     let mut station = host.station(&[]);
     let begun = Instant::now();
     station.connect(clock.now());
     host.opened.clear();
     let stream = clock.wait("a stream", |now| {
-        for stranger in slow.iter_mut().skip(2).step_by(3) {
-            stranger.write_all(&hello[said..=said]).expect("writes");
+        if now >= next_byte {
+            for stranger in slow.iter_mut().skip(2).step_by(3) {
+                stranger.write_all(&hello[said..=said]).expect("writes");
+            }
+            said += usize::from(said + 2 < hello.len());
+            next_byte = now + SimTime::from_millis(5);
         }
-        said += usize::from(said + 2 < hello.len());
         host.work(now);
         (station.work(now) == StreamState::Open).then(|| host.opened.pop()).flatten()
     });

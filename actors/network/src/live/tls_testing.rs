@@ -1,7 +1,7 @@
 //! Hosts and stations on the loopback, for the tests of the streams.
 
 use std::cell::Cell;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -114,10 +114,19 @@ pub fn failure(clock: &Clock, station: &mut TlsStationStream, mut host: Option<&
     })
 }
 
-/// An address of this machine at which nobody listens.
-pub fn nobody() -> SocketAddr {
-    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("some port is free");
-    listener.local_addr().expect("it is bound")
+/// An address of this machine at which nobody listens: somebody has it, and takes no connections.
+pub struct Nobody {
+    pub address: SocketAddr,
+    _socket: Socket,
+}
+
+impl Nobody {
+    pub fn new() -> Self {
+        let socket = Socket::new(Domain::IPV4, Type::STREAM, None).expect("a socket");
+        socket.bind(&SocketAddr::from((Ipv4Addr::LOCALHOST, 0)).into()).expect("some port is free");
+        let address = socket.local_addr().expect("it is bound");
+        Self { address: address.as_socket().expect("of the internet"), _socket: socket }
+    }
 }
 
 /// An address that answers nothing: its listener has as many connections as the system keeps for it, so that the system
