@@ -462,7 +462,7 @@ pub enum SchemaOf {
     Bench,
 }
 
-fn hand(text: &str) -> Result<(String, String), String> {
+pub fn hand(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, spec)) if !name.is_empty() && !spec.is_empty() => Ok((name.to_owned(), spec.to_owned())),
         _ => Err("NAME=SPEC is expected, such as left=virtual".to_owned()),

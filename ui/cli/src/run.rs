@@ -10,6 +10,7 @@ use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::session::{doubts, forecast};
+use trocar::tuning::{Tuner, TuningSets};
 use trocar::summary::{BY_THE_PROGRAM, Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::recorder::Recording;
@@ -113,9 +114,9 @@ fn told(args: &RunArgs, outcome: Result<(RunSummary, Exit), Failure>) -> Result<
 }
 
 /// The scenario of the command line, or that of the host that was joined.
-fn scenario(app: &App, args: &RunArgs, network: &Network) -> Result<(Scenario, Option<Tuner>), Failure> {
+fn scenario(app: &App, args: &RunArgs, network: &Network) -> Result<(Scenario, Tuner), Failure> {
     match network.station() {
-        Some(station) => Ok((station.scenario.clone(), None)),
+        Some(station) => Ok((station.scenario.clone(), Tuner::new(TuningSets::default()))),
         None => tune::scenario(app, &args.session),
     }
 }

@@ -125,5 +125,3 @@ pub use nalgebra;
 pub use trocar_devices as devices;
 #[doc(no_inline)]
 pub use trocar_kernel as kernel;
-#[doc(no_inline)]
-

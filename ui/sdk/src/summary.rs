@@ -6,10 +6,10 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-pub use trocar_network::control::ExitClass;
-use trocar_kernel::bench::{Better, Row as BenchResult};
+pub use trocar_kernel::bench::{Better, Row as BenchResult};
 pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Hits, Quantiles};
 use trocar_kernel::spec::FaultKind;
+use trocar_network::control::ExitClass;
 pub use trocar_scene::components::ScoreKind;
 
 /// Version of the objects in this file; it rises when a field changes its meaning or is removed.

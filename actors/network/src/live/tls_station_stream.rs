@@ -136,7 +136,11 @@ impl TlsStationStream {
 }
 
 /// A stream that has ended is told by `receive`, after its last bytes, and then by `work`; until then `send` takes nothing.
-impl StationStream for TlsStationStream {
+impl StationStream<SocketAddr> for TlsStationStream {
+    fn peer(&self) -> Option<SocketAddr> {
+        self.address
+    }
+
     fn connect(&mut self, now: SimTime) {
         self.close();
         self.address = None;

@@ -248,14 +248,16 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         if let Err(closed) = received {
             link.control.broke(&closed.0, now);
         }
-        if link.opened.is_none()
-            && let Some(admitted) = link.control.admitted().copied()
-            && link.control.state() != HostState::Ended
-        {
+        let admitted = link.control.admitted().copied();
+        let admitted = admitted.filter(|_| link.opened.is_none() && link.control.state() != HostState::Ended);
+        if let Some(admitted) = admitted {
             link.opened = Some((admitted.connection, admitted.station));
+        }
+        let opened = link.opened;
+        if let Some(admitted) = admitted {
             self.open(stream, admitted.connection, admitted.station, now);
         }
-        if let Some((id, station)) = link.opened
+        if let Some((id, station)) = opened
             && let Some(phase) = self.members.take_rekeyed(station)
             && let Some(keys) = self.streams.keys(stream, id, phase)
         {
