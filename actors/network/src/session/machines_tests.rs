@@ -83,7 +83,7 @@ struct Bench {
 
 fn remote_hand(at_x: f64) -> (RemoteHand, crate::remote_hand::StationEnd) {
     let mut config = VirtualHandConfig::default();
-    config.home_in_device.translation.vector.x += at_x;
+    config.start_in_device.translation.vector.x += at_x;
     let local = Box::new(VirtualHand::new(config).expect("a valid hand"));
     let (mut hand, end) = RemoteHand::over(0, DoorLimits::default(), local).expect("valid limits");
     hand.open(0).expect("it opens");

@@ -18,6 +18,8 @@
 //! network on them.
 
 mod host;
+#[cfg(test)]
+mod lockstep_tests;
 mod part;
 mod station;
 
