@@ -10,7 +10,7 @@ use trocar::run::{Progress, RunOptions};
 use trocar::session::{doubts, frozen_now};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{DeviceState, Hand, Measured, Snapshot, TaskState};
+use trocar_scene::{DeviceState, Hand, LinkState, Measured, Snapshot, Station, TaskState};
 
 use crate::escape::printable;
 use crate::output::columns;
@@ -153,6 +153,7 @@ fn table(
         let force = progress.scene.get::<DeviceState>(entity)?.applied_force.norm();
         Some(format!("{:<5} {:>5.2} N {}", hand.side.as_str(), force, gauge(force)))
     }));
+    lines.extend(stations(progress.scene));
     lines.extend(waiting(progress.scene).map(|(body, share)| {
         format!(
             "{}: its inverse is being computed  {} {:>3.0} %",
@@ -192,6 +193,32 @@ fn rate_row(row: &ControllerReport, before: Option<&(u64, f64)>, now: f64) -> Ve
         row.hits.map_or("–".to_owned(), |hits| hits.now.to_string()),
         row.hits.map_or("–".to_owned(), |hits| format!("{:.1}", hits.mean)),
     ]
+}
+
+/// Who is in a session over a network, and how the links do.
+fn stations(scene: &Snapshot) -> Vec<String> {
+    let own = scene.iter::<Station>().map(|(entity, _)| entity.station()).max().unwrap_or(0);
+    let rows = scene.iter::<Station>().filter(|(entity, _)| entity.station() == own);
+    let line = |(_, station): (_, &Station)| {
+        let name = printable(&station.name);
+        let hands = if station.hands.is_empty() { String::new() } else { format!(" {}", station.hands.join(", ")) };
+        if !station.here {
+            return style(format!("{name}: away{hands}")).yellow().for_stderr().to_string();
+        }
+        let LinkState { round_trip, jitter, loss, age, rate, bytes_received, bytes_sent } = station.link;
+        let seal = if station.protected { "" } else { "  unprotected" };
+        format!(
+            "{name}:{hands}  {:.1} ms round trip ± {:.1}  {:.1} % lost  {:.0} ms old  {rate:.0} Hz  {:.0} kB/s in  \
+             {:.0} kB/s out{seal}",
+            round_trip * 1e3,
+            jitter * 1e3,
+            loss * 100.0,
+            age * 1e3,
+            bytes_received * 1e-3,
+            bytes_sent * 1e-3,
+        )
+    };
+    rows.map(line).collect()
 }
 
 /// Bodies that wait for a precomputation, and the share of it that is done.

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, Snapshot, TaskState,
+    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, Snapshot, Station,
+    TaskState,
 };
 
 use crate::decimate::{Series, Track};
@@ -16,6 +17,10 @@ const SERIES_BUCKETS: usize = 1024;
 const TRACK_BUCKETS: usize = 4096;
 /// Width of the first buckets \[s\].
 const INTERVAL_SECS: f64 = 0.005;
+/// Most seconds of a link that are kept: three hours.
+pub const LINK_SECONDS_MAX: usize = 10_800;
+/// Most links that are kept.
+const LINKS_MAX: usize = 64;
 /// Most phases, marks and events that are kept; further ones are counted.
 pub const MARKS_MAX: usize = 4096;
 
@@ -50,6 +55,24 @@ impl Default for HandTrace {
     }
 }
 
+/// A second of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkSecond {
+    /// Time \[s\].
+    pub secs: f64,
+    /// How the link did.
+    pub link: LinkState,
+}
+
+/// A link of a session over a network.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LinkTrace {
+    /// Whether strangers can neither read nor forge what it carries.
+    pub protected: bool,
+    /// Its seconds, the first [`LINK_SECONDS_MAX`] of them.
+    pub seconds: Vec<LinkSecond>,
+}
+
 /// An event at an instant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mark {
@@ -70,6 +93,8 @@ pub struct RunTrace {
     pub outlines: Vec<Outline>,
     /// Hands by side.
     pub hands: BTreeMap<String, HandTrace>,
+    /// Links of a session over a network, by the names of their stations.
+    pub links: BTreeMap<String, LinkTrace>,
     /// Phases of the exercise: when each began.
     pub phases: Vec<Mark>,
     /// Steps done over time.
@@ -118,7 +143,24 @@ impl RunTrace {
         if let Some((_, task)) = scene.iter::<TaskState>().next() {
             self.sample_task(secs, scene, task);
         }
+        self.sample_links(secs, scene);
         self.sample_events(scene);
+    }
+
+    fn sample_links(&mut self, secs: f64, scene: &Snapshot) {
+        // A station also sees its own end of its link, under its own number; the host's row of it comes over the link.
+        let own = scene.iter::<Station>().map(|(entity, _)| entity.station()).max().unwrap_or(0);
+        for (_, station) in scene.iter::<Station>().filter(|(entity, _)| entity.station() == own) {
+            if self.links.len() >= LINKS_MAX && !self.links.contains_key(&station.name) {
+                continue;
+            }
+            let trace = self.links.entry(station.name.clone()).or_default();
+            trace.protected = station.protected;
+            let is_new = trace.seconds.last().is_none_or(|last| last.link != station.link);
+            if is_new && station.link.rate > 0.0 && trace.seconds.len() < LINK_SECONDS_MAX {
+                trace.seconds.push(LinkSecond { secs, link: station.link });
+            }
+        }
     }
 
     fn sample_task(&mut self, secs: f64, scene: &Snapshot, task: &TaskState) {

@@ -1,6 +1,7 @@
 //! The report of a run: one HTML file that needs nothing else, in light and dark.
 
 mod histogram;
+mod network;
 mod page;
 mod paths;
 mod scale;

@@ -179,35 +179,35 @@ pub fn health(report: &Report) -> String {
 }
 
 /// One cell: escaped content and its class.
-struct Cell {
+pub struct Cell {
     html: String,
     class: &'static str,
 }
 
 impl Cell {
-    fn text(text: &str) -> Self {
+    pub fn text(text: &str) -> Self {
         Self { html: escape(text), class: "" }
     }
     /// A sentence, which is wrapped.
     fn words(text: &str) -> Self {
         Self { html: escape(text), class: "words" }
     }
-    fn plain(text: String) -> Self {
+    pub fn plain(text: String) -> Self {
         Self { html: escape(&text), class: "num" }
     }
-    fn number(value: f64) -> Self {
+    pub fn number(value: f64) -> Self {
         Self::plain(short(value))
     }
-    fn count(value: u64) -> Self {
+    pub fn count(value: u64) -> Self {
         Self { html: value.to_string(), class: if value == 0 { "num zero" } else { "num" } }
     }
-    fn warn(mut self) -> Self {
+    pub fn warn(mut self) -> Self {
         self.class = if self.class == "num" { "num warn" } else { "warn" };
         self
     }
 }
 
-fn table(head: &[&str], rows: impl Iterator<Item = Vec<Cell>>, caption: &str) -> String {
+pub fn table(head: &[&str], rows: impl Iterator<Item = Vec<Cell>>, caption: &str) -> String {
     let mut out = String::from("<div class=\"scroll\"><table><thead><tr>");
     for name in head {
         let _ = write!(out, "<th>{}</th>", escape(name));

@@ -5,6 +5,7 @@ mod hands;
 mod help;
 mod icons;
 mod inspect;
+mod network;
 mod result;
 mod session;
 mod task;

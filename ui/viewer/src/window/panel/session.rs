@@ -7,7 +7,7 @@ use super::super::subject::{PlayState, Request};
 use super::super::view_state::{Look, QUALITIES, StereoLayout, SubjectView};
 use crate::overlay::Overlay;
 
-use super::{POOR, SPEEDS, WindowState, Wishes, clock, hands, request_all, task, toggle_play};
+use super::{POOR, SPEEDS, WindowState, Wishes, clock, hands, network, request_all, task, toggle_play};
 
 /// Draws the panel.
 pub(super) fn show(
@@ -30,6 +30,7 @@ pub(super) fn show(
     }
     for subject_view in subject_views.iter() {
         task::show(ui, &subject_view.scene);
+        network::show(ui, &subject_view.scene);
     }
     if state.hands.there {
         ui.separator();
