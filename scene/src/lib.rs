@@ -12,6 +12,7 @@
 extern crate self as trocar_scene;
 
 pub mod access;
+pub mod annotation;
 pub mod column;
 pub mod commands;
 pub mod component;

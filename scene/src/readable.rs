@@ -1,4 +1,4 @@
-//! Numbers as text for people: few digits, SI prefixes, groups of three.
+//! Text for people: numbers with few digits, SI prefixes, groups of three; and which characters are no text.
 //!
 //! ```
 //! use trocar_scene::readable::{number, quantity};
@@ -61,6 +61,14 @@ pub fn given(value: f64) -> String {
     let text = value.to_string();
     let is_tiny = value != 0.0 && value.abs() < IN_DIGITS.start;
     if is_tiny || text.len() > GIVEN_MAX { format!("{value:e}") } else { text }
+}
+
+/// Whether a character is shown nowhere, or changes how its neighbours are shown. Texts from outside must not have one:
+/// it could make a text look like another one.
+#[must_use]
+pub fn is_hidden(character: char) -> bool {
+    matches!(character, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
+        || character.is_control()
 }
 
 /// Factor and letter of the prefix for this magnitude.

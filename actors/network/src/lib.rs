@@ -4,6 +4,7 @@
 //! want to be asked again. Two drivers move the bytes: `live` over sockets, on a thread of its own, and `lockstep` over
 //! links inside the process, in virtual time with the same bits every time.
 
+pub mod annotation;
 pub mod compensation;
 pub mod control;
 pub mod datagram;

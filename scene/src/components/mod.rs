@@ -1,5 +1,6 @@
 //! The standard components: those of surgical scenes.
 
+pub mod annotation;
 pub mod contact;
 pub mod deformation;
 pub mod device;
@@ -13,10 +14,15 @@ pub mod particles;
 pub mod person;
 pub mod shape;
 pub mod station;
-mod task;
+pub mod surface_place;
+pub mod task;
 pub mod virtual_fixture;
 pub mod visual;
 
+pub use annotation::{
+    LABEL_TEXT_MAX, LABELS_MAX, MentorLabel, MentorPointer, MentorStroke, PictureFreeze, SECTION_PLACES_MAX,
+    SECTIONS_MAX, SIGNATURE_NAME_MAX, STROKE_WIDTH_MAX, Signature, TakeOverRequest, TakeOverStep,
+};
 pub use contact::{Collision, CollisionList, Detection, Primitive};
 pub use deformation::{
     Anchors, Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Region, RestPositions,
@@ -39,6 +45,7 @@ pub use particles::{PARTICLES_MAX, ParticleKind, Particles};
 pub use person::{PERSON_TOTAL_MAX, PersonAction, PersonActions, PersonHand, PersonInput, PersonView};
 pub use shape::Shape;
 pub use station::{LinkState, Station, StationRole};
+pub use surface_place::{PLACE_REACH_MAX, SurfacePlace, SurfacePoint};
 pub use task::{Measured, OUTCOME, PEG_TRANSFER, ScoreKind, TaskError, TaskState, VitalSigns};
 pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
@@ -60,6 +67,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
         Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
         CollisionList, TaskState, Measured, VitalSigns, Station,
+        MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest,
     )?;
     Ok(())
 }

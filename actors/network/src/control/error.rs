@@ -10,6 +10,7 @@ use super::frame::FrameError;
 use super::keep_alive::SILENCE_MAX;
 use super::manifest::CountsDiffer;
 use super::message_error::MessageError;
+use super::note::NoteRefusal;
 use super::outbox::OutboxError;
 use super::plain_text::PlainText;
 use crate::ticket::{PlainName, Refused, Role};
@@ -128,6 +129,9 @@ pub enum Refusal {
     /// The host has a trouble of its own.
     #[error("the host cannot do it now: {0}")]
     HostTrouble(PlainText),
+    /// What the station shows cannot be shown.
+    #[error(transparent)]
+    Note(#[from] NoteRefusal),
 }
 
 impl Refusal {
@@ -141,7 +145,9 @@ impl Refusal {
             Self::OtherRegistry(_) => ExitClass::Protocol,
             Self::ScenarioDiffers { .. } => ExitClass::Scenario,
             Self::HandUnknown { .. } | Self::NameTaken { .. } => ExitClass::Usage,
-            Self::HandTaken { .. } | Self::SessionFull { .. } | Self::HostTrouble(_) => ExitClass::Later,
+            Self::HandTaken { .. } | Self::SessionFull { .. } | Self::HostTrouble(_) | Self::Note(_) => {
+                ExitClass::Later
+            }
         }
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use proptest::prelude::*;
-use trocar_scene::{Entity, Revision, SimTime};
+use trocar_scene::{Entity, Revision, SimTime, SurfacePlace, SurfacePoint};
 
 use super::client::ClientState;
 use super::error::{ControlError, Goodbye};
@@ -11,7 +11,7 @@ use super::frame::{FRAME_MAX, FrameError, OPENING_MAX};
 use super::host::{FORBIDDEN_MAX, HostControl, HostState, JOIN_TIME_MAX, OPENING_TIME_MAX, SendError};
 use super::keep_alive::Ping;
 use super::message::{ClientMessage, DELTA_MAX, HostMessage, Request, RequestKind};
-use super::note::{NoteKind, SurfacePlace, TakeOver};
+use super::note::{NoteKind, TakeOver};
 use super::outbox::{STALLED_MAX, WAITING_MAX};
 use super::plain_text::PlainText;
 use super::session_testing::{Pair, TestSession, ms, name, ticket, wish};
@@ -88,7 +88,11 @@ fn notes_carry_the_station_that_sent_them_and_only_a_mentor_asks_for_an_instrume
     let mut pair = Pair::new(TestSession::new(10), ticket(3), wish("Mona", &[]));
     pair.join();
     let now = pair.now;
-    let place = SurfacePlace { entity: Entity::new(0, 0, 4), triangle: 8, barycentric: [0.5, 0.25, 0.25] };
+    let on = |barycentric| SurfacePlace {
+        entity: Entity::new(0, 0, 4),
+        on: SurfacePoint::Triangle { corners: [7, 8, 9], barycentric },
+    };
+    let place = on([0.5, 0.25, 0.25]);
     let label = NoteKind::Label { label: 1, place, text: PlainText::new("cut here") };
     pair.client.request(RequestKind::Note(label), now).expect("it runs");
     pair.client
@@ -98,8 +102,8 @@ fn notes_carry_the_station_that_sent_them_and_only_a_mentor_asks_for_an_instrume
     let heard = &pair.session.heard;
     assert!(heard[2].starts_with("Note { station: 100") && heard[2].contains("cut here"), "{heard:?}");
     assert!(heard[4].contains("step: Ask"), "{heard:?}");
-    let astray = SurfacePlace { barycentric: [f32::NAN; 3], ..place };
-    let refused = pair.client.request(RequestKind::Note(NoteKind::Pointer(Some(astray))), now);
+    let astray = NoteKind::Pointer(Some(on([f32::NAN; 3])));
+    let refused = pair.client.request(RequestKind::Note(astray), now);
     assert!(matches!(refused, Err(SendError::Message(_))), "{refused:?}");
 
     let mut pair = Pair::operating();

@@ -81,7 +81,7 @@ pub use message::{
     STATIONS_MAX, SessionInfo, StationInfo, Welcome, Wish,
 };
 pub use message_error::MessageError;
-pub use note::{Note, NoteKind, STROKE_PLACES_MAX, STROKE_WIDTH_MAX, SurfacePlace, TakeOver};
+pub use note::{Note, NoteKind, NoteRefusal, STROKE_PLACES_MAX, TakeOver};
 pub use outbox::{Outbox, OutboxError, STALLED_MAX, WAITING_MAX};
 pub use plain_text::{PlainText, TEXT_MAX};
 pub use roster::{AWAY_TIME_MAX, Arrival, Roster};

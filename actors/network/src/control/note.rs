@@ -1,39 +1,15 @@
 //! Telementoring: what stations show one another in the scene, and the hand-over of an instrument.
 
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Entity, SimTime};
+use thiserror::Error;
+use trocar_scene::{STROKE_WIDTH_MAX, SimTime, SurfacePlace};
 
 use super::message_error::MessageError;
 use super::plain_text::PlainText;
-use crate::ticket::Role;
+use crate::ticket::{PlainName, Role};
 
 /// Most places of a stroke in one note; a longer stroke continues in the next note.
 pub const STROKE_PLACES_MAX: usize = 256;
-/// Greatest width of a stroke \[m\].
-pub const STROKE_WIDTH_MAX: f32 = 0.05;
-/// How far the sum of barycentric coordinates may be from one, and each of them below zero.
-const BARYCENTRIC_TOLERANCE: f32 = 1e-3;
-
-/// A place on a surface that moves with it: it sticks to the tissue, whatever the tissue does.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SurfacePlace {
-    /// The body.
-    pub entity: Entity,
-    /// Triangle of its surface mesh.
-    pub triangle: u32,
-    /// Weights of the triangle's vertices: each 0 to 1, with the sum 1.
-    pub barycentric: [f32; 3],
-}
-
-impl SurfacePlace {
-    fn is_valid(&self) -> bool {
-        // A comparison with NaN is false, so that NaN is refused.
-        let is_inside =
-            |weight: &f32| *weight >= -BARYCENTRIC_TOLERANCE && *weight <= 1.0 + BARYCENTRIC_TOLERANCE;
-        let sum: f32 = self.barycentric.iter().sum();
-        self.barycentric.iter().all(is_inside) && (sum - 1.0).abs() <= BARYCENTRIC_TOLERANCE
-    }
-}
 
 /// A note, with who and when. The host fills in both, so that no station speaks for another one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -90,6 +66,64 @@ pub enum NoteKind {
         /// The step.
         step: TakeOver,
     },
+    /// All strokes and labels of a station are taken away; without a number those of all stations. What is not its own
+    /// only the host clears.
+    Clear {
+        /// Number of the station.
+        station: Option<u16>,
+    },
+}
+
+/// Why a note is not shown. It goes over the wire.
+#[derive(Clone, Debug, PartialEq, Eq, Error, Serialize, Deserialize)]
+pub enum NoteRefusal {
+    /// No place of it is on a surface of the host's scene.
+    #[error("there is no such surface any more: it was cut, or is gone")]
+    NoSurface,
+    /// No room for the stroke.
+    #[error("the strokes of the scene have {most} sections already; erase some")]
+    StrokesFull {
+        /// How many fit.
+        most: u16,
+    },
+    /// No room for the label.
+    #[error("the scene has {most} labels already; take one away")]
+    LabelsFull {
+        /// How many fit.
+        most: u16,
+    },
+    /// A label without text.
+    #[error("the label has no text")]
+    NoText,
+    /// Somebody has frozen the picture already.
+    #[error("'{by}' has frozen the picture already")]
+    Frozen {
+        /// Name of the station.
+        by: PlainText,
+    },
+    /// A station that is not the host wants to clear what others drew.
+    #[error("a station clears its own strokes and labels; the host clears those of others")]
+    NotOwn,
+    /// The instrument is the station's own.
+    #[error("the hand '{hand}' is served by this station itself, which need not ask for it")]
+    OwnHand {
+        /// Name of the hand.
+        hand: PlainName,
+    },
+    /// Somebody else asks for it, or has it.
+    #[error("the instrument of the hand '{hand}' is with '{by}', or asked for; wait until it is given back")]
+    HandAsked {
+        /// Name of the hand.
+        hand: PlainName,
+        /// Name of who asks, or has it.
+        by: PlainText,
+    },
+    /// There is nothing to answer, or to give back.
+    #[error("nobody asks for the instrument of the hand '{hand}', or has taken it over")]
+    NotAsked {
+        /// Name of the hand.
+        hand: PlainName,
+    },
 }
 
 /// The steps of a hand-over.
@@ -126,6 +160,7 @@ impl NoteKind {
             Self::Freeze(_) => "freeze the picture",
             Self::TakeOver { step: TakeOver::Ask, .. } => "take over an instrument",
             Self::TakeOver { .. } => "hand an instrument over",
+            Self::Clear { .. } => "clear strokes and labels",
         }
     }
 
@@ -147,43 +182,77 @@ impl NoteKind {
                 places
             }
             Self::Label { place, .. } => std::slice::from_ref(place),
-            Self::Erase { .. } | Self::Unlabel { .. } | Self::Freeze(_) | Self::TakeOver { .. } => &[],
+            Self::Erase { .. }
+            | Self::Unlabel { .. }
+            | Self::Freeze(_)
+            | Self::TakeOver { .. }
+            | Self::Clear { .. } => &[],
         };
-        let are_valid = places.iter().all(SurfacePlace::is_valid);
+        let are_valid = places.iter().all(|place| place.check().is_ok());
         if are_valid { Ok(()) } else { Err(MessageError::Number("place on a surface")) }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use trocar_scene::{Entity, SurfacePoint};
+
     use super::*;
+    use crate::control::TEXT_MAX;
 
     fn place(barycentric: [f32; 3]) -> SurfacePlace {
-        SurfacePlace { entity: Entity::new(0, 0, 7), triangle: 3, barycentric }
+        let on = SurfacePoint::Triangle { corners: [u32::MAX, 1, u32::MAX - 1], barycentric };
+        SurfacePlace { entity: Entity::new(u16::MAX, 0, 7), on }
+    }
+
+    fn on_body(point: [f32; 3], normal: [f32; 3]) -> SurfacePlace {
+        SurfacePlace { entity: Entity::new(u16::MAX, 0, 7), on: SurfacePoint::Body { point, normal } }
+    }
+
+    fn stroke(count: usize, width: f32, place: SurfacePlace) -> NoteKind {
+        NoteKind::Stroke { stroke: 1, colour: [255, 0, 0], width, places: vec![place; count] }
     }
 
     #[test]
-    fn a_place_outside_its_triangle_or_without_number_is_refused() {
+    fn a_place_that_is_on_no_surface_is_refused_in_every_note_that_has_one() {
         assert_eq!(NoteKind::Pointer(Some(place([0.2, 0.3, 0.5]))).check(), Ok(()));
-        for weights in [[f32::NAN, 0.5, 0.5], [0.5, 0.5, 0.5], [-1.0, 1.0, 1.0], [f32::INFINITY, 0.0, 0.0]] {
-            assert!(NoteKind::Pointer(Some(place(weights))).check().is_err(), "{weights:?}");
+        for astray in [
+            place([f32::NAN, 0.5, 0.5]),
+            place([0.5, 0.5, 0.5]),
+            on_body([0.0, 1e3, 0.0], [0.0, 0.0, 1.0]),
+            on_body([0.0; 3], [f32::NAN, 0.0, 1.0]),
+        ] {
+            let label = NoteKind::Label { label: 1, place: astray, text: PlainText::new("cut") };
+            for note in [NoteKind::Pointer(Some(astray)), stroke(1, 0.001, astray), label] {
+                assert_eq!(note.check(), Err(MessageError::Number("place on a surface")), "{note:?}");
+            }
         }
     }
 
     #[test]
     fn strokes_are_bounded_in_length_and_width() {
-        let stroke = |count: usize, width| NoteKind::Stroke {
-            stroke: 1,
-            colour: [255, 0, 0],
-            width,
-            places: vec![place([1.0, 0.0, 0.0]); count],
-        };
+        let stroke = |count, width| stroke(count, width, place([1.0, 0.0, 0.0]));
         assert_eq!(stroke(STROKE_PLACES_MAX, 0.001).check(), Ok(()));
         for bad in
             [stroke(0, 0.001), stroke(STROKE_PLACES_MAX + 1, 0.001), stroke(1, f32::NAN), stroke(1, 0.0)]
         {
             assert!(bad.check().is_err(), "{bad:?}");
         }
+    }
+
+    #[test]
+    fn the_longest_notes_are_short_messages() {
+        let bytes = |what| {
+            let note = Note { station: u16::MAX, at: SimTime(u64::MAX), what };
+            postcard::to_stdvec(&note).expect("it encodes").len()
+        };
+        // Twelve bytes of weights, up to fifteen of vertices, or twenty-four of a point with its normal; and the entity.
+        let triangle = bytes(stroke(STROKE_PLACES_MAX, 0.001, place([0.2, 0.3, 0.5])));
+        let body = bytes(stroke(STROKE_PLACES_MAX, 0.001, on_body([0.1; 3], [0.0, 0.0, 1.0])));
+        assert!(triangle.max(body) <= STROKE_PLACES_MAX * 38 + 64, "{triangle} {body}");
+        let text = PlainText::new("x".repeat(TEXT_MAX));
+        let label = bytes(NoteKind::Label { label: u32::MAX, place: place([0.2, 0.3, 0.5]), text });
+        assert!(label <= TEXT_MAX + 64, "{label}");
     }
 
     #[test]

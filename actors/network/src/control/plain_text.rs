@@ -3,8 +3,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-
-use crate::ticket::plain_name::is_hidden;
+use trocar_scene::readable::is_hidden;
 
 /// Most bytes of a text, in UTF-8.
 pub const TEXT_MAX: usize = 256;

@@ -22,7 +22,7 @@ mod fingerprint;
 mod host_address;
 mod identity;
 mod join_ticket;
-pub(crate) mod plain_name;
+mod plain_name;
 pub mod private_file;
 mod refused;
 mod role;

@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use trocar_scene::readable::is_hidden;
 
 /// Most bytes of a name, in UTF-8.
 pub const NAME_MAX: usize = 64;
@@ -36,12 +37,6 @@ impl PlainName {
     pub fn as_str(&self) -> &str {
         &self.0
     }
-}
-
-/// Whether a character is shown nowhere, or changes how its neighbours are shown.
-pub(crate) fn is_hidden(character: char) -> bool {
-    matches!(character, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
-        || character.is_control()
 }
 
 impl FromStr for PlainName {
