@@ -136,6 +136,24 @@ impl Snapshot {
             *slot = Arc::new(column);
         }
     }
+    /// Shows the whole column of a component as it is in another snapshot of the session, for display only: rows of a later
+    /// time in an earlier scene. Returns whether that is another column than before; see [`Self::renumber`].
+    pub fn show_column<T: Component>(&mut self, from: &Self) -> bool {
+        let Some(id) = self.registry.id::<T>().filter(|_| Arc::ptr_eq(&self.registry, &from.registry)) else {
+            return false;
+        };
+        let (own, other) = (&mut self.columns[usize::from(id.0)], &from.columns[usize::from(id.0)]);
+        let differs = !Arc::ptr_eq(own, other);
+        if differs {
+            own.clone_from(other);
+        }
+        differs
+    }
+    /// Sets [`Snapshot::retouches`], for display only: with a lower number than that of the snapshot shown before, viewers
+    /// look at everything anew.
+    pub fn renumber(&mut self, number: u64) {
+        self.retouches = number;
+    }
     /// Name of the component of a soft body's method, and the body's abilities; `None` for other entities.
     pub fn soft_body(&self, entity: Entity) -> Option<(&'static str, SoftAbilities)> {
         let all = self.registry.soft_bodies().iter();

@@ -7,7 +7,9 @@ use trocar_scene::output_file::{self, Claim};
 use trocar_scene::{SimTime, Snapshot};
 use trocar_viewer::draw_list::DrawList;
 use trocar_viewer::layout::TileView;
-use trocar_viewer::{Film, Layout, Motion, OffscreenRenderer, Overlays, Picture, Quality, View, ViewError};
+use trocar_viewer::{
+    Film, Layout, Motion, OffscreenRenderer, Overlays, Picture, Quality, StillPicture, View, ViewError,
+};
 
 use crate::args::{PictureArgs, PictureQuality, StereoLayout};
 use crate::failure::Failure;
@@ -23,6 +25,7 @@ pub struct Photographer {
     picture: Option<Claim>,
     film: Option<(Film, PathBuf)>,
     motion: Motion,
+    still: StillPicture,
     frame: SimTime,
     next: SimTime,
     failed: Option<ViewError>,
@@ -91,6 +94,7 @@ impl Photographer {
             picture,
             film,
             motion: Motion::new(),
+            still: StillPicture::new(),
             frame: SimTime::from_secs_f64(1.0 / args.frames_per_second),
             next: SimTime::ZERO,
             failed: None,
@@ -100,7 +104,9 @@ impl Photographer {
     /// Adds the frames that are due to the film. Frequent calls also capture the past that slow overlays such as trails
     /// show.
     pub fn look(&mut self, scene: &Snapshot, now: SimTime) {
-        self.renderer.renderer_mut().watch(scene);
+        if !self.still.is_held() {
+            self.renderer.renderer_mut().watch(scene);
+        }
         if self.film.is_none() || self.failed.is_some() {
             return;
         }
@@ -109,6 +115,7 @@ impl Photographer {
             return;
         }
         let Some(shown) = self.motion.at(now) else { return };
+        let shown = self.still.show(&shown);
         let taken = self.take(&shown);
         let Some((film, _)) = &mut self.film else { return };
         let mut shot = Ok(());
@@ -156,7 +163,8 @@ impl Photographer {
         }
         if let Some(claim) = self.picture.take() {
             let file = claim.file().display().to_string();
-            let png = self.take(scene).and_then(|picture| picture.png());
+            let shown = self.still.show(scene);
+            let png = self.take(&shown).and_then(|picture| picture.png());
             match png.and_then(|png| Ok(claim.write(&png)?)) {
                 Ok(()) => summary.pictures.push(file),
                 Err(error) => lost.push(format!("no picture: {error}")),

@@ -1,7 +1,7 @@
-//! Draws text into pictures: legends and names.
+//! Draws text into pictures: legends, names, captions, lines at the top, and the frame of a picture that stands still.
 
 use egui::epaint::{Color32, CornerRadius, FontId, Pos2, Rect, Vec2};
-use egui::{Align2, Context, LayerId, RawInput};
+use egui::{Align2, Context, LayerId, Painter, RawInput, Stroke, StrokeKind};
 use egui_wgpu::{Renderer, RendererOptions, ScreenDescriptor};
 
 use crate::gpu::Gpu;
@@ -15,7 +15,19 @@ pub struct Note<'a> {
     pub legends: &'a [Legend],
     /// Labels, with the position of their middle in the pane, from 0 (left, top) to 1.
     pub labels: Vec<([f64; 2], &'a str)>,
+    /// Captions, with the position in the pane that they stand above.
+    pub captions: Vec<([f64; 2], &'a str)>,
+    /// Lines at the top.
+    pub banner: &'a [String],
+    /// Whether the pane has a frame: it stands still.
+    pub is_framed: bool,
 }
+
+/// Letters, and the plate behind them.
+const INK: Color32 = Color32::from_rgb(250, 250, 235);
+const PLATE: Color32 = Color32::from_black_alpha(120);
+/// The frame of a picture that stands still, and the letters of the lines at the top.
+const FRAME: Color32 = Color32::from_rgb(120, 200, 255);
 
 /// Draws text into pictures of one format.
 pub struct Annotator {
@@ -57,15 +69,26 @@ impl Annotator {
                 let [left, top, wide, high] = note.pane.map(|pixels| pixels as f32);
                 let pane = Rect::from_min_size(Pos2::new(left, top), Vec2::new(wide, high));
                 let painter = painter.with_clip_rect(pane);
-                let font = FontId::proportional(0.9 * legend::letters(high));
-                for ([x, y], words) in &note.labels {
-                    let at = pane.lerp_inside(Vec2::new(*x as f32, *y as f32)).round();
-                    let ink = Color32::from_rgb(250, 250, 235);
-                    let text = painter.layout_no_wrap((*words).to_owned(), font.clone(), ink);
-                    let place = Align2::CENTER_CENTER.anchor_size(at, text.size());
-                    let back = Color32::from_black_alpha(120);
-                    painter.rect_filled(place.expand(2.0), CornerRadius::same(2), back);
-                    painter.galley(place.min.round(), text, ink);
+                let letters = legend::letters(high);
+                let font = FontId::proportional(0.9 * letters);
+                let at = |[x, y]: [f64; 2]| pane.lerp_inside(Vec2::new(x as f32, y as f32)).round();
+                for (place, words) in &note.labels {
+                    write(&painter, at(*place), Align2::CENTER_CENTER, words, &font, INK);
+                }
+                for (place, words) in &note.captions {
+                    let above = at(*place) - Vec2::new(0.0, (0.7 * letters).round());
+                    write(&painter, above, Align2::CENTER_BOTTOM, words, &font, INK);
+                }
+                if note.is_framed {
+                    let width = (0.25 * letters).round().max(2.0);
+                    let stroke = Stroke::new(width, FRAME);
+                    painter.rect_stroke(pane, CornerRadius::ZERO, stroke, StrokeKind::Inside);
+                }
+                let font = FontId::proportional(1.2 * letters);
+                let mut top = pane.center_top() + Vec2::new(0.0, (0.8 * letters).round());
+                for line in note.banner {
+                    write(&painter, top, Align2::CENTER_TOP, line, &font, FRAME);
+                    top.y += (1.8 * letters).round();
                 }
                 legend::paint(note.legends, &painter, pane);
             }
@@ -97,4 +120,12 @@ impl Annotator {
         }
         output.textures_delta.clear();
     }
+}
+
+/// Writes a text on a dark plate.
+fn write(painter: &Painter, at: Pos2, anchor: Align2, words: &str, font: &FontId, ink: Color32) {
+    let text = painter.layout_no_wrap(words.to_owned(), font.clone(), ink);
+    let place = anchor.anchor_size(at, text.size());
+    painter.rect_filled(place.expand(2.0), CornerRadius::same(2), PLATE);
+    painter.galley(place.min.round(), text, ink);
 }

@@ -2,8 +2,10 @@
 //!
 //! [`Overlays`] selects what is shown and is plain data. The algorithms beside it turn a snapshot into coloured lines,
 //! triangles and spots ([`Sketch`]), into one value per vertex ([`fields`]) and into [`Legend`]s. Overlays that are off
-//! cost nothing: their data is neither computed nor sent.
+//! cost nothing: their data is neither computed nor sent. What persons show one another ([`annotations`]) is always drawn
+//! where it is in the scene, unless it is switched off.
 
+pub mod annotations;
 pub mod boxes;
 pub mod contacts;
 pub mod fields;
@@ -122,7 +124,7 @@ pub struct UnknownOverlay {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Switches(u32);
 
-/// Selection and sizes of overlays. All are off by default.
+/// Selection and sizes of overlays. All but the annotations of persons are off by default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlays {
     /// The switches of [`Overlay::ALL`].
@@ -143,6 +145,8 @@ pub struct Overlays {
     pub line_width: f32,
     /// Whether the picture includes legends; a window may show them elsewhere.
     pub legends: bool,
+    /// Whether pointers, strokes and labels of persons are drawn, and what they ask for is told.
+    pub annotations: bool,
 }
 
 impl Default for Overlays {
@@ -157,6 +161,7 @@ impl Default for Overlays {
             celsius: [20.0, 100.0],
             line_width: 2.0,
             legends: true,
+            annotations: true,
         }
     }
 }
@@ -205,7 +210,12 @@ impl Overlays {
         self.shown.0 ^= bit(overlay);
     }
 
-    /// Whether all are off.
+    /// Whether there is nothing of them in a scene.
+    pub fn show_nothing_of(&self, scene: &Snapshot) -> bool {
+        self.is_empty() && !(self.annotations && annotations::are_there(scene))
+    }
+
+    /// Whether all of [`Overlay::ALL`] are off.
     pub fn is_empty(&self) -> bool {
         self.shown.0 == 0
     }
@@ -240,8 +250,21 @@ pub struct Seen {
     pub fields: Vec<Field>,
     /// Their legends.
     pub legends: Vec<Legend>,
-    /// Names with their positions in world.
+    /// Names with their positions in world: their middle stands there.
     pub labels: Vec<(Point3<f64>, String)>,
+    /// Texts that stand above a position in world.
+    pub captions: Vec<(Point3<f64>, String)>,
+    /// Lines at the top of the picture.
+    pub banner: Vec<String>,
+    /// Whether the picture has a frame, because it stands still.
+    pub frozen: bool,
+}
+
+impl Seen {
+    /// Whether nothing but legends is written into the picture.
+    pub fn has_no_text(&self) -> bool {
+        self.labels.is_empty() && self.captions.is_empty() && self.banner.is_empty() && !self.frozen
+    }
 }
 
 /// Most names drawn.
@@ -273,6 +296,9 @@ pub fn look(overlays: &Overlays, scene: &Snapshot, draw_list: &DrawList, trails:
                 fields::field(overlay, overlays, scene, draw_list, &mut seen);
             }
         }
+    }
+    if overlays.annotations {
+        annotations::draw(scene, overlays.line_width, &mut seen);
     }
     seen
 }

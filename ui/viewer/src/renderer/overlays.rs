@@ -60,7 +60,7 @@ impl OverlayLayer {
     ) {
         let SceneBelow { draw_list, copies, passes, anew } = *below;
         self.watch(overlays, scene);
-        if overlays.is_empty() {
+        if overlays.show_nothing_of(scene) {
             self.seen = None;
             return;
         }
@@ -100,7 +100,7 @@ impl OverlayLayer {
         }
     }
 
-    /// Draws legends and names into the finished picture.
+    /// Draws legends, names, captions and lines of text into the finished picture.
     pub(super) fn annotate(
         &mut self,
         gpu: &Gpu,
@@ -112,7 +112,7 @@ impl OverlayLayer {
     ) {
         let Some((_, seen)) = &self.seen else { return };
         let legends: &[Legend] = if overlays.legends { &seen.legends } else { &[] };
-        if legends.is_empty() && seen.labels.is_empty() {
+        if legends.is_empty() && seen.has_no_text() {
             return;
         }
         let note = |shot: &Shot| {
@@ -121,11 +121,22 @@ impl OverlayLayer {
                 let at = view.onto_lens(view.project(point)?.0);
                 at.iter().all(|share| (0.0..=1.0).contains(share)).then_some(at)
             };
-            let labels =
-                seen.labels.iter().filter_map(|(point, words)| Some((place(point)?, words.as_str())));
+            fn placed<'a>(
+                texts: &'a [(Point3<f64>, String)],
+                place: impl Fn(&Point3<f64>) -> Option<[f64; 2]>,
+            ) -> Vec<([f64; 2], &'a str)> {
+                texts.iter().filter_map(|(point, words)| Some((place(point)?, words.as_str()))).collect()
+            }
             // Both eyes of the first view get the legends; other views do not.
-            let legends = if shot.centre == shots[0].centre { legends } else { &[] };
-            Note { pane: shot.pane.pixels(size), legends, labels: labels.collect() }
+            let is_first = shot.centre == shots[0].centre;
+            Note {
+                pane: shot.pane.pixels(size),
+                legends: if is_first { legends } else { &[] },
+                labels: placed(&seen.labels, place),
+                captions: placed(&seen.captions, place),
+                banner: if is_first { &seen.banner } else { &[] },
+                is_framed: seen.frozen,
+            }
         };
         let notes: Vec<Note<'_>> = shots.iter().map(note).collect();
         if self.annotator.as_ref().is_none_or(|annotator| !annotator.is_for(format)) {

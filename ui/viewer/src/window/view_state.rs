@@ -18,6 +18,7 @@ use crate::pacing::Pace;
 use crate::picture::Picture;
 use crate::quality::Quality;
 use crate::renderer::Renderer;
+use crate::still::StillPicture;
 use crate::view::View;
 
 /// The point of view.
@@ -114,9 +115,11 @@ pub struct SubjectView {
     pub selected: Option<Entity>,
     /// The latest scene.
     pub scene: Arc<Snapshot>,
-    /// The displayed scene: interpolated between the previous and the latest one.
+    /// The displayed scene: interpolated between the previous and the latest one, or that of a moment while the picture is
+    /// frozen.
     shown: Snapshot,
     motion: Motion,
+    still: StillPicture,
     /// Origin of the clock for [`Motion`].
     since: Instant,
     renderer: Renderer,
@@ -145,6 +148,7 @@ impl SubjectView {
             shown: (*scene).clone(),
             scene,
             motion: Motion::new(),
+            still: StillPicture::new(),
             since: Instant::now(),
             renderer,
             target: None,
@@ -188,7 +192,9 @@ impl SubjectView {
         if newer {
             self.scene = scene;
             self.feed();
-            self.renderer.watch(&self.scene);
+            if !self.still.is_held() {
+                self.renderer.watch(&self.scene);
+            }
         }
         if self.selected.is_some_and(|entity| !self.scene.contains(entity)) {
             self.selected = None;
@@ -271,7 +277,7 @@ impl SubjectView {
         let pace = self.quality.map_or(pace, |quality| Pace { quality, scale: 1.0 });
         let now = self.clock();
         if let Some(shown) = self.motion.at(now) {
-            self.shown = shown;
+            self.shown = self.still.show(&shown);
         }
         let fits = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size;
         let target = self.target.take().filter(fits).unwrap_or_else(|| shown_target(gpu, size));
