@@ -2,6 +2,7 @@
 //!
 //! All of these tests run beside each other.
 
+mod annotations;
 mod head_tracked;
 mod looks;
 mod matter;
