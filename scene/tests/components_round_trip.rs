@@ -101,6 +101,7 @@ fn every_component_goes_through_every_format_unchanged() {
     matter_and_looks(&mut formats);
     instruments(&mut formats);
     hands_and_tasks(&mut formats);
+    annotations(&mut formats);
     let registered: BTreeSet<&str> = formats.registry.iter().map(|(_, entry)| entry.name).collect();
     let missing: Vec<_> = registered.difference(&formats.seen).collect();
     assert!(missing.is_empty(), "components without a test: {missing:?}");
@@ -322,6 +323,35 @@ fn instruments(formats: &mut Formats) {
         },
         false,
     );
+}
+
+fn annotations(formats: &mut Formats) {
+    let by = |station| Signature { station, name: "Öztürk 2".to_owned(), at: SimTime(7) };
+    let triangle = SurfacePoint::Triangle { corners: [5, 3, 70_000], barycentric: [0.2, 0.3, 0.5] };
+    let places = [
+        triangle,
+        SurfacePoint::Segment { ends: [2, 1], along: 0.1 },
+        SurfacePoint::Body { point: [0.1, -0.2, 0.3], normal: [0.6, 0.0, -0.8] },
+    ];
+    let places = places.map(|on| SurfacePlace { entity: e(4), on });
+    formats.check(MentorPointer { by: by(3), place: places[0] }, true);
+    formats.check(
+        MentorStroke {
+            by: by(3),
+            stroke: 9,
+            section: 2,
+            colour: [255, 0, 128],
+            width: 0.0015,
+            places: Arc::new(places.to_vec()),
+            gaps: vec![2],
+        },
+        true,
+    );
+    let text = "cut here \"first\"".to_owned();
+    formats.check(MentorLabel { by: by(4), label: 1, place: places[2], text }, true);
+    formats.check(PictureFreeze { by: by(5) }, true);
+    let step = TakeOverStep::Accepted;
+    formats.check(TakeOverRequest { by: by(5), step, answer: Some(by(6)) }, true);
 }
 
 fn hands_and_tasks(formats: &mut Formats) {
