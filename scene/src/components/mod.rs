@@ -1,6 +1,5 @@
 //! The standard components: those of surgical scenes.
 
-pub mod annotation;
 pub mod contact;
 pub mod deformation;
 pub mod device;
@@ -16,13 +15,10 @@ pub mod shape;
 pub mod station;
 pub mod surface_place;
 pub mod task;
+pub mod telementoring;
 pub mod virtual_fixture;
 pub mod visual;
 
-pub use annotation::{
-    LABEL_TEXT_MAX, LABELS_MAX, MentorLabel, MentorPointer, MentorStroke, PictureFreeze, SECTION_PLACES_MAX,
-    SECTIONS_MAX, SIGNATURE_NAME_MAX, STROKE_WIDTH_MAX, Signature, TakeOverRequest, TakeOverStep,
-};
 pub use contact::{Collision, CollisionList, Detection, Primitive};
 pub use deformation::{
     Anchors, Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Region, RestPositions,
@@ -47,6 +43,10 @@ pub use shape::Shape;
 pub use station::{LinkState, Station, StationRole};
 pub use surface_place::{PLACE_REACH_MAX, SurfacePlace, SurfacePoint};
 pub use task::{Measured, OUTCOME, PEG_TRANSFER, ScoreKind, TaskError, TaskState, VitalSigns};
+pub use telementoring::{
+    LABEL_TEXT_MAX, LABELS_MAX, MentorLabel, MentorPointer, MentorStroke, PictureFreeze, SECTION_PLACES_MAX,
+    SECTIONS_MAX, SIGNATURE_NAME_MAX, STROKE_WIDTH_MAX, Signature, TakeOverRequest, TakeOverStep,
+};
 pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 

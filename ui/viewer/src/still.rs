@@ -35,7 +35,7 @@ impl StillPicture {
             return scene.clone();
         };
         // A recording may be wound back to before the moment that is held.
-        let is_same = |held: &mut Held| {
+        let is_same = |held: &Held| {
             held.by == *by && held.scene.revision() <= scene.revision() && held.scene.time() <= scene.time()
         };
         match self.held.as_mut().filter(|held| is_same(held)) {

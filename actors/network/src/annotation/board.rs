@@ -308,15 +308,14 @@ impl AnnotationBoard {
         }
         let key = (by.station, label);
         let value = MentorLabel { by, label, place, text };
-        match self.labels.get_mut(&key) {
-            Some(row) => row.put(value, out),
-            None if self.labels.len() >= LABELS_MAX => {
-                return Err(NoteRefusal::LabelsFull { most: LABELS_MAX as u16 }.into());
-            }
-            None => {
-                self.labels.insert(key, Row::spawn(value, out));
-            }
+        if let Some(row) = self.labels.get_mut(&key) {
+            row.put(value, out);
+            return Ok(());
         }
+        if self.labels.len() >= LABELS_MAX {
+            return Err(NoteRefusal::LabelsFull { most: LABELS_MAX as u16 }.into());
+        }
+        self.labels.insert(key, Row::spawn(value, out));
         Ok(())
     }
 
