@@ -3,13 +3,16 @@
 use std::collections::BTreeMap;
 
 use trocar_scene::{
-    Access, BuildContext, Commands, Controller, ControllerError, Entity, LinkState, Snapshot, Station,
+    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, LinkState, Snapshot, Station,
     StationRole, Tick,
 };
 
 use super::host_machine::HostMachine;
+use super::host_members::AcceptedNote;
 use super::machine_slot::{HeldMachine, MachineSlot};
+use crate::annotation::{AnnotationBoard, Author};
 use crate::control::StationInfo;
+use crate::hands_link::HOST;
 use crate::haptic::LinkPoint;
 use crate::ticket::Role;
 
@@ -17,6 +20,7 @@ use crate::ticket::Role;
 pub struct HostController<A> {
     machine: HeldMachine<HostMachine<A>>,
     is_protected: bool,
+    board: AnnotationBoard,
     /// The entity of each station.
     shown: BTreeMap<u16, Entity>,
 }
@@ -35,7 +39,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
         let machine = slot.take().ok_or_else(|| ControllerError::Failed(lost.to_owned()))?;
         // An earlier life has created entities for the stations.
         let shown = context.scene.iter::<Station>().map(|(entity, station)| (station.number, entity));
-        Ok(Self { machine, is_protected, shown: shown.collect() })
+        let board = AnnotationBoard::of(context.scene);
+        Ok(Self { machine, is_protected, board, shown: shown.collect() })
     }
 
     fn show(&mut self, stations: Vec<StationInfo>, scene: &Snapshot, out: &mut Commands) {
@@ -47,6 +52,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
         self.shown.retain(|number, entity| {
             let is_there = stations.iter().any(|station| station.number == *number);
             if !is_there {
+                self.board.leave(*number, out);
                 out.event("station_left", *entity, None, f64::from(*number));
                 out.despawn(*entity);
             }
@@ -105,19 +111,25 @@ pub(super) fn role(role: Role) -> StationRole {
 
 impl<A: Copy + PartialEq + Send + 'static> Controller for HostController<A> {
     fn access(&self) -> Access {
-        Access::new().spawns().writes::<Station>(trocar_scene::EntitySet::Own)
+        AnnotationBoard::access(Access::new().writes::<Station>(EntitySet::Own))
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let stations = self.machine.work(|machine| {
+        let (stations, notes) = self.machine.work(|machine| {
             machine.step(tick.time, scene);
             for incident in machine.take_incidents() {
                 tracing::info!("{}", incident.what);
             }
-            machine.take_notes().for_each(drop);
-            machine.stations()
+            (machine.stations(), machine.take_notes().collect::<Vec<_>>())
         });
+        for AcceptedNote { note, author, hands } in &notes {
+            let author = Author { name: author, is_host: note.station == HOST };
+            if let Err(refusal) = self.board.apply(note, author, hands, scene, out) {
+                tracing::info!("a note of {} is not shown: {refusal}", author.name);
+            }
+        }
         self.show(stations, scene, out);
+        self.board.follow(scene, out);
         Ok(())
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use trocar_scene::{SimTime, Snapshot};
 
 use super::admissions::Admissions;
-use super::host_members::{HostHandControl, Member, MemberFigures, Members, NOTES_MAX, figures};
+use super::host_members::{AcceptedNote, HostHandControl, Member, MemberFigures, Members, NOTES_MAX, figures};
 use crate::control::{
     ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, Note, NoteKind, PACE_BYTES,
     Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
@@ -20,6 +20,7 @@ use crate::replication::choice::ReplicatedColumns;
 use crate::replication::pieces;
 use crate::replication::scene_feed::FeedLimits;
 use crate::streams::{HostStreams, StreamId};
+use crate::ticket::PlainName;
 
 /// Bytes taken from one stream at a tick.
 const TAKEN_MAX: usize = 64 << 10;
@@ -36,6 +37,8 @@ const INCIDENTS_MAX: usize = 64;
 
 /// What a host is.
 pub struct HostSetup {
+    /// Name of the host, as the author of what it shows.
+    pub name: PlainName,
     /// What stations have to agree with.
     pub facts: HostFacts,
     /// What they are told of the session; hands and stations are filled in.
@@ -88,7 +91,7 @@ pub struct HostMachine<A> {
     roster_at: SimTime,
     incidents: VecDeque<Incident>,
     /// Notes that all stations were told, for the actor.
-    shown: VecDeque<Note>,
+    shown: VecDeque<AcceptedNote>,
     strangers: u64,
 }
 
@@ -107,6 +110,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             columns: setup.columns,
             limits: setup.limits,
             admissions,
+            host_name: setup.name,
             roster: Roster::new(infos),
             hands: controls,
             members: BTreeMap::new(),
@@ -178,7 +182,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     }
 
     /// What stations, or the host, show since the last call; each was sent to all stations already.
-    pub fn take_notes(&mut self) -> impl Iterator<Item = Note> + '_ {
+    pub fn take_notes(&mut self) -> impl Iterator<Item = AcceptedNote> + '_ {
         self.shown.drain(..)
     }
 
@@ -351,7 +355,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     /// Tells all stations who is there, who serves which hand, and what is shown.
     fn tell_all(&mut self, now: SimTime) {
         let served = std::mem::take(&mut self.members.served);
-        let notes: Vec<Note> = self.members.notes.drain(..).collect();
+        let notes: Vec<AcceptedNote> = self.members.notes.drain(..).collect();
         let peers = std::mem::take(&mut self.members.peer_tickets);
         if self.members.roster_changed || now >= self.roster_at {
             self.roster_at = now + ROSTER_EVERY;
@@ -366,7 +370,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
                 told(link.control.send_hand_served(*hand, *station, now));
             }
             for note in &notes {
-                told(link.control.send_note(note.clone(), now));
+                told(link.control.send_note(note.note.clone(), now));
             }
             for (from, to, ticket) in &peers {
                 if link.opened.is_some_and(|(_, station)| station == *to) {

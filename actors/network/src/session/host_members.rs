@@ -60,19 +60,32 @@ pub struct MemberFigures {
     pub summary: LinkSummary,
 }
 
+/// A note that the session has accepted, for the board that shows it in the scene.
+#[derive(Clone, Debug)]
+pub struct AcceptedNote {
+    /// The note.
+    pub note: Note,
+    /// Name of its author.
+    pub author: PlainName,
+    /// The hands as they were served when it came: a note may change that.
+    pub hands: Vec<HandInfo>,
+}
+
 /// Everything that a session knows of its stations.
 pub(super) struct Members {
     pub info: SessionInfo,
     pub columns: Arc<ReplicatedColumns>,
     pub limits: FeedLimits,
     pub admissions: Box<dyn Admissions>,
+    /// Name of the host itself.
+    pub host_name: PlainName,
     pub roster: Roster,
     pub hands: Vec<HostHandControl>,
     pub members: BTreeMap<u16, Member>,
     /// The scene as of this tick.
     pub scene: Arc<Snapshot>,
     /// Notes for the scene and for all stations.
-    pub notes: VecDeque<Note>,
+    pub notes: VecDeque<AcceptedNote>,
     /// Connections that a newer one of their station replaced.
     pub superseded: Vec<u32>,
     /// Hands whose server changed.
@@ -155,6 +168,12 @@ impl Members {
             self.left(station, connection, &hands);
             self.roster_changed = true;
         }
+    }
+
+    /// The name of a station; the host's if none has the number.
+    pub fn name_of(&self, station: u16) -> PlainName {
+        let found = self.roster.stations().into_iter().find(|info| info.number == station);
+        found.map_or_else(|| self.host_name.clone(), |info| info.name)
     }
 
     /// The phase of keys that a station uses since the last call.
@@ -374,10 +393,12 @@ impl HostSession for Members {
                     let text = "too many notes at once; some were not shown";
                     return Err(Refusal::HostTrouble(PlainText::new(text)));
                 }
+                let hands = self.roster.hands().to_vec();
                 if let NoteKind::TakeOver { hand, step } = what {
                     self.take_over(station, *hand, *step)?;
                 }
-                self.notes.push_back(Note { station, at: now, what: what.clone() });
+                let note = Note { station, at: now, what: what.clone() };
+                self.notes.push_back(AcceptedNote { note, author: self.name_of(station), hands });
             }
             RequestKind::PeerTicket { to, ticket } => {
                 self.peer_tickets.push((station, *to, ticket.clone()));

@@ -141,6 +141,7 @@ impl Bench {
         let resume = ResumeSecret::random(&random).expect("a secret");
         let credential = Credential::Ticket { token: ticket.token().clone(), resume };
         let setup = HostSetup {
+            name: name("host"),
             facts,
             info: SessionInfo {
                 scenario_name: PlainText::new("moving bodies"),

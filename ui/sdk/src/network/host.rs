@@ -341,6 +341,7 @@ fn setup(
     let mut limits = FeedLimits::default();
     limits.bytes_per_sec = settings.bytes_per_sec.unwrap_or(limits.bytes_per_sec);
     Ok(HostSetup {
+        name: plain_name("host")?,
         facts: HostFacts {
             components_digest: components.digest(),
             components,
