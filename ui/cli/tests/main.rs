@@ -6,6 +6,7 @@ mod cli;
 mod docs_commands;
 #[cfg(target_os = "linux")]
 mod full_disks;
+mod host_and_join;
 mod mesh_files;
 mod output_files;
 mod own_programs;

@@ -114,6 +114,11 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                     link.is_worn = false;
                 }
             }
+            HandsOrder::CloseAll => {
+                while !self.links.is_empty() {
+                    self.close(self.links.len() - 1);
+                }
+            }
             HandsOrder::Close { connection } => {
                 if let Some(at) = self.links.iter().position(|link| link.connection.id() == connection) {
                     self.close(at);

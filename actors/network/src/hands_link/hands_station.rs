@@ -142,13 +142,16 @@ impl<A: Copy + PartialEq> HandsStation<A> {
             self.connection = Some(connection);
             return;
         }
+        if matches!(order, HandsOrder::CloseAll) {
+            return self.close();
+        }
         let id = match &order {
             HandsOrder::Serve { connection, .. }
             | HandsOrder::Send { connection, .. }
             | HandsOrder::RekeyOpener { connection, .. }
             | HandsOrder::RekeySealer { connection, .. }
             | HandsOrder::Close { connection } => *connection,
-            HandsOrder::Open { connection, .. } => connection.id(),
+            HandsOrder::Open { .. } | HandsOrder::CloseAll => return,
         };
         let Some(connection) = self.connection.as_mut().filter(|connection| connection.id() == id) else {
             return;
@@ -183,7 +186,7 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                 self.is_worn &= connection.rekey_sealer(key).is_err();
             }
             HandsOrder::Close { .. } => self.close(),
-            HandsOrder::Open { .. } => {}
+            HandsOrder::Open { .. } | HandsOrder::CloseAll => {}
         }
     }
 

@@ -1,5 +1,7 @@
 //! What the controller of the network and the hands link tell each other, over two bounded rings.
 
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
 use rtrb::{Consumer, Producer, RingBuffer};
 
 use super::connection::Connection;
@@ -107,6 +109,8 @@ pub enum HandsOrder<A> {
         /// The connection.
         connection: u32,
     },
+    /// All connections are over: whoever gave the earlier orders is gone.
+    CloseAll,
 }
 
 /// From the hands link.
@@ -136,18 +140,40 @@ pub enum HandsNews<A> {
     Closed(Box<Connection<A>>),
 }
 
-/// The controller's end.
-pub struct ControllerEnd<A> {
-    /// Where orders go.
-    pub orders: Producer<HandsOrder<A>>,
-    /// Where news come from.
-    pub news: Consumer<HandsNews<A>>,
+/// The controller's end. Clones share it, so that a machine which is made anew finds it where the last one has left it; no
+/// two of them work at the same time.
+pub struct ControllerEnd<A>(Arc<Mutex<Ends<A>>>);
+
+struct Ends<A> {
+    orders: Producer<HandsOrder<A>>,
+    news: Consumer<HandsNews<A>>,
+}
+
+impl<A> Clone for ControllerEnd<A> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
+    }
 }
 
 impl<A> ControllerEnd<A> {
+    fn ends(&self) -> MutexGuard<'_, Ends<A>> {
+        // Whoever panicked has left both rings whole.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Gives an order; false if there is no room for it.
-    pub fn order(&mut self, order: HandsOrder<A>) -> bool {
-        self.orders.push(order).is_ok()
+    pub fn order(&self, order: HandsOrder<A>) -> bool {
+        self.ends().orders.push(order).is_ok()
+    }
+
+    /// For how many orders there is room.
+    pub fn room(&self) -> usize {
+        self.ends().orders.slots()
+    }
+
+    /// The next news.
+    pub fn next_news(&self) -> Option<HandsNews<A>> {
+        self.ends().news.pop().ok()
     }
 }
 
@@ -171,7 +197,7 @@ pub fn hands_channel<A>() -> (ControllerEnd<A>, LinkEnd<A>) {
     let (order_in, order_out) = RingBuffer::new(ORDERS_MAX);
     let (news_in, news_out) = RingBuffer::new(NEWS_MAX);
     (
-        ControllerEnd { orders: order_in, news: news_out },
+        ControllerEnd(Arc::new(Mutex::new(Ends { orders: order_in, news: news_out }))),
         LinkEnd { orders: order_out, news: news_in },
     )
 }

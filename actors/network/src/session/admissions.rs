@@ -1,7 +1,9 @@
 //! Admissions: what a host asks of its tickets.
 
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
 use crate::control::{Credential, Refusal};
-use crate::ticket::{Admission, Refused, ResumeSecret, Role, TicketBook, TicketId};
+use crate::ticket::{Admission, Refused, Role, TicketBook, TicketId};
 
 /// Seconds since 1970, for the expiry of tickets alone: nothing else in a session asks what day it is.
 pub trait UnixClock: Send + 'static {
@@ -41,16 +43,17 @@ pub trait Admissions: Send + 'static {
 
 /// Admissions of a book that is on no disk, for sessions that end with the program.
 pub struct BookAdmissions<C> {
-    /// The book.
-    pub book: TicketBook,
+    /// The book, which the program that gives out tickets shares.
+    pub book: Arc<Mutex<TicketBook>>,
     /// The clock.
     pub clock: C,
 }
 
-/// The secret that a station shows to come back.
-fn resume_of(credential: &Credential) -> &ResumeSecret {
-    let (Credential::Ticket { resume, .. } | Credential::Resume { resume }) = credential;
-    resume
+impl<C> BookAdmissions<C> {
+    fn book(&self) -> MutexGuard<'_, TicketBook> {
+        // A book is changed by one assignment after everything was checked.
+        self.book.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// What a book says of a credential, without spending it.
@@ -76,17 +79,18 @@ pub fn no_station() -> Refusal {
 
 impl<C: UnixClock> Admissions for BookAdmissions<C> {
     fn examine(&mut self, credential: &Credential) -> Result<(Option<u16>, Role), Refusal> {
-        examine(&self.book, credential, self.clock.unix_secs()).map_err(Refusal::Ticket)
+        examine(&self.book(), credential, self.clock.unix_secs()).map_err(Refusal::Ticket)
     }
 
     fn admit(&mut self, credential: &Credential) -> Result<Admission, Refusal> {
         let now = self.clock.unix_secs();
+        let mut book = self.book();
         let admitted = match credential {
-            Credential::Ticket { token, .. } => {
-                let station = self.book.free_station().ok_or_else(no_station)?;
-                self.book.redeem(token, station, resume_of(credential), now)
+            Credential::Ticket { token, resume } => {
+                let station = book.free_station().ok_or_else(no_station)?;
+                book.redeem(token, station, resume, now)
             }
-            Credential::Resume { resume } => self.book.resume(resume, now),
+            Credential::Resume { resume } => book.resume(resume, now),
         };
         admitted.map_err(Refusal::Ticket)
     }
@@ -96,7 +100,7 @@ impl<C: UnixClock> Admissions for BookAdmissions<C> {
     }
 
     fn is_revoked(&self, ticket: TicketId) -> bool {
-        self.book.is_revoked(ticket)
+        self.book().is_revoked(ticket)
     }
 
     fn unix_secs(&self) -> u64 {

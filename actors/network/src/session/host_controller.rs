@@ -9,7 +9,7 @@ use trocar_scene::{
 
 use super::host_machine::HostMachine;
 use super::host_members::AcceptedNote;
-use super::machine_slot::{HeldMachine, MachineSlot};
+use super::machine_slot::HeldMachine;
 use crate::annotation::{AnnotationBoard, Author};
 use crate::control::StationInfo;
 use crate::hands_link::HOST;
@@ -26,21 +26,16 @@ pub struct HostController<A> {
 }
 
 impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
-    /// Takes the machine of the session out of its slot.
-    ///
-    /// # Errors
-    /// When an earlier life died while it worked with it.
+    /// Carries the machine of the session.
     pub fn new(
         context: &BuildContext<'_>,
-        slot: &MachineSlot<HostMachine<A>>,
+        machine: HeldMachine<HostMachine<A>>,
         is_protected: bool,
-    ) -> Result<Self, ControllerError> {
-        let lost = "an earlier life of the network died at work, and its connections with it";
-        let machine = slot.take().ok_or_else(|| ControllerError::Failed(lost.to_owned()))?;
+    ) -> Self {
         // An earlier life has created entities for the stations.
         let shown = context.scene.iter::<Station>().map(|(entity, station)| (station.number, entity));
         let board = AnnotationBoard::of(context.scene);
-        Ok(Self { machine, is_protected, board, shown: shown.collect() })
+        Self { machine, is_protected, board, shown: shown.collect() }
     }
 
     fn show(&mut self, stations: Vec<StationInfo>, scene: &Snapshot, out: &mut Commands) {

@@ -8,7 +8,7 @@ use trocar_scene::{SimTime, Snapshot};
 use super::admissions::Admissions;
 use super::host_members::{AcceptedNote, HostHandControl, Member, MemberFigures, Members, NOTES_MAX, figures};
 use crate::control::{
-    ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, Note, NoteKind, PACE_BYTES,
+    ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, NoteKind, PACE_BYTES,
     Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
 };
 use crate::datagram::{Kind, Side};
@@ -36,6 +36,7 @@ const ROSTER_EVERY: SimTime = SimTime::from_millis(1_000);
 const INCIDENTS_MAX: usize = 64;
 
 /// What a host is.
+#[derive(Clone)]
 pub struct HostSetup {
     /// Name of the host, as the author of what it shows.
     pub name: PlainName,
@@ -104,6 +105,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         hands: ControllerEnd<A>,
         scene: Arc<Snapshot>,
     ) -> Self {
+        // A machine that was before this one may have left connections.
+        hands.order(HandsOrder::CloseAll);
         let (infos, controls): (Vec<HandInfo>, Vec<HostHandControl>) = setup.hands.into_iter().unzip();
         let members = Members {
             info: setup.info,
@@ -307,7 +310,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     }
 
     fn take_news(&mut self, now: SimTime) {
-        while let Ok(news) = self.hands.news.pop() {
+        while let Some(news) = self.hands.next_news() {
             match news {
                 HandsNews::Arrived { connection, parcel } if parcel.kind() == Kind::RowAcks => {
                     let member = self.member_of(connection);
@@ -413,7 +416,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             }
             for _ in 0..DATAGRAMS_MAX {
                 // Rows leave room for orders that must not be lost.
-                if hands.orders.slots() <= ORDERS_KEPT || !member.feed.datagram(now, &scene, payload) {
+                if hands.room() <= ORDERS_KEPT || !member.feed.datagram(now, &scene, payload) {
                     break;
                 }
                 if let Some(parcel) = Parcel::new(Kind::Rows, payload) {

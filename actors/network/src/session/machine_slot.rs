@@ -28,6 +28,17 @@ impl<T> MachineSlot<T> {
         Some(HeldMachine { machine: Some(machine), slot: self.clone() })
     }
 
+    /// Takes the machine out, or takes one that is made now if it was lost.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub fn take_or_make<E>(&self, make: impl FnOnce() -> Result<T, E>) -> Result<HeldMachine<T>, E> {
+        match self.take() {
+            Some(held) => Ok(held),
+            None => Ok(HeldMachine { machine: Some(make()?), slot: self.clone() }),
+        }
+    }
+
     /// Puts a machine in, in place of one that is there.
     pub fn put(&self, machine: T) {
         *self.lock() = Some(machine);
@@ -80,7 +91,10 @@ mod tests {
         assert!(died.is_err());
         drop(held);
         assert!(slot.take().is_none());
-        slot.put(vec![]);
-        assert!(slot.take().is_some());
+        let mut made = slot.take_or_make(|| Ok::<_, ()>(vec![7])).expect("it is made anew");
+        assert_eq!(made.work(|machine| machine.len()), 1);
+        drop(made);
+        let kept = slot.take_or_make(|| Err(())).expect("it is there").work(|machine| machine.clone());
+        assert_eq!(kept, [7]);
     }
 }

@@ -1,7 +1,7 @@
 //! Tests of the machines of host and station together: a scene that moves, a hand of the station, and a path that delays
 //! and loses.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use trocar_devices::{DeviceState, HandIntent, HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
 use trocar_kernel::spec::Peer;
@@ -161,7 +161,7 @@ impl Bench {
         let machine = HostMachine::new(
             setup,
             Box::new(WireHostStreams::new(wires.clone())),
-            Box::new(BookAdmissions { book, clock: NOW }),
+            Box::new(BookAdmissions { book: Arc::new(Mutex::new(book)), clock: NOW }),
             controller,
             scene.clone(),
         );

@@ -28,4 +28,4 @@ pub use host_members::{AcceptedNote, HostHandControl, MemberFigures};
 pub use machine_slot::{HeldMachine, MachineSlot};
 pub use own_rows::own_rows;
 pub use station_controller::StationController;
-pub use station_machine::{StationError, StationMachine, StationNews, StationSetup};
+pub use station_machine::{StationError, StationMachine, StationNews, StationParts, StationSetup};

@@ -2,7 +2,7 @@
 
 use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, SimTime, Snapshot, Station, Tick};
 
-use super::machine_slot::{HeldMachine, MachineSlot};
+use super::machine_slot::HeldMachine;
 use super::station_machine::{StationMachine, StationNews};
 
 /// Time between two rows of the station's own link.
@@ -15,17 +15,9 @@ pub struct StationController<A> {
 }
 
 impl<A: Copy + PartialEq + Send + 'static> StationController<A> {
-    /// Takes the machine of the session out of its slot.
-    ///
-    /// # Errors
-    /// When an earlier life died while it worked with it.
-    pub fn new(
-        context: &BuildContext<'_>,
-        slot: &MachineSlot<StationMachine<A>>,
-    ) -> Result<Self, ControllerError> {
-        let lost = "an earlier life of the network died at work, and its connection with it";
-        let machine = slot.take().ok_or_else(|| ControllerError::Failed(lost.to_owned()))?;
-        Ok(Self { machine, row_at: context.time })
+    /// Carries the machine of the session.
+    pub fn new(context: &BuildContext<'_>, machine: HeldMachine<StationMachine<A>>) -> Self {
+        Self { machine, row_at: context.time }
     }
 }
 

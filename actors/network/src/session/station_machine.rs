@@ -32,6 +32,7 @@ const DELTAS_MAX: usize = 64;
 const NEWS_MAX: usize = 256;
 
 /// What a station is.
+#[derive(Clone)]
 pub struct StationSetup {
     /// For its hello.
     pub facts: ClientFacts,
@@ -41,6 +42,17 @@ pub struct StationSetup {
     pub sender: SenderConfig,
     /// Seed of the challenges; random.
     pub secret: u64,
+}
+
+/// What stays the same while a station is in a session.
+#[derive(Clone)]
+pub struct StationParts {
+    /// Which columns travel, and how.
+    pub columns: Arc<ReplicatedColumns>,
+    /// Entities of the hands for which the station has devices.
+    pub devices: Vec<Entity>,
+    /// Its number.
+    pub station: u16,
 }
 
 /// Something that the person at the station should know.
@@ -94,6 +106,8 @@ pub struct StationMachine<A> {
     payload: Vec<u8>,
     was_running: bool,
     has_joined: bool,
+    /// Whether the station's own controllers run although this machine has taken nothing yet.
+    is_in_session: bool,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
@@ -129,7 +143,35 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             payload: Vec::new(),
             was_running: false,
             has_joined: false,
+            is_in_session: false,
         }
+    }
+
+    /// A station whose machine was lost while its own session goes on: it comes back by the secret of its credential, and
+    /// compares what `scene` has of the host with what the host has.
+    pub fn again(
+        setup: StationSetup,
+        stream: Box<dyn StationStream<A>>,
+        hands: ControllerEnd<A>,
+        parts: StationParts,
+        scene: &Snapshot,
+        now: SimTime,
+    ) -> Self {
+        hands.order(HandsOrder::CloseAll);
+        let StationParts { columns, devices, station } = parts;
+        let setup = StationSetup { credential: setup.credential.for_coming_back(), ..setup };
+        let mut machine = Self::new(setup, stream, hands, now);
+        let mut replica = Replica::adopt(columns.clone(), scene, |entity| entity.station() != station);
+        replica.exclude(own_rows(scene.registry(), scene, &devices, machine.moves));
+        (machine.replica, machine.columns, machine.devices) = (Some(replica), Some(columns), devices);
+        (machine.is_in_session, machine.has_joined) = (true, true);
+        machine
+    }
+
+    /// What a machine has to know to be made [again](Self::again); `None` before the station is in the session.
+    pub fn parts(&self) -> Option<StationParts> {
+        let columns = self.columns.clone()?;
+        Some(StationParts { columns, devices: self.devices.clone(), station: self.station() })
     }
 
     /// Where the host that was reached takes datagrams.
@@ -267,8 +309,9 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
 
     /// The scene that the station has, if it followed before.
     fn held(&self) -> Option<HeldScene> {
-        let replica = self.replica.as_ref().filter(|replica| replica.counts().deltas > 0)?;
-        // The host knows by the revision alone what it has sent.
+        let has_scene = |replica: &&Replica| replica.counts().deltas > 0 || self.is_in_session;
+        let replica = self.replica.as_ref().filter(has_scene)?;
+        // The host knows by the revision alone what it has sent; of revision zero it has sent nothing.
         Some(HeldScene { revision: replica.applied(), digest: [0; 32] })
     }
 
@@ -396,7 +439,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     }
 
     fn take_hands_news(&mut self) {
-        while let Ok(news) = self.hands.news.pop() {
+        while let Some(news) = self.hands.next_news() {
             match news {
                 HandsNews::Arrived { connection, parcel }
                     if Some(connection) == self.connection && parcel.kind() == Kind::Rows =>

@@ -30,7 +30,7 @@ use trocar_network::ticket::{
     ADDRESSES_MAX, HostAddress, Identity, NameError, Offer, PlainName, Role, Ticket, TicketBook, TicketStore,
 };
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{BuildContext, Controller, Entity, Snapshot};
+use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Snapshot};
 
 use super::part::NetworkPart;
 use super::{HANDS_PEER, Network, NetworkError};
@@ -209,7 +209,7 @@ pub(super) fn plain_name(text: &str) -> Result<PlainName, NetworkError> {
 /// A host over wires inside the process, in virtual time: for tests and for what a network does to an exercise.
 pub struct LockstepHost {
     wires: Wires,
-    book: Mutex<TicketBook>,
+    book: Arc<Mutex<TicketBook>>,
 }
 
 /// When sessions in virtual time take place \[s since 1970\].
@@ -223,7 +223,7 @@ impl LockstepHost {
     pub fn new() -> Result<Self, NetworkError> {
         let identity =
             Identity::create(&plain_name("host")?).map_err(|error| NetworkError::System(error.to_string()))?;
-        Ok(Self { wires: Wires::default(), book: Mutex::new(TicketBook::new(identity)) })
+        Ok(Self { wires: Wires::default(), book: Arc::new(Mutex::new(TicketBook::new(identity))) })
     }
 
     /// The wires to its stations.
@@ -250,8 +250,7 @@ impl LockstepHost {
     }
 
     fn admissions(&self) -> BookAdmissions<u64> {
-        let book = self.book.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        BookAdmissions { book, clock: VIRTUAL_UNIX_SECS }
+        BookAdmissions { book: self.book.clone(), clock: VIRTUAL_UNIX_SECS }
     }
 }
 
@@ -301,22 +300,42 @@ pub(crate) fn hosted(
         Network::None | Network::Station(_) => Ok(None),
         Network::Host(host) => {
             let (streams, socket) = host.streams()?;
+            let host = host.clone();
             let setup = setup(scenario, &settings, seed, scene, hands.infos, host.options.is_attended)?;
             let (controller, link) = hands_channel();
             let link: Box<dyn HandsLink<SocketAddr>> = Box::new(HandsHost::new(hands.ends, link));
             let admissions = Box::new(host.tickets.clone());
-            let machine = HostMachine::new(setup, streams, admissions, controller, Arc::new(scene.clone()));
-            Ok(Some((blueprint(machine, host.is_protected()), NetworkPart::Live { socket, link })))
+            let first = HostMachine::new(
+                setup.clone(),
+                streams,
+                admissions,
+                controller.clone(),
+                Arc::new(scene.clone()),
+            );
+            let is_protected = host.is_protected();
+            let again = move |scene: &Snapshot| {
+                let (streams, _) = host.streams().map_err(|error| ControllerError::Failed(error.to_string()))?;
+                let admissions = Box::new(host.tickets.clone());
+                let scene = Arc::new(scene.clone());
+                Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
+            };
+            Ok(Some((blueprint(first, is_protected, again), NetworkPart::Live { socket, link })))
         }
         Network::LockstepHost(host) => {
             let setup = setup(scenario, &settings, seed, scene, hands.infos, false)?;
             let (controller, link) = hands_channel();
             let link: Box<dyn HandsLink<usize>> = Box::new(HandsHost::new(hands.ends, link));
-            let streams = Box::new(WireHostStreams::new(host.wires.clone()));
-            let admissions = Box::new(host.admissions());
-            let machine = HostMachine::new(setup, streams, admissions, controller, Arc::new(scene.clone()));
+            let host = host.clone();
             let peer = HandsPeer::new(HANDS_PEER, link, host.wires.clone(), End::Host);
-            Ok(Some((blueprint(machine, true), NetworkPart::Lockstep(Box::new(peer)))))
+            let make = move |scene: &Snapshot| {
+                let streams = Box::new(WireHostStreams::new(host.wires.clone()));
+                // Every machine gets the book as it is.
+                let admissions = Box::new(host.admissions());
+                let scene = Arc::new(scene.clone());
+                Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
+            };
+            let first = make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
+            Ok(Some((blueprint(first, true, make), NetworkPart::Lockstep(Box::new(peer)))))
         }
     }
 }
@@ -373,10 +392,16 @@ pub(super) fn random_secret(seed: u64) -> u64 {
     u64::from_le_bytes(bytes)
 }
 
-fn blueprint<A: Copy + PartialEq + Send + 'static>(machine: HostMachine<A>, is_protected: bool) -> Blueprint {
-    let slot = MachineSlot::new(machine);
+/// The actor of the first machine; one that is lost is made `again`, and the stations come back by their secrets.
+fn blueprint<A: Copy + PartialEq + Send + 'static>(
+    first: HostMachine<A>,
+    is_protected: bool,
+    again: impl Fn(&Snapshot) -> Result<HostMachine<A>, ControllerError> + Send + Sync + 'static,
+) -> Blueprint {
+    let slot = MachineSlot::new(first);
     let factory = move |context: &BuildContext<'_>| {
-        Ok(Box::new(HostController::new(context, &slot, is_protected)?) as Box<dyn Controller>)
+        let machine = slot.take_or_make(|| again(context.scene))?;
+        Ok(Box::new(HostController::new(context, machine, is_protected)) as Box<dyn Controller>)
     };
     super::blueprint(Arc::new(factory))
 }

@@ -45,7 +45,7 @@ impl Pair {
             assert!(host.run_until(now), "the host goes on");
             assert!(now < SimTime::from_millis(10_000), "{:?} {:?}", joining.progress(), joining.trouble());
         }
-        let station = Arc::new(joining.joined(&wire).expect("it is in the session"));
+        let station = Arc::new(joining.joined(&wire, number).expect("it is in the session"));
         let options = RunOptions {
             lockstep: true,
             begin: now,

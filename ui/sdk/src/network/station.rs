@@ -13,7 +13,7 @@ use trocar_network::control::{
     ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
 };
 use trocar_network::datagram::Seal;
-use trocar_network::hands_link::{HandsLink, HandsStation, LinkEnd, StationHand, hands_channel};
+use trocar_network::hands_link::{ControllerEnd, HandsLink, HandsStation, LinkEnd, StationHand, hands_channel};
 use trocar_network::haptic::SenderConfig;
 use trocar_network::live::sockets;
 use trocar_network::live::tls_station_stream::TlsStationStream;
@@ -24,7 +24,7 @@ use trocar_network::session::{MachineSlot, StationController, StationError, Stat
 use trocar_network::streams::StationStream;
 use trocar_network::ticket::{ResumeSecret, Role, Ticket};
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{BuildContext, Commands, Controller, EntityAllocator, SimTime, Snapshot, Store};
+use trocar_scene::{BuildContext, Commands, Controller, ControllerError, EntityAllocator, SimTime, Snapshot, Store};
 
 use super::host::{NetworkSettings, plain_name, random_secret};
 use super::part::NetworkPart;
@@ -34,6 +34,8 @@ use crate::kind::Blueprint;
 
 /// The writer under which a station's network joins before there is a session: the first of its controllers.
 pub(crate) const STATION_WRITER: u16 = 1;
+/// How long a stream over a wire takes to open.
+const HANDSHAKE: SimTime = SimTime::from_millis(2);
 /// Time between two looks at the link while a station joins.
 const LOOK: Duration = Duration::from_millis(2);
 
@@ -66,6 +68,8 @@ pub struct JoinProgress {
 /// A station on its way into a session; `A` is an address of datagrams.
 pub struct Joining<A> {
     machine: StationMachine<A>,
+    setup: StationSetup,
+    controller: ControllerEnd<A>,
     link: LinkEnd<A>,
     devices: Vec<String>,
     moves: bool,
@@ -103,8 +107,20 @@ pub struct Station {
 }
 
 enum Parts {
-    Live { machine: Box<StationMachine<SocketAddr>>, link: LinkEnd<SocketAddr>, peer: SocketAddr },
-    Lockstep { machine: Box<StationMachine<usize>>, link: LinkEnd<usize>, wire: Wire },
+    Live { joined: Joined<SocketAddr>, peer: SocketAddr },
+    Lockstep { joined: Joined<usize>, wire: Wire },
+}
+
+/// Makes a stream to the host, for a machine that is made again.
+type Redial<A> = Box<dyn Fn() -> Result<Box<dyn StationStream<A>>, String> + Send + Sync>;
+
+/// A machine that has joined, and what another one needs if this one is lost.
+struct Joined<A> {
+    machine: Box<StationMachine<A>>,
+    setup: StationSetup,
+    controller: ControllerEnd<A>,
+    link: LinkEnd<A>,
+    redial: Redial<A>,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
@@ -142,7 +158,9 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
         };
         let (controller, link) = hands_channel();
         Ok(Self {
-            machine: StationMachine::new(setup, stream, controller, now),
+            machine: StationMachine::new(setup.clone(), stream, controller.clone(), now),
+            setup,
+            controller,
             link,
             devices: options.hands.iter().map(|(hand, _)| hand.clone()).collect(),
             moves: options.play,
@@ -200,9 +218,10 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
     fn station(
         self,
         clock: Option<Clock>,
-        parts: impl FnOnce(Box<StationMachine<A>>, LinkEnd<A>) -> Parts,
+        redial: Redial<A>,
+        parts: impl FnOnce(Joined<A>) -> Parts,
     ) -> Option<Station> {
-        let Self { machine, link, moves, begun, .. } = self;
+        let Self { machine, setup, controller, link, moves, begun, .. } = self;
         let Begun { scenario, store, .. } = begun?;
         let Welcome { station, role, session, .. } = machine.welcome()?.clone();
         let name = session.stations.iter().find(|info| info.number == station)?.name.as_str().to_owned();
@@ -216,7 +235,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             hands: session.hands,
             moves,
             clock,
-            parts: Mutex::new(Some(parts(Box::new(machine), link))),
+            parts: Mutex::new(Some(parts(Joined { machine: Box::new(machine), setup, controller, link, redial }))),
         })
     }
 }
@@ -234,14 +253,19 @@ impl Joining<usize> {
         number: usize,
         now: SimTime,
     ) -> Result<Self, NetworkError> {
-        let stream = WireStationStream::new(wire.clone(), number, SimTime::from_millis(2));
+        let stream = WireStationStream::new(wire.clone(), number, HANDSHAKE);
         Self::new(app, options, credential(ticket, options)?, Box::new(stream), now)
     }
 
     /// The station, once it is in the session.
-    pub fn joined(self, wire: &Wire) -> Option<Station> {
+    pub fn joined(self, wire: &Wire, number: usize) -> Option<Station> {
         let wire = wire.clone();
-        self.station(None, |machine, link| Parts::Lockstep { machine, link, wire })
+        let other = wire.clone();
+        let redial = move || {
+            let stream = WireStationStream::new(other.clone(), number, HANDSHAKE);
+            Ok(Box::new(stream) as Box<dyn StationStream<usize>>)
+        };
+        self.station(None, Box::new(redial), |joined| Parts::Lockstep { joined, wire })
     }
 }
 
@@ -290,11 +314,16 @@ pub fn join(
     progress: &mut dyn FnMut(&JoinProgress, Option<&str>),
 ) -> Result<Station, NetworkError> {
     let seal = if options.insecure { Seal::Checksum } else { Seal::Aead };
-    let stream = TlsStationStream::new(ticket.addresses().to_vec(), *ticket.fingerprint(), seal)
-        .map_err(|error| NetworkError::Usage(error.to_string()))?;
+    let (addresses, fingerprint) = (ticket.addresses().to_vec(), *ticket.fingerprint());
+    let dial = move || {
+        let stream = TlsStationStream::new(addresses.clone(), fingerprint, seal);
+        let stream = stream.map_err(|error| error.to_string())?;
+        Ok(Box::new(stream) as Box<dyn StationStream<SocketAddr>>)
+    };
+    let stream = dial().map_err(NetworkError::Usage)?;
     let clock = Clock::start();
     let now = clock.now();
-    let mut joining = Joining::new(app, options, credential(ticket, options)?, Box::new(stream), now)?;
+    let mut joining = Joining::new(app, options, credential(ticket, options)?, stream, now)?;
     while !joining.step(clock.now())? {
         progress(&joining.progress(), joining.trouble().as_deref());
         if stop.load(Ordering::Relaxed) {
@@ -306,7 +335,7 @@ pub fn join(
         return Err(NetworkError::System("the host's address is unknown".to_owned()));
     };
     joining
-        .station(Some(clock), |machine, link| Parts::Live { machine, link, peer })
+        .station(Some(clock), Box::new(dial), |joined| Parts::Live { joined, peer })
         .ok_or_else(|| NetworkError::System("the host told nothing of its session".to_owned()))
 }
 
@@ -355,26 +384,45 @@ pub(crate) fn stationed(
 ) -> Result<(Blueprint, NetworkPart), NetworkError> {
     let parts = station.parts.lock().unwrap_or_else(PoisonError::into_inner).take();
     match parts {
-        Some(Parts::Live { machine, link, peer }) => {
+        Some(Parts::Live { joined, peer }) => {
             let socket = sockets::station(&peer)?;
+            let (blueprint, link) = blueprint(joined);
             let link: Box<dyn HandsLink<SocketAddr>> = Box::new(HandsStation::new(hands.0, link));
-            Ok((blueprint(*machine), NetworkPart::Live { socket, link }))
+            Ok((blueprint, NetworkPart::Live { socket, link }))
         }
-        Some(Parts::Lockstep { machine, link, wire }) => {
+        Some(Parts::Lockstep { joined, wire }) => {
+            let (blueprint, link) = blueprint(joined);
             let link: Box<dyn HandsLink<usize>> = Box::new(HandsStation::new(hands.0, link));
             let wires = Wires::default();
             wires.add(wire);
             let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station);
-            Ok((blueprint(*machine), NetworkPart::Lockstep(Box::new(peer))))
+            Ok((blueprint, NetworkPart::Lockstep(Box::new(peer))))
         }
         None => Err(NetworkError::System("the station's session has ended; join again".to_owned())),
     }
 }
 
-fn blueprint<A: Copy + PartialEq + Send + 'static>(machine: StationMachine<A>) -> Blueprint {
-    let slot = MachineSlot::new(machine);
-    let factory = move |context: &BuildContext<'_>| {
-        Ok(Box::new(StationController::new(context, &slot)?) as Box<dyn Controller>)
+/// The actor of a machine that has joined; one that is lost is made again, and comes back by its secret.
+fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Blueprint, LinkEnd<A>) {
+    let Joined { machine, setup, controller, link, redial } = joined;
+    let parts = machine.parts();
+    let slot = MachineSlot::new(*machine);
+    let again = move |scene: &Snapshot, now: SimTime| {
+        let lost = || ControllerError::Failed("the network died before it was in the session".to_owned());
+        let parts = parts.clone().ok_or_else(lost)?;
+        let stream = redial().map_err(ControllerError::Failed)?;
+        Ok::<_, ControllerError>(StationMachine::again(
+            setup.clone(),
+            stream,
+            controller.clone(),
+            parts,
+            scene,
+            now,
+        ))
     };
-    super::blueprint(Arc::new(factory))
+    let factory = move |context: &BuildContext<'_>| {
+        let machine = slot.take_or_make(|| again(context.scene, context.time))?;
+        Ok(Box::new(StationController::new(context, machine)) as Box<dyn Controller>)
+    };
+    (super::blueprint(Arc::new(factory)), link)
 }

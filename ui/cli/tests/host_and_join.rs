@@ -1,0 +1,132 @@
+//! `trocar host`, `join` and `watch` from outside: programs on one machine, over real sockets.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use crate::support::{here, object, stderr, trocar};
+
+/// A host of the peg transfer that has printed its tickets.
+struct Host {
+    child: Child,
+    tickets: Vec<String>,
+    lines: BufReader<std::process::ChildStderr>,
+}
+
+impl Host {
+    fn start(folder: &Path, tickets: &[&str]) -> Self {
+        let mut arguments = vec!["host", "peg-transfer", "--headless", "--json", "--no-record", "--no-report"];
+        arguments.extend(["--port", "0", "--bind", "127.0.0.1", "--tickets", "host.tickets"]);
+        arguments.extend(["--seconds", "120"]);
+        tickets.iter().for_each(|wish| arguments.extend(["--ticket", wish]));
+        let mut child = Command::new(env!("CARGO_BIN_EXE_trocar"))
+            .args(arguments)
+            .current_dir(folder)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let mut lines = BufReader::new(child.stderr.take().expect("piped"));
+        let mut found = Vec::new();
+        let mut told = String::new();
+        while found.len() < tickets.len() {
+            let mut line = String::new();
+            let bytes = lines.read_line(&mut line).expect("a line");
+            assert!(bytes > 0, "the host ended: {told}");
+            told.push_str(&line);
+            found.extend(line.starts_with("trocar1").then(|| line.trim().to_owned()));
+        }
+        Self { child, tickets: found, lines }
+    }
+
+    /// Ends it as Ctrl-C does, and gives what it printed.
+    fn end(mut self) -> Output {
+        let pid = rustix::process::Pid::from_child(&self.child);
+        rustix::process::kill_process(pid, rustix::process::Signal::INT).expect("it runs");
+        let mut told = String::new();
+        let mut line = String::new();
+        while self.lines.read_line(&mut line).expect("text") > 0 {
+            told.push_str(&line);
+            line.clear();
+        }
+        let mut output = self.child.wait_with_output().expect("an end");
+        output.stderr = told.into_bytes();
+        output
+    }
+}
+
+/// A station that is given its ticket by stdin.
+fn station(folder: &Path, ticket: &str, arguments: &[&str]) -> Output {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_trocar"))
+        .args(arguments)
+        .args(["--ticket-file", "-", "--headless", "--json"])
+        .current_dir(folder)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let written = writeln!(child.stdin.take().expect("piped"), "{ticket}");
+    // A program that refuses its arguments reads nothing.
+    let _ = written;
+    child.wait_with_output().expect("an end")
+}
+
+fn controllers(output: &Output) -> Vec<String> {
+    let object = object(output);
+    let rows = object["controllers"].as_array().expect("rows").clone();
+    rows.iter().map(|row| row["name"].as_str().expect("a name").to_owned()).collect()
+}
+
+#[test]
+fn a_second_program_joins_with_its_own_hand_and_a_third_looks_on() {
+    let folder = here();
+    let host = Host::start(folder.path(), &["operate=Ana", "watch=Bo"]);
+    let join = ["join", "--name", "Ana", "--hand", "left=virtual", "--seconds", "4"];
+    let joined = station(folder.path(), &host.tickets[0], &join);
+    assert_eq!(joined.status.code(), Some(0), "{}", stderr(&joined));
+    assert_eq!(controllers(&joined), ["network", "haptics.left"]);
+    let watched = station(folder.path(), &host.tickets[1], &["watch", "--name", "Bo", "--seconds", "2"]);
+    assert_eq!(watched.status.code(), Some(0), "{}", stderr(&watched));
+    assert_eq!(controllers(&watched), ["network"]);
+    // A ticket lets in once.
+    let again = station(folder.path(), &host.tickets[1], &["watch", "--seconds", "2"]);
+    assert_eq!(again.status.code(), Some(77), "{}", stderr(&again));
+    assert!(stderr(&again).contains("used"), "{}", stderr(&again));
+    // A further one, from another terminal.
+    let port = "1";
+    let further = ["host", "ticket", "--role", "watch", "--person", "Cy", "--tickets", "host.tickets"];
+    let further = trocar(folder.path(), &[&further[..], &["--port", port, "--json"]].concat());
+    assert_eq!(further.status.code(), Some(0), "{}", stderr(&further));
+    assert!(object(&further)["ticket"].as_str().is_some_and(|ticket| ticket.starts_with("trocar1")));
+    let listed = trocar(folder.path(), &["host", "tickets", "--tickets", "host.tickets", "--json"]);
+    let states: Vec<String> = object(&listed)["tickets"]
+        .as_array()
+        .expect("tickets")
+        .iter()
+        .map(|row| row["state"].as_str().expect("a state").to_owned())
+        .collect();
+    assert_eq!(states, ["redeemed", "redeemed", "open"]);
+    let ended = host.end();
+    assert_eq!(ended.status.code(), Some(130), "{}", stderr(&ended));
+    assert!(controllers(&ended).contains(&"network".to_owned()));
+}
+
+#[test]
+fn a_ticket_that_is_none_a_port_that_is_taken_and_a_hand_that_is_not_there_are_told() {
+    let folder = here();
+    let wrong = station(folder.path(), "trocar1nonsense", &["join"]);
+    assert_eq!(wrong.status.code(), Some(2), "{}", stderr(&wrong));
+    let nobody = trocar(folder.path(), &["host", "ticket", "--port", "1", "--tickets", "nobody.tickets"]);
+    let nobody = String::from_utf8_lossy(&nobody.stdout).trim().to_owned();
+    let unreached = station(folder.path(), &nobody, &["join"]);
+    assert_eq!(unreached.status.code(), Some(69), "{}", stderr(&unreached));
+    let host = Host::start(folder.path(), &["operate=Ana"]);
+    let unknown = station(folder.path(), &host.tickets[0], &["join", "--hand", "third=virtual"]);
+    assert_eq!(unknown.status.code(), Some(2), "{}", stderr(&unknown));
+    assert!(stderr(&unknown).contains("valid are left, right"), "{}", stderr(&unknown));
+    let second = trocar(folder.path(), &["host", "peg-transfer", "--tickets", "host.tickets", "--port", "0"]);
+    assert_eq!(second.status.code(), Some(4), "{}", stderr(&second));
+    assert!(stderr(&second).contains("another host runs"), "{}", stderr(&second));
+    host.end();
+}
