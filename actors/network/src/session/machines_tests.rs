@@ -18,7 +18,7 @@ use crate::control::{
     Architecture, ClientFacts, ClientState, ComponentList, Credential, HandInfo, HostFacts, PlainText,
     SessionInfo, Wish,
 };
-use crate::hands_link::{HandsHost, HandsStation, HostHand, StationHand, hands_channel};
+use crate::hands_link::{ControllerEnd, HandsHost, HandsStation, HostHand, StationHand, hands_channel};
 use crate::haptic::SenderConfig;
 use crate::impairments::Impairments;
 use crate::lockstep::{End, HandsPeer, Wire, WireHostStreams, WireStationStream, Wires};
@@ -71,6 +71,10 @@ struct Station {
     device: Device,
     columns: Arc<ReplicatedColumns>,
     news: Vec<StationNews>,
+    /// What a machine that is made again needs.
+    setup: StationSetup,
+    controller: ControllerEnd<usize>,
+    wire: Wire,
 }
 
 struct Bench {
@@ -252,7 +256,7 @@ impl Station {
             secret: 5,
         };
         let stream = WireStationStream::new(wire.clone(), number, SimTime::from_millis(300));
-        let machine = StationMachine::new(setup, Box::new(stream), controller, SimTime::ZERO);
+        let machine = StationMachine::new(setup.clone(), Box::new(stream), controller.clone(), SimTime::ZERO);
         Self {
             store: Store::new(registry.clone()),
             commands: Commands::new(registry, EntityAllocator::new(1, 1)),
@@ -261,7 +265,19 @@ impl Station {
             device: Device { hand, shown: None },
             columns,
             news: Vec::new(),
+            setup,
+            controller,
+            wire: wire.clone(),
         }
+    }
+
+    /// Its actor dies at work, and the next life begins with what is in the scene.
+    fn lose_machine(&mut self, now: SimTime) {
+        let parts = self.machine.parts().expect("it is in the session");
+        let stream = WireStationStream::new(self.wire.clone(), 0, SimTime::from_millis(300));
+        let (setup, controller) = (self.setup.clone(), self.controller.clone());
+        let scene = self.store.snapshot();
+        self.machine = StationMachine::again(setup, Box::new(stream), controller, parts, &scene, now);
     }
 
     fn step(&mut self, now: SimTime, intent: Option<HandIntent>) {
@@ -272,7 +288,7 @@ impl Station {
         }
         if self.machine.progress().is_some() || self.machine.welcome().is_some() {
             let hands = self.machine.welcome().map(|welcome| welcome.session.hands.clone()).unwrap_or_default();
-            if self.machine.applied() == trocar_scene::Revision::ZERO && self.machine.replica_counts().deltas == 0 {
+            if self.machine.parts().is_none() {
                 let devices = hands.iter().map(|hand| hand.entity).collect();
                 self.machine.replicate(self.columns.clone(), devices);
             }
@@ -357,6 +373,35 @@ fn after_a_break_the_station_is_back_with_what_it_missed_and_its_hand_is_at_one_
         assert!((bench.host.scene.get::<Pose>(*entity).expect("a pose").translation - there.translation).norm() < 1.5e-3);
     }
     let Credential::Ticket { .. } = bench.credential else { panic!("it came with a ticket") };
+}
+
+#[test]
+fn a_station_whose_network_died_at_work_comes_back_with_the_same_scene_and_hand() {
+    let mut bench = Bench::new(&bad_path(), 200, Role::Operate, &["left"]);
+    bench.run_until(5_000, Bench::is_running);
+    bench.run(1_000);
+    // What happened at the host meanwhile it does not know.
+    let gone = bench.host.moving.pop().expect("a body");
+    bench.host.commands.begin(bench.now);
+    bench.host.commands.despawn(gone);
+    bench.host.commands.seal();
+    bench.host.store.apply(&mut bench.host.commands, bench.now);
+    bench.host.commands.clear();
+    bench.station.lose_machine(bench.now);
+    let took = bench.run_until(5_000, Bench::is_running);
+    assert!(took < 1_500, "{took} ms");
+    bench.run(1_500);
+    let stations = bench.host.machine.stations();
+    assert_eq!((stations.len(), stations[0].is_here, &stations[0].hands[..]), (1, true, &[0][..]));
+    assert!(!bench.station.store.view().contains(gone), "a despawn that was missed");
+    let (host, station) = (&bench.host.scene, bench.station.store.view());
+    for entity in &bench.host.moving {
+        let (here, there) = (host.get::<Pose>(*entity), station.get::<Pose>(*entity));
+        let (here, there) = (here.expect("a pose"), there.expect("it is there"));
+        assert!((here.translation - there.translation).norm() < 1.5e-3);
+    }
+    let (here, there) = (bench.host.device.x(), bench.station.device.x());
+    assert!((here - there).abs() < 2e-4, "{here} and {there}");
 }
 
 #[test]
