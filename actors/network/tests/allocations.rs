@@ -3,6 +3,8 @@
 use trocar_devices::{HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
 use trocar_network::datagram::{ClockEcho, DATAGRAM_MAX, Hands, Keys, Opener, Sealer, Side};
 use trocar_network::hand_sample::HandSample;
+use trocar_network::hands_link::Connection;
+use trocar_network::haptic::SenderConfig;
 use trocar_network::remote_hand::{DoorLimits, RemoteHand};
 use trocar_scene::SimTime;
 use trocar_test_support::allocations::counted;
@@ -47,6 +49,44 @@ fn a_warmed_datagram_of_two_hands_allocates_and_frees_nothing() {
         }
         assert_eq!(hands.samples().len(), 2);
     }
+    assert_eq!(total, (0, 0));
+}
+
+#[test]
+fn a_warmed_tick_of_the_hands_link_of_two_hands_allocates_and_frees_nothing() {
+    let keys = || {
+        let made = Keys::from_exporter(7, 0, |_, _, out: &mut [u8]| {
+            out.fill(9);
+            Ok::<(), ()>(())
+        });
+        made.expect("keys")
+    };
+    let end = |side| Connection::new(7, keys(), side, &[0, 1], &SenderConfig::default(), 1).expect("two hands");
+    let (mut host, mut station) = (end(Side::Server), end(Side::Client));
+    let mut out = [0; DATAGRAM_MAX];
+    let mut total = (0, 0);
+    let mut arrived = 0;
+    for ms in 0..5_000 {
+        let now = SimTime::from_millis(ms);
+        let samples = [sample(0, ms), sample(1, ms)];
+        let (allocations, frees) = counted(|| {
+            for turn in 0..2 {
+                let (from, to) = if turn == 0 { (&mut station, &mut host) } else { (&mut host, &mut station) };
+                if let Some(length) = from.tick(&samples, now, &mut out) {
+                    from.sent(&samples, length, true, now);
+                    arrived += u64::from(to.receive(now, turn, &mut out[..length]).is_ok());
+                }
+                if let Some(length) = from.report(now, &mut out) {
+                    arrived += u64::from(to.receive(now, turn, &mut out[..length]).is_ok());
+                }
+                std::hint::black_box((to.read(0, now), to.read(1, now), to.point(now)));
+            }
+        });
+        if ms >= 10 {
+            total = (total.0 + allocations, total.1 + frees);
+        }
+    }
+    assert!(arrived > 500, "{arrived}");
     assert_eq!(total, (0, 0));
 }
 

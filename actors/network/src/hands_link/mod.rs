@@ -19,8 +19,6 @@ mod connection;
 #[cfg(test)]
 mod connection_tests;
 mod hands_host;
-#[cfg(test)]
-mod hands_host_tests;
 mod hands_station;
 mod order;
 mod path;
