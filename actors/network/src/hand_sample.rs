@@ -31,7 +31,14 @@ pub const CLUTCHES: u8 = 16;
 impl HandSample {
     /// At rest at the device's origin, disconnected, without force.
     pub fn unknown(hand: u8) -> Self {
-        Self { hand, state: DeviceState::unknown(), wrench: Wrench::ZERO, grabbed: None, age_us: 0, clutch: 0 }
+        Self {
+            hand,
+            state: DeviceState::unknown(),
+            wrench: Wrench::ZERO,
+            grabbed: None,
+            age_us: 0,
+            clutch: 0,
+        }
     }
 
     /// Whether no number is NaN or infinite and the rotation is of unit length.

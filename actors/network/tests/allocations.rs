@@ -61,7 +61,8 @@ fn a_warmed_tick_of_the_hands_link_of_two_hands_allocates_and_frees_nothing() {
         });
         made.expect("keys")
     };
-    let end = |side| Connection::new(7, keys(), side, &[0, 1], &SenderConfig::default(), 1).expect("two hands");
+    let end =
+        |side| Connection::new(7, keys(), side, &[0, 1], &SenderConfig::default(), 1).expect("two hands");
     let (mut host, mut station) = (end(Side::Server), end(Side::Client));
     let mut out = [0; DATAGRAM_MAX];
     let mut total = (0, 0);
@@ -71,7 +72,8 @@ fn a_warmed_tick_of_the_hands_link_of_two_hands_allocates_and_frees_nothing() {
         let samples = [sample(0, ms), sample(1, ms)];
         let (allocations, frees) = counted(|| {
             for turn in 0..2 {
-                let (from, to) = if turn == 0 { (&mut station, &mut host) } else { (&mut host, &mut station) };
+                let (from, to) =
+                    if turn == 0 { (&mut station, &mut host) } else { (&mut host, &mut station) };
                 if let Some(length) = from.tick(&samples, now, &mut out) {
                     from.sent(&samples, length, true, now);
                     arrived += u64::from(to.receive(now, turn, &mut out[..length]).is_ok());

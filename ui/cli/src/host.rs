@@ -11,7 +11,9 @@ use trocar::app::App;
 use trocar::network::live::sockets::PORT;
 use trocar::network::live::store_admissions::{unix_secs, wait_for_the_book};
 use trocar::network::ticket::{HostAddress, PlainName, Role, TicketId, TicketStore, Whom, utc};
-use trocar::network::{HostOptions, Network, NetworkError, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
+use trocar::network::{
+    HostOptions, Network, NetworkError, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue,
+};
 use trocar::summary::{Exit, SCHEMA};
 
 use crate::args::{RunArgs, positive};

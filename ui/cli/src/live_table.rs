@@ -201,7 +201,8 @@ fn stations(scene: &Snapshot) -> Vec<String> {
     let rows = scene.iter::<Station>().filter(|(entity, _)| entity.station() == own);
     let line = |(_, station): (_, &Station)| {
         let name = printable(&station.name);
-        let hands = if station.hands.is_empty() { String::new() } else { format!(" {}", station.hands.join(", ")) };
+        let hands =
+            if station.hands.is_empty() { String::new() } else { format!(" {}", station.hands.join(", ")) };
         if !station.here {
             return style(format!("{name}: away{hands}")).yellow().for_stderr().to_string();
         }

@@ -15,7 +15,8 @@ struct Host {
 
 impl Host {
     fn start(folder: &Path, tickets: &[&str]) -> Self {
-        let mut arguments = vec!["host", "peg-transfer", "--headless", "--json", "--no-record", "--no-report"];
+        let mut arguments =
+            vec!["host", "peg-transfer", "--headless", "--json", "--no-record", "--no-report"];
         arguments.extend(["--port", "0", "--bind", "127.0.0.1", "--tickets", "host.tickets"]);
         arguments.extend(["--seconds", "120"]);
         tickets.iter().for_each(|wish| arguments.extend(["--ticket", wish]));

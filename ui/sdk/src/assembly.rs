@@ -89,7 +89,8 @@ impl Assembly {
         commands.seal();
         store.apply(&mut commands, options.begin);
         let scene = store.snapshot();
-        let hosted = network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
+        let hosted =
+            network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
         if let Some((blueprint, part)) = hosted {
             roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, blueprint));
             network = Some(part);

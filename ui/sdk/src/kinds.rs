@@ -424,7 +424,8 @@ fn manual(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let config: ManualConfig = parse_or_default(&context.entry.params)?;
     config.check().map_err(|reason| context.entry.params.error(reason))?;
     let own: Vec<trocar_scene::Entity> = context.hands.iter().map(|port| port.entity).collect();
-    let mut blueprint = plain(RuntimeClass::Task, move |context| ManualController::new(&config, &own, context));
+    let mut blueprint =
+        plain(RuntimeClass::Task, move |context| ManualController::new(&config, &own, context));
     // Without a hand the controller returns the error when it is built.
     blueprint.arrange = Some(Box::new(|scene, out| add_person(scene, out).unwrap_or_default()));
     Ok(blueprint)

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, Snapshot, Station,
-    TaskState,
+    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, Snapshot,
+    Station, TaskState,
 };
 
 use crate::decimate::{Series, Track};

@@ -82,10 +82,11 @@ impl ManualController {
     ) -> Result<Self, ControllerError> {
         limits.check().map_err(wrong)?;
         let scene = context.scene;
-        let (person, input) = PersonInput::of(scene)
-            .ok_or_else(|| wrong("no entity has the component 'person_input'"))?;
-        let of_side =
-            |side| own.iter().copied().find(|hand| scene.get::<Hand>(*hand).is_some_and(|hand| hand.side == side));
+        let (person, input) =
+            PersonInput::of(scene).ok_or_else(|| wrong("no entity has the component 'person_input'"))?;
+        let of_side = |side| {
+            own.iter().copied().find(|hand| scene.get::<Hand>(*hand).is_some_and(|hand| hand.side == side))
+        };
         let hands = [of_side(Side::Left), of_side(Side::Right)];
         if hands == [None, None] {
             return Err(wrong(NoHands));

@@ -58,7 +58,9 @@ pub enum HandsError {
     #[error("hand {0} comes twice in one datagram")]
     Repeated(u8),
     /// Bits that mean nothing yet are set.
-    #[error("hand {hand} has flags {flags:#04x}; only bits 0 (connected), 1 (grabbed) and 2 to 5 (clutches) may be set")]
+    #[error(
+        "hand {hand} has flags {flags:#04x}; only bits 0 (connected), 1 (grabbed) and 2 to 5 (clutches) may be set"
+    )]
     Flags {
         /// Number of the hand.
         hand: u8,

@@ -172,8 +172,7 @@ impl<A: Copy + PartialEq> HandsStation<A> {
             }
             HandsOrder::Send { parcel, .. } => {
                 if let Some(host) = self.host
-                    && let Some(length) =
-                        connection.seal(parcel.kind(), parcel.payload(), now, &mut self.out)
+                    && let Some(length) = connection.seal(parcel.kind(), parcel.payload(), now, &mut self.out)
                 {
                     send(host, &self.out[..length]);
                 }
@@ -247,8 +246,9 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
             let Ok(order) = self.controller.orders.pop() else { break };
             self.obey(order, now, send);
         }
-        let Self { hands, serves, host, connection: Some(connection), is_worn, controller, samples, out, .. } =
-            self
+        let Self {
+            hands, serves, host, connection: Some(connection), is_worn, controller, samples, out, ..
+        } = self
         else {
             return;
         };

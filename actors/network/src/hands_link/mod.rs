@@ -29,7 +29,7 @@ pub use connection::{Arrived, Connection, ConnectionCounts, ConnectionError, Rep
 pub use hands_host::{HandsHost, HostHand, StrangerCounts};
 pub use hands_station::{HOST, HandsStation, StationHand};
 pub use order::{
-    HandNumbers, ControllerEnd, HandsNews, HandsOrder, LinkEnd, NEWS_MAX, ORDERS_MAX, Parcel, hands_channel,
+    ControllerEnd, HandNumbers, HandsNews, HandsOrder, LinkEnd, NEWS_MAX, ORDERS_MAX, Parcel, hands_channel,
 };
 pub use path::{CHALLENGE_BYTES, CHALLENGE_EVERY, Path, PathNews};
 

@@ -50,11 +50,7 @@ impl HandsThread {
     ///
     /// # Errors
     /// When the system starts no thread.
-    pub fn spawn(
-        socket: UdpSocket,
-        link: Box<dyn HandsLink<SocketAddr>>,
-        clock: Clock,
-    ) -> io::Result<Self> {
+    pub fn spawn(socket: UdpSocket, link: Box<dyn HandsLink<SocketAddr>>, clock: Clock) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let counts = Arc::new(HandsThreadCounts::default());
         let (thread_stop, thread_counts) = (stop.clone(), counts.clone());

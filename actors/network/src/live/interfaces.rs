@@ -8,7 +8,8 @@ pub fn own_addresses() -> Vec<IpAddr> {
     // Where the system does not tell, a ticket still works on the machine itself.
     let interfaces = if_addrs::get_if_addrs().unwrap_or_default();
     let is_up = |interface: &if_addrs::Interface| interface.oper_status != if_addrs::IfOperStatus::Down;
-    let mut found: Vec<IpAddr> = interfaces.iter().filter(|known| is_up(known)).map(|known| known.ip()).collect();
+    let mut found: Vec<IpAddr> =
+        interfaces.iter().filter(|known| is_up(known)).map(|known| known.ip()).collect();
     found.retain(|ip| match ip {
         IpAddr::V4(ip) => !ip.is_link_local(),
         IpAddr::V6(ip) => ip.segments()[0] & 0xffc0 != 0xfe80,

@@ -13,7 +13,11 @@ use crate::streams::{Closed, HostStreams, StationStream, StreamId, StreamState};
 fn keys(wire: usize, stream: u64, connection: u32, phase: u32) -> Option<Keys> {
     let made = Keys::from_exporter(connection, phase, |label, context, out: &mut [u8]| {
         let mut hasher = blake3::Hasher::new_derive_key("trocar-network lock-step keys of a wire");
-        hasher.update(&(wire as u64).to_le_bytes()).update(&stream.to_le_bytes()).update(label).update(context);
+        hasher
+            .update(&(wire as u64).to_le_bytes())
+            .update(&stream.to_le_bytes())
+            .update(label)
+            .update(context);
         hasher.finalize_xof().fill(out);
         Ok::<(), ()>(())
     });

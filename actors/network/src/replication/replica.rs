@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use trocar_scene::{Commands, ComponentError, ComponentId, Entity, EntityAllocator, Revision, Snapshot, VertexPositions};
+use trocar_scene::{
+    Commands, ComponentError, ComponentId, Entity, EntityAllocator, Revision, Snapshot, VertexPositions,
+};
 
 use super::ReplicationError;
 use super::acknowledgement::RowWindow;

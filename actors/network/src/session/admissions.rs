@@ -57,11 +57,7 @@ impl<C> BookAdmissions<C> {
 }
 
 /// What a book says of a credential, without spending it.
-pub fn examine(
-    book: &TicketBook,
-    credential: &Credential,
-    now: u64,
-) -> Result<(Option<u16>, Role), Refused> {
+pub fn examine(book: &TicketBook, credential: &Credential, now: u64) -> Result<(Option<u16>, Role), Refused> {
     match credential {
         Credential::Ticket { token, resume } => {
             book.examine(token, resume, now).map(|(role, _)| (None, role))

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use trocar_scene::{
-    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, LinkState, Snapshot, Station,
-    StationRole, Tick,
+    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, LinkState, Snapshot,
+    Station, StationRole, Tick,
 };
 
 use super::host_machine::HostMachine;
@@ -27,11 +27,7 @@ pub struct HostController<A> {
 
 impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
     /// Carries the machine of the session.
-    pub fn new(
-        context: &BuildContext<'_>,
-        machine: HeldMachine<HostMachine<A>>,
-        is_protected: bool,
-    ) -> Self {
+    pub fn new(context: &BuildContext<'_>, machine: HeldMachine<HostMachine<A>>, is_protected: bool) -> Self {
         // An earlier life has created entities for the stations.
         let shown = context.scene.iter::<Station>().map(|(entity, station)| (station.number, entity));
         let board = AnnotationBoard::of(context.scene);

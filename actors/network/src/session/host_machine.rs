@@ -6,7 +6,9 @@ use std::sync::Arc;
 use trocar_scene::{SimTime, Snapshot};
 
 use super::admissions::Admissions;
-use super::host_members::{AcceptedNote, HostHandControl, Member, MemberFigures, Members, NOTES_MAX, figures};
+use super::host_members::{
+    AcceptedNote, HostHandControl, Member, MemberFigures, Members, NOTES_MAX, figures,
+};
 use crate::control::{
     ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, NoteKind, PACE_BYTES,
     Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
@@ -159,9 +161,11 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
 
     /// The last second of each link.
     pub fn points(&self) -> Vec<(u16, LinkPoint)> {
-        let points = self.members.members.iter().filter_map(|(station, member)| {
-            Some((*station, *member.quality.as_ref()?.curve().last()?))
-        });
+        let points = self
+            .members
+            .members
+            .iter()
+            .filter_map(|(station, member)| Some((*station, *member.quality.as_ref()?.curve().last()?)));
         points.collect()
     }
 
@@ -346,7 +350,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
 
     /// Begins the next phase of a connection's keys: the other side's first, so that this end can open what it seals.
     fn rekey(&mut self, connection: u32, now: SimTime) {
-        let found = self.links.iter_mut().find(|(_, link)| link.opened.is_some_and(|(id, _)| id == connection));
+        let found =
+            self.links.iter_mut().find(|(_, link)| link.opened.is_some_and(|(id, _)| id == connection));
         let Some((stream, link)) = found else { return };
         let Ok(phase) = link.control.rekey(now) else { return };
         if let Some(keys) = self.streams.keys(*stream, connection, phase) {

@@ -9,12 +9,12 @@ use trocar_scene::{Entity, Revision, SimTime, Snapshot};
 use super::admissions::Admissions;
 use super::own_rows::own_rows;
 use crate::control::{
-    Admitted, ClockSample, Credential, HandInfo, HeldScene, HostEvent, HostSession, LinkFigures, Note, NoteKind, PlainText,
-    Refusal, RequestKind, Roster, SceneCounts, SceneKind, SceneManifest, SceneOffer, SessionInfo, TakeOver,
-    Wish,
+    Admitted, ClockSample, Credential, HandInfo, HeldScene, HostEvent, HostSession, LinkFigures, Note,
+    NoteKind, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind, SceneManifest, SceneOffer,
+    SessionInfo, TakeOver, Wish,
 };
-use crate::haptic::{LinkPoint, LinkQuality, LinkSummary, Rate};
 use crate::hands_link::HOST;
+use crate::haptic::{LinkPoint, LinkQuality, LinkSummary, Rate};
 use crate::remote_hand::HandControl;
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::scene_feed::{FeedLimits, Resumed, SceneFeed};
@@ -247,7 +247,8 @@ impl Members {
     /// A mentor's link broke: what it had taken over goes back at once.
     fn return_hands_of(&mut self, mentor: u16) {
         self.asked.retain(|_, station| *station != mentor);
-        let of_mentor = |info: &&HandInfo| info.station == Some(mentor) && self.lent.contains_key(&info.number);
+        let of_mentor =
+            |info: &&HandInfo| info.station == Some(mentor) && self.lent.contains_key(&info.number);
         let lent: Vec<HandInfo> = self.roster.hands().iter().filter(of_mentor).cloned().collect();
         for info in lent {
             // The mentor has the hand, so that it can be given back.
@@ -277,7 +278,10 @@ impl Members {
         let hash = *blake3::hash(&bytes).as_bytes();
         let (kind, digest) = match resumed {
             Some(held) => (SceneKind::Missed { since: held.revision }, hash),
-            None => (SceneKind::Whole, digest_of(&feed.digest(scene).map_err(|error| trouble(error.to_string()))?)),
+            None => (
+                SceneKind::Whole,
+                digest_of(&feed.digest(scene).map_err(|error| trouble(error.to_string()))?),
+            ),
         };
         let revision = feed.sent_revision().unwrap_or(scene.revision());
         let (entities, rows) = feed.row_counts(scene);

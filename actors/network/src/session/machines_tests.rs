@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use trocar_devices::{DeviceState, HandIntent, HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
 use trocar_kernel::spec::Peer;
 use trocar_scene::{
-    Commands, Entity, EntityAllocator, Hand, Name, Pose, Registry, Side as Handedness, SimTime, Snapshot, Store,
-    Velocity,
+    Commands, Entity, EntityAllocator, Hand, Name, Pose, Registry, Side as Handedness, SimTime, Snapshot,
+    Store, Velocity,
 };
 
 use super::admissions::BookAdmissions;
@@ -138,7 +138,9 @@ impl Bench {
             person: name("Ana"),
             expires: NOW + 3_600,
             session: name("moving bodies"),
-            addresses: vec![HostAddress::of_socket("127.0.0.1:7417".parse().expect("an address")).expect("valid")],
+            addresses: vec![
+                HostAddress::of_socket("127.0.0.1:7417".parse().expect("an address")).expect("valid"),
+            ],
         };
         let random = ring::rand::SystemRandom::new();
         let (_, ticket) = book.issue(offer, NOW, &random).expect("a ticket");
@@ -201,7 +203,12 @@ impl Bench {
             self.step(None);
         }
         let machine = &self.station.machine;
-        panic!("it never happened: {:?}, {:?}, {:?}", machine.state(), machine.error(), self.host.machine.stations());
+        panic!(
+            "it never happened: {:?}, {:?}, {:?}",
+            machine.state(),
+            machine.error(),
+            self.host.machine.stations()
+        );
     }
 
     fn is_running(&self) -> bool {
@@ -287,7 +294,8 @@ impl Station {
             return;
         }
         if self.machine.progress().is_some() || self.machine.welcome().is_some() {
-            let hands = self.machine.welcome().map(|welcome| welcome.session.hands.clone()).unwrap_or_default();
+            let hands =
+                self.machine.welcome().map(|welcome| welcome.session.hands.clone()).unwrap_or_default();
             if self.machine.parts().is_none() {
                 let devices = hands.iter().map(|hand| hand.entity).collect();
                 self.machine.replicate(self.columns.clone(), devices);
@@ -370,7 +378,10 @@ fn after_a_break_the_station_is_back_with_what_it_missed_and_its_hand_is_at_one_
     assert!((here - there).abs() < 2e-4, "{here} and {there}");
     for entity in &bench.host.moving {
         let there = bench.station.store.view().get::<Pose>(*entity).expect("it is there");
-        assert!((bench.host.scene.get::<Pose>(*entity).expect("a pose").translation - there.translation).norm() < 1.5e-3);
+        assert!(
+            (bench.host.scene.get::<Pose>(*entity).expect("a pose").translation - there.translation).norm()
+                < 1.5e-3
+        );
     }
     let Credential::Ticket { .. } = bench.credential else { panic!("it came with a ticket") };
 }

@@ -1,7 +1,8 @@
 //! Own rows: what a station writes itself of the hands that it serves, and so is never sent to it.
 
 use trocar_scene::{
-    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry, Snapshot,
+    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry,
+    Snapshot,
 };
 
 use crate::replication::delta::RowSet;

@@ -1,6 +1,8 @@
 //! The network's actor at a station: steps the machine, and writes what comes from the host into the station's scene.
 
-use trocar_scene::{Access, BuildContext, Commands, Controller, ControllerError, SimTime, Snapshot, Station, Tick};
+use trocar_scene::{
+    Access, BuildContext, Commands, Controller, ControllerError, SimTime, Snapshot, Station, Tick,
+};
 
 use super::machine_slot::HeldMachine;
 use super::station_machine::{StationMachine, StationNews};

@@ -297,9 +297,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
                 // The machine asked for the stream, and the wish was checked when it was made.
                 let _ = self.control.connected(held, now);
             }
-            (StreamState::Closed(why), state)
-                if !matches!(state, ClientState::Away | ClientState::Ended) =>
-            {
+            (StreamState::Closed(why), state) if !matches!(state, ClientState::Away | ClientState::Ended) => {
                 self.drain(now);
                 self.control.broke(&why, now);
             }
@@ -395,9 +393,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         }
         let secret = self.secret ^ u64::from(id);
         let keys: Option<Keys> = self.stream.keys(id, 0);
-        let made = keys.and_then(|keys| {
-            Connection::new(id, keys, Side::Client, &[], &self.sender, secret).ok()
-        });
+        let made =
+            keys.and_then(|keys| Connection::new(id, keys, Side::Client, &[], &self.sender, secret).ok());
         let Some(connection) = made.map(Box::new) else {
             self.control.broke("no keys for its datagrams", now);
             return;
@@ -480,9 +477,9 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     /// Tells the host what was built, once it is in the station's scene.
     fn join(&mut self, now: SimTime, scene: &Snapshot) {
         let Some((manifest, mark)) = self.pending.take() else { return };
-        let is_there = scene.iter::<Station>().any(|(entity, _)| {
-            entity.station() == self.station() && scene.changed::<Station>(entity) > mark
-        });
+        let is_there = scene
+            .iter::<Station>()
+            .any(|(entity, _)| entity.station() == self.station() && scene.changed::<Station>(entity) > mark);
         let Some(replica) = self.replica.as_mut().filter(|_| is_there) else {
             self.pending = Some((manifest, mark));
             return;

@@ -343,7 +343,10 @@ impl TicketBook {
     /// in use.
     pub fn free_station(&self) -> Option<u16> {
         let taken = |number: &u16| {
-            self.entries.iter().filter_map(|entry| entry.redeemed.as_ref()).any(|known| known.station == *number)
+            self.entries
+                .iter()
+                .filter_map(|entry| entry.redeemed.as_ref())
+                .any(|known| known.station == *number)
         };
         (1..=u16::MAX).find(|number| !taken(number))
     }

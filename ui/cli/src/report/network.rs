@@ -37,9 +37,13 @@ pub fn network(report: &Report) -> String {
         "Medians of seconds; p99 and worst: of seconds as well. As the end that wrote this report sees each link.",
     );
     body.push_str("<h3>round trip</h3>");
-    body.push_str(&chart(report, "Round trip over time", "round trip [ms]", |second| second.link.round_trip * MS));
+    body.push_str(&chart(report, "Round trip over time", "round trip [ms]", |second| {
+        second.link.round_trip * MS
+    }));
     body.push_str("<h3>age of what is shown</h3>");
-    body.push_str(&chart(report, "Age of what is shown over time", "age [ms]", |second| second.link.age * MS));
+    body.push_str(&chart(report, "Age of what is shown over time", "age [ms]", |second| {
+        second.link.age * MS
+    }));
     body.push_str("<h3>loss</h3>");
     body.push_str(&chart(report, "Loss over time", "loss [%]", |second| second.link.loss * 100.0));
     body

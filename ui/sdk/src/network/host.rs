@@ -144,7 +144,13 @@ impl NetworkHost {
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub fn ticket(&self, person: &str, role: Role, life_secs: u64, session: &str) -> Result<Ticket, NetworkError> {
+    pub fn ticket(
+        &self,
+        person: &str,
+        role: Role,
+        life_secs: u64,
+        session: &str,
+    ) -> Result<Ticket, NetworkError> {
         issue(&mut self.tickets.store(), person, role, life_secs, session, self.addresses())
     }
 
@@ -221,8 +227,8 @@ impl LockstepHost {
     /// # Errors
     /// When the system has no randomness for its certificate.
     pub fn new() -> Result<Self, NetworkError> {
-        let identity =
-            Identity::create(&plain_name("host")?).map_err(|error| NetworkError::System(error.to_string()))?;
+        let identity = Identity::create(&plain_name("host")?)
+            .map_err(|error| NetworkError::System(error.to_string()))?;
         Ok(Self { wires: Wires::default(), book: Arc::new(Mutex::new(TicketBook::new(identity))) })
     }
 
@@ -241,8 +247,10 @@ impl LockstepHost {
             person: plain_name(person)?,
             expires: VIRTUAL_UNIX_SECS + TICKET_LIFE_SECS,
             session: plain_name("session")?,
-            addresses: vec![HostAddress::of_socket(SocketAddr::from(([127, 0, 0, 1], PORT)))
-                .map_err(|error| NetworkError::Usage(error.to_string()))?],
+            addresses: vec![
+                HostAddress::of_socket(SocketAddr::from(([127, 0, 0, 1], PORT)))
+                    .map_err(|error| NetworkError::Usage(error.to_string()))?,
+            ],
         };
         let mut book = self.book.lock().unwrap_or_else(PoisonError::into_inner);
         let issued = book.issue(offer, VIRTUAL_UNIX_SECS, &ring::rand::SystemRandom::new());
@@ -314,7 +322,8 @@ pub(crate) fn hosted(
             );
             let is_protected = host.is_protected();
             let again = move |scene: &Snapshot| {
-                let (streams, _) = host.streams().map_err(|error| ControllerError::Failed(error.to_string()))?;
+                let (streams, _) =
+                    host.streams().map_err(|error| ControllerError::Failed(error.to_string()))?;
                 let admissions = Box::new(host.tickets.clone());
                 let scene = Arc::new(scene.clone());
                 Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
@@ -334,7 +343,8 @@ pub(crate) fn hosted(
                 let scene = Arc::new(scene.clone());
                 Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
             };
-            let first = make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
+            let first =
+                make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
             Ok(Some((blueprint(first, true, make), NetworkPart::Lockstep(Box::new(peer)))))
         }
     }
@@ -351,7 +361,8 @@ fn setup(
     let registry = scene.registry();
     let text = scenario.text();
     if text.len() > SCENARIO_TEXT_MAX {
-        let reason = format!("{}: longer than the {SCENARIO_TEXT_MAX} bytes that travel", scenario.file.display());
+        let reason =
+            format!("{}: longer than the {SCENARIO_TEXT_MAX} bytes that travel", scenario.file.display());
         return Err(NetworkError::Scenario(reason));
     }
     let columns = ReplicatedColumns::new(registry, &settings.columns)

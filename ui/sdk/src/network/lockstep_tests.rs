@@ -30,11 +30,8 @@ impl Pair {
         let ticket = network.ticket("Ana", Role::Operate).expect("a ticket");
         let wire = Wire::new(path, 7);
         let number = network.wires().add(wire.clone());
-        let options = RunOptions {
-            lockstep: true,
-            network: Network::LockstepHost(network),
-            ..RunOptions::default()
-        };
+        let options =
+            RunOptions { lockstep: true, network: Network::LockstepHost(network), ..RunOptions::default() };
         let mut host = run::start(&app, &scenario, &options).expect("it starts");
         let hands: Vec<_> = hands.iter().map(|hand| ((*hand).to_owned(), "virtual".to_owned())).collect();
         let join = JoinOptions { name: Some("Ana".into()), hands: hands.clone(), ..JoinOptions::default() };

@@ -33,12 +33,12 @@ use trocar_network::control::{ControlError, ExitClass};
 use trocar_network::live::sockets::SocketError;
 use trocar_network::ticket::StoreError;
 
+use crate::kind::Blueprint;
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
 pub use part::NetworkPart;
 pub use station::{JoinOptions, JoinProgress, Joining, Station, join};
 pub(crate) use station::{STATION_WRITER, StationHands, stationed};
-use crate::kind::Blueprint;
 
 #[doc(no_inline)]
 pub use trocar_network::*;
@@ -53,13 +53,7 @@ const HANDS_PEER: &str = "network.hands";
 
 /// The network's actor: it takes what may be a whole scene at once, so that its flow has no limit of its own.
 fn blueprint(factory: Factory) -> Blueprint {
-    Blueprint {
-        class: RuntimeClass::Network,
-        factory,
-        fences: Vec::new(),
-        for_hands: None,
-        arrange: None,
-    }
+    Blueprint { class: RuntimeClass::Network, factory, fences: Vec::new(), for_hands: None, arrange: None }
 }
 
 /// How a session takes part in a network.

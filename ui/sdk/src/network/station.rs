@@ -13,7 +13,9 @@ use trocar_network::control::{
     ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
 };
 use trocar_network::datagram::Seal;
-use trocar_network::hands_link::{ControllerEnd, HandsLink, HandsStation, LinkEnd, StationHand, hands_channel};
+use trocar_network::hands_link::{
+    ControllerEnd, HandsLink, HandsStation, LinkEnd, StationHand, hands_channel,
+};
 use trocar_network::haptic::SenderConfig;
 use trocar_network::live::sockets;
 use trocar_network::live::tls_station_stream::TlsStationStream;
@@ -24,7 +26,9 @@ use trocar_network::session::{MachineSlot, StationController, StationError, Stat
 use trocar_network::streams::StationStream;
 use trocar_network::ticket::{ResumeSecret, Role, Ticket};
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{BuildContext, Commands, Controller, ControllerError, EntityAllocator, SimTime, Snapshot, Store};
+use trocar_scene::{
+    BuildContext, Commands, Controller, ControllerError, EntityAllocator, SimTime, Snapshot, Store,
+};
 
 use super::host::{NetworkSettings, plain_name, random_secret};
 use super::part::NetworkPart;
@@ -235,7 +239,13 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             hands: session.hands,
             moves,
             clock,
-            parts: Mutex::new(Some(parts(Joined { machine: Box::new(machine), setup, controller, link, redial }))),
+            parts: Mutex::new(Some(parts(Joined {
+                machine: Box::new(machine),
+                setup,
+                controller,
+                link,
+                redial,
+            }))),
         })
     }
 }
@@ -276,7 +286,11 @@ impl Begun {
         let scenario = Scenario::outline(Path::new(&file), &session.scenario_text)
             .map_err(|error| NetworkError::Scenario(format!("the host's scenario: {error}")))?;
         let allocator = EntityAllocator::new(welcome.station, STATION_WRITER);
-        Ok(Self { scenario, store: Store::new(registry.clone()), commands: Commands::new(registry, allocator) })
+        Ok(Self {
+            scenario,
+            store: Store::new(registry.clone()),
+            commands: Commands::new(registry, allocator),
+        })
     }
 
     fn apply(&mut self, now: SimTime) -> Result<(), NetworkError> {

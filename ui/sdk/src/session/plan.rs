@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::FlowLimit;
+use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::spec::{ControllerSpec, Factory, Fence, SessionSpec, StopWhen, ZeroForces};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{SimTime, Snapshot, Store, TaskState};

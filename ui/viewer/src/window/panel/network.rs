@@ -33,7 +33,9 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
             ui.label(RichText::new(figures(link)).weak());
         }
         if !station.protected {
-            ui.label(RichText::new("unprotected: everybody on this machine can read and forge it").color(BAD));
+            ui.label(
+                RichText::new("unprotected: everybody on this machine can read and forge it").color(BAD),
+            );
         }
     }
 }
@@ -47,7 +49,11 @@ fn stations(scene: &Snapshot) -> Vec<&Station> {
 fn title(station: &Station) -> String {
     let hands = station.hands.join(", ");
     let away = if station.here { "" } else { ", away" };
-    if hands.is_empty() { format!("{}{away}", station.name) } else { format!("{}: {hands}{away}", station.name) }
+    if hands.is_empty() {
+        format!("{}{away}", station.name)
+    } else {
+        format!("{}: {hands}{away}", station.name)
+    }
 }
 
 fn figures(link: &LinkState) -> String {
@@ -77,7 +83,13 @@ mod tests {
             here,
             hands: hands.iter().map(|hand| (*hand).to_owned()).collect(),
             protected: true,
-            link: LinkState { round_trip: 0.15, jitter: 0.002, loss: 0.01, age: 0.08, ..LinkState::default() },
+            link: LinkState {
+                round_trip: 0.15,
+                jitter: 0.002,
+                loss: 0.01,
+                age: 0.08,
+                ..LinkState::default()
+            },
         }
     }
 
