@@ -100,7 +100,9 @@ impl From<RunError> for Failure {
                 Self { exit: Exit::of_network(network.exit_class()), message: error.to_string() }
             }
             RunError::Assembly(_) | RunError::Recorder(_) | RunError::Session(_) => Self::invalid(error),
-            RunError::Live(LiveError::Thread(_)) | RunError::Driver(_) | RunError::Network(_) => Self::internal(error),
+            RunError::Live(LiveError::Thread(_)) | RunError::Driver(_) | RunError::Network(_) => {
+                Self::internal(error)
+            }
             RunError::Live(_) => Self::invalid(error),
         }
     }

@@ -5,7 +5,7 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use clap::{Args, Subcommand, ValueHint};
+use clap::{ArgMatches, Args, FromArgMatches, Subcommand, ValueHint};
 use serde_json::json;
 use trocar::app::App;
 use trocar::network::live::sockets::PORT;
@@ -29,7 +29,7 @@ pub struct HostArgs {
     pub command: Option<HostCommand>,
     /// What to run.
     #[command(flatten)]
-    pub run: Option<RunArgs>,
+    pub run: HostedRun,
     /// Where to listen.
     #[command(flatten)]
     pub listen: ListenArgs,
@@ -40,6 +40,32 @@ pub struct HostArgs {
     /// Datagrams without protection, for stations on this machine alone
     #[arg(long, help_heading = "Network")]
     pub insecure: bool,
+}
+
+/// The arguments of a run, where there is no sub-command.
+#[derive(Debug)]
+pub struct HostedRun(Option<Box<RunArgs>>);
+
+impl Args for HostedRun {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        RunArgs::augment_args(command)
+    }
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        RunArgs::augment_args_for_update(command)
+    }
+}
+
+impl FromArgMatches for HostedRun {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        if matches.subcommand_name().is_some() {
+            return Ok(Self(None));
+        }
+        RunArgs::from_arg_matches(matches).map(|run| Self(Some(Box::new(run))))
+    }
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
 }
 
 /// Where a host listens, and where its tickets are.
@@ -119,7 +145,7 @@ pub struct RevokeArgs {
 impl HostArgs {
     /// Folders from which meshes may be read.
     pub fn assets(&self) -> &[PathBuf] {
-        self.run.as_ref().map_or(&[], |run| &run.session.assets)
+        self.run.0.as_ref().map_or(&[], |run| &run.session.assets)
     }
 }
 
@@ -138,7 +164,7 @@ fn ticket_wish(text: &str) -> Result<(Role, String), String> {
 
 /// Hosts a session, or does what belongs to one.
 pub fn host(app: &App, args: &HostArgs) -> Result<Exit, Failure> {
-    match (&args.command, &args.run) {
+    match (&args.command, &args.run.0) {
         (Some(HostCommand::Ticket(args)), _) => ticket(args),
         (Some(HostCommand::Tickets(args)), _) => tickets(args),
         (Some(HostCommand::Revoke(args)), _) => revoke(args),
