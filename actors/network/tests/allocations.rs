@@ -1,7 +1,9 @@
 //! A warmed datagram of hands, and a hand that it moves, allocate nothing and free nothing.
 
 use trocar_devices::{HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
-use trocar_network::datagram::{ClockEcho, DATAGRAM_MAX, Hands, Keys, Opener, Sealer, Side};
+use trocar_network::datagram::{
+    ClockEcho, DATAGRAM_MAX, Hands, Keys, Kind, Opener, ReceiveKey, Sealer, SendKey, Side,
+};
 use trocar_network::hand_sample::HandSample;
 use trocar_network::hands_link::Connection;
 use trocar_network::haptic::SenderConfig;
@@ -9,17 +11,21 @@ use trocar_network::remote_hand::{DoorLimits, RemoteHand};
 use trocar_scene::SimTime;
 use trocar_test_support::allocations::counted;
 
-/// Both directions of a connection, each as seen from one side.
-fn keys() -> (Sealer, Opener) {
+/// Keys of one direction in a phase, as each side has them.
+fn keys_of(phase: u32) -> (SendKey, ReceiveKey) {
     let made = || {
-        Keys::from_exporter(7, 0, |_, _, out: &mut [u8]| {
-            out.fill(9);
+        Keys::from_exporter(7, phase, |_, _, out: &mut [u8]| {
+            out.fill(9 + phase as u8);
             Ok::<(), ()>(())
         })
         .expect("keys")
     };
-    let (send, _) = made().split(Side::Client);
-    let (_, receive) = made().split(Side::Server);
+    (made().split(Side::Client).0, made().split(Side::Server).1)
+}
+
+/// One direction of a connection, each end as seen from its side.
+fn keys() -> (Sealer, Opener) {
+    let (send, receive) = keys_of(0);
     (Sealer::new(send), Opener::new(receive, SimTime::from_millis(100)))
 }
 
@@ -90,6 +96,28 @@ fn a_warmed_tick_of_the_hands_link_of_two_hands_allocates_and_frees_nothing() {
     }
     assert!(arrived > 500, "{arrived}");
     assert_eq!(total, (0, 0));
+}
+
+#[test]
+fn a_datagram_under_a_new_key_frees_none_of_the_keys_before() {
+    let (mut sealer, mut opener) = keys();
+    let mut datagram = [0; DATAGRAM_MAX];
+    for phase in 1..10 {
+        // Some changes come while the key before the last still opens, some long after.
+        let begin = SimTime::from_millis(u64::from(phase * phase) * 20);
+        let (send, receive) = keys_of(phase);
+        opener.rekey(begin, receive).expect("the next phase");
+        sealer.rekey(send).expect("the next phase");
+        for ms in [0, 1, 150] {
+            let now = begin + SimTime::from_millis(ms);
+            let touched = counted(|| {
+                let length = sealer.seal(Kind::Rows, 0, now, &[5; 40], &mut datagram).expect("it is sealed");
+                opener.open(now, &mut datagram[..length]).expect("it is opened");
+            });
+            assert_eq!(touched, (0, 0), "phase {phase}, {ms} ms later");
+        }
+        assert_eq!(opener.phase(), phase);
+    }
 }
 
 #[test]

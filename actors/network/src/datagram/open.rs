@@ -99,11 +99,15 @@ impl RefusalCounts {
 /// Opens the datagrams of one direction, each once.
 ///
 /// It knows up to three keys: the present one, the next one from [`Opener::rekey`] until the sender first uses it, and
-/// the previous one for a grace time after that, since datagrams overtake each other.
+/// the previous one for a grace time after that, since datagrams overtake each other. Keys are freed by
+/// [`Opener::rekey`] alone, which no real-time path calls.
 pub struct Opener {
     current: OneWay,
     next: Option<OneWay>,
+    /// With the time until which it opens.
     previous: Option<(OneWay, SimTime)>,
+    /// One that opens nothing any more, until it is freed.
+    retired: Option<OneWay>,
     grace: SimTime,
     window: ReplayWindow,
     counts: RefusalCounts,
@@ -118,6 +122,7 @@ impl Opener {
             current: key.0,
             next: None,
             previous: None,
+            retired: None,
             grace,
             window: ReplayWindow::default(),
             counts: RefusalCounts::default(),
@@ -133,6 +138,7 @@ impl Opener {
     pub fn rekey(&mut self, now: SimTime, key: ReceiveKey) -> Result<(), RekeyError> {
         self.next.as_ref().unwrap_or(&self.current).check_successor(&key.0)?;
         self.advance(now);
+        self.retired = None;
         self.next = Some(key.0);
         Ok(())
     }
@@ -162,8 +168,7 @@ impl Opener {
             let (given, expected) = (header.connection, self.current.connection);
             return Err(Refused::Connection { given, expected });
         }
-        self.previous.take_if(|(_, until)| now > *until);
-        let key = self.key_of(header.phase)?;
+        let key = self.key_of(now, header.phase)?;
         let Some((head, sealed)) = datagram.split_first_chunk_mut() else {
             return Err(Refused::Length { bytes, min });
         };
@@ -178,8 +183,8 @@ impl Opener {
         Ok((header, payload))
     }
 
-    fn key_of(&self, phase: u8) -> Result<&OneWay, Refused> {
-        let previous = self.previous.as_ref().map(|(key, _)| key);
+    fn key_of(&self, now: SimTime, phase: u8) -> Result<&OneWay, Refused> {
+        let previous = self.previous.as_ref().filter(|(_, until)| now <= *until).map(|(key, _)| key);
         // The three have numbers in a row, so their low bytes differ.
         let mut known = [Some(&self.current), self.next.as_ref(), previous].into_iter().flatten();
         let current = self.current.phase_byte();
@@ -190,7 +195,8 @@ impl Opener {
     fn advance(&mut self, now: SimTime) {
         if let Some(next) = self.next.take() {
             let left = std::mem::replace(&mut self.current, next);
-            self.previous = Some((left, now + self.grace));
+            let previous = self.previous.replace((left, now + self.grace));
+            self.retired = previous.map(|(key, _)| key);
             self.forgeries = 0;
         }
     }
