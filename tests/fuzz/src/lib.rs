@@ -1,7 +1,12 @@
-//! What the targets share: memory counted per input, and how much an input may cost.
+//! What the targets share: memory counted per input, and how much an input may cost; inputs that are lists of steps.
 
+pub mod control_session;
+pub mod replica_scene;
+mod steps;
+
+pub use steps::{Step, first, first_chunk, pause_of, push_step, steps};
 use trocar_test_support::allocations::CountingAllocator;
-pub use trocar_test_support::allocations::peak_of;
+pub use trocar_test_support::allocations::{peak_of, touches};
 
 #[global_allocator]
 static ALLOCATOR: CountingAllocator = CountingAllocator;
