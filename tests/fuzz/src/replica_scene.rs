@@ -3,36 +3,41 @@
 use std::sync::{Arc, LazyLock};
 
 use nalgebra::{Point3, Vector3};
-use trocar_network::replication::{ColumnRates, FeedLimits, ReplicatedColumns, SceneFeed};
+use trocar_network::replication::{ColumnRates, FeedLimits, Replica, ReplicatedColumns, SceneFeed};
 use trocar_scene::{
-    Commands, Entity, EntityAllocator, InstrumentTarget, Name, Parent, Particles, Pose, Registry, SimTime,
-    Snapshot, Store, SurfaceMesh, TaskState, Velocity, VertexPositions, VitalSigns,
+    CollisionList, Commands, EntityAllocator, Name, Parent, Particles, Pose, Registry, RegistryBuilder,
+    RegistryError, SimTime, Snapshot, Store, SurfaceMesh, TaskState, Velocity, VertexPositions,
 };
 
-/// The default choice of columns.
+/// The default choice of columns, of a few components: each codec, reliable ones, and one that does not travel.
 pub static COLUMNS: LazyLock<Arc<ReplicatedColumns>> = LazyLock::new(|| {
-    let columns = ReplicatedColumns::new(&Registry::standard(), &ColumnRates::default());
+    let registry = registry().expect("their names are distinct");
+    let columns = ReplicatedColumns::new(&registry, &ColumnRates::default());
     Arc::new(columns.expect("the defaults hold"))
 });
+
+fn registry() -> Result<Arc<Registry>, RegistryError> {
+    let mut builder = RegistryBuilder::new();
+    builder.register::<CollisionList>()?.register::<Name>()?.register::<Parent>()?.register::<Particles>()?;
+    builder.register::<Pose>()?.register::<SurfaceMesh>()?.register::<TaskState>()?;
+    builder.register::<Velocity>()?.register::<VertexPositions>()?;
+    Ok(builder.build())
+}
 
 /// The scene, and the scene a moment later.
 pub static SCENES: LazyLock<[Arc<Snapshot>; 2]> = LazyLock::new(|| {
     let registry = COLUMNS.registry().clone();
     let mut store = Store::new(registry.clone());
     let mut commands = Commands::new(registry, EntityAllocator::new(1, 4));
-    let things: [Entity; 4] = std::array::from_fn(|_| commands.spawn());
-    let [organ, tool, smoke, peg] = things;
-    for (number, entity) in things.into_iter().enumerate() {
-        commands.put(entity, Name(format!("thing {number}")));
-        commands.put(entity, Pose::at(0.1 * number as f64, -0.05, 0.02));
-        commands.put(entity, Velocity::default());
-    }
-    commands.put(peg, Parent(tool));
-    commands.put(tool, InstrumentTarget::default());
-    commands.put(organ, SurfaceMesh { triangles: Arc::new(vec![[0, 1, 2], [67, 68, 69]]) });
+    let [organ, peg, smoke] = std::array::from_fn(|_| commands.spawn());
+    commands.put(organ, Name("organ".into()));
+    commands.put(organ, Pose::at(0.1, -0.05, 0.02));
+    commands.put(organ, SurfaceMesh { triangles: Arc::new(vec![[0, 1, 2], [3, 4, 5]]) });
     commands.put(organ, body(0.0));
+    commands.put(peg, Pose::at(0.2, 0.0, 0.02));
+    commands.put(peg, Velocity::default());
+    commands.put(peg, Parent(organ));
     commands.put(smoke, particles(0.0));
-    commands.put(organ, VitalSigns::default());
     let me = commands.me();
     commands.put(me, TaskState::default());
     commands.event("begin", organ, None, 1.0);
@@ -43,29 +48,26 @@ pub static SCENES: LazyLock<[Arc<Snapshot>; 2]> = LazyLock::new(|| {
         Arc::new(store.snapshot())
     };
     let before = take(&mut commands, 1);
-    for (number, entity) in things.into_iter().enumerate() {
-        commands.put(entity, Pose::at(0.1 * number as f64, 0.04, 0.02));
-        let linear = Vector3::new(0.3, 0.0, -0.1 * number as f64);
-        commands.put(entity, Velocity { linear, angular: Vector3::zeros() });
-    }
+    commands.put(organ, Pose::at(0.1, -0.04, 0.02));
     commands.put(organ, body(0.001));
-    commands.put(smoke, particles(0.002));
     commands.put(peg, Name("peg".into()));
+    commands.put(peg, Velocity { linear: Vector3::new(0.3, 0.0, -0.1), angular: Vector3::zeros() });
     commands.remove::<Parent>(peg);
+    commands.despawn(smoke);
     let drop = commands.spawn();
     commands.put(drop, Pose::at(0.5, 0.5, 0.5));
-    commands.despawn(tool);
-    commands.event("moved", organ, Some(tool), 2.0);
+    commands.put(drop, particles(0.002));
+    commands.event("moved", organ, Some(peg), 2.0);
     [before, take(&mut commands, 20)]
 });
 
-/// Vertices of two chunks, some of them moved.
+/// Vertices, some of them moved.
 fn body(moved: f64) -> VertexPositions {
     let vertex = |k: i32| {
         let x = 0.003 * f64::from(k);
         Point3::new(x, if k % 5 == 0 { moved } else { 0.0 }, 0.1)
     };
-    VertexPositions { positions: Arc::new((0..70).map(vertex).collect()) }
+    VertexPositions { positions: Arc::new((0..6).map(vertex).collect()) }
 }
 
 fn particles(up: f64) -> Particles {
@@ -82,4 +84,15 @@ pub fn feed() -> SceneFeed {
 pub static FIRST_DELTA: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let delta = feed().delta(SimTime::ZERO, &SCENES[0]);
     delta.expect("it encodes").expect("there is much to tell")
+});
+
+/// The scene of a station that has got it.
+pub static STATION_SCENE: LazyLock<Snapshot> = LazyLock::new(|| {
+    let registry = COLUMNS.registry().clone();
+    let mut commands = Commands::new(registry.clone(), EntityAllocator::new(2, 9));
+    Replica::new(COLUMNS.clone()).apply(&FIRST_DELTA, &mut commands).expect("the host wrote it");
+    commands.seal();
+    let mut store = Store::new(registry);
+    store.apply(&mut commands, SimTime::ZERO);
+    store.snapshot()
 });
