@@ -41,10 +41,13 @@ fuzz_target!(|bytes: &[u8]| {
         0 => texts(rest),
         1 => line(rest),
         2 => trace(rest),
-        3 => book(rest),
-        4 => book(&stored(rest)),
-        // Certificate and key are right; what follows is the input's.
-        _ => book(&stored(&[&IDENTITY, rest].concat())),
+        3 => book(rest, 0),
+        // The same with a right checksum, or with certificate and key before the input, at a time that it says.
+        kind => {
+            let (now, content) = first_chunk(rest);
+            let before: &[u8] = if kind == 4 { &[] } else { &IDENTITY };
+            book(&stored(&[before, content].concat()), u16::from_le_bytes(now).into());
+        }
     }
 });
 
@@ -109,7 +112,7 @@ fn stored(content: &[u8]) -> Vec<u8> {
 }
 
 /// A book is opened or refused, and stays on the disk as it was; what is opened works and comes back.
-fn book(bytes: &[u8]) {
+fn book(bytes: &[u8], now: u64) {
     let file = &*FILE;
     let mut options = std::fs::File::options();
     let written = options.write(true).create(true).truncate(true).mode(0o600).open(file);
@@ -124,8 +127,6 @@ fn book(bytes: &[u8]) {
             return;
         }
     };
-    let (now, _) = first_chunk(&bytes[bytes.len().saturating_sub(8)..]);
-    let now = u64::from_le_bytes(now);
     let listed = store.book().list(now);
     assert!(listed.is_sorted_by_key(|ticket| ticket.id));
     let (token, resume) = (Token::from_bytes([1; 16]), ResumeSecret::from_bytes([2; 32]));
