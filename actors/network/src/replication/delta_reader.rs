@@ -104,21 +104,25 @@ impl DeltaReader<'_> {
             ReadScope::Everything => true,
         };
         let listed: BTreeSet<Entity> = living.iter().copied().collect();
+        let told: BTreeSet<_> = staged.iter().map(|staged| (staged.id, staged.entity)).collect();
+        // The scene removes rows after it has put others.
+        if let Some((_, entity)) = removed.iter().find(|row| told.contains(row)) {
+            return Err(reader.refuse(entity.to_bits(), "an entity whose row is either removed or put"));
+        }
         if !is_since {
             let gone = self.known.entities().iter().copied().filter(|entity| is_covered(*entity));
             despawned.extend(gone.filter(|entity| !listed.contains(entity)));
             despawned.sort_unstable();
             despawned.dedup();
-            let told: BTreeSet<_> = staged.iter().map(|staged| (staged.id, staged.entity)).collect();
             for id in self.columns.replicated() {
                 let rows = self.known.column(id).filter(|entity| is_covered(*entity));
                 removed.extend(rows.map(|entity| (id, entity)).filter(|row| !told.contains(row)));
             }
         }
-        // The rows of a writer itself need no entity that lives.
+        // The rows of a writer itself need no entity that lives, but go with one.
         let lives = |entity: &Entity| {
-            let was = self.known.contains(*entity) && despawned.binary_search(entity).is_err();
-            was || listed.contains(entity) || entity.counter() == 0
+            let was = self.known.contains(*entity) || entity.counter() == 0;
+            listed.contains(entity) || (was && despawned.binary_search(entity).is_err())
         };
         if let Some(staged) = staged.iter().find(|staged| !lives(&staged.entity)) {
             return Err(reader.refuse(staged.entity.to_bits(), "an entity that lives"));

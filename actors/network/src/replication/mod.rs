@@ -40,6 +40,8 @@ mod bandwidth_tests;
 #[cfg(test)]
 mod convergence_tests;
 #[cfg(test)]
+mod damage_tests;
+#[cfg(test)]
 mod scene_testing;
 
 use thiserror::Error;

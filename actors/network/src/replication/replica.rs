@@ -170,9 +170,10 @@ impl Replica {
                 self.applied = summary.revision;
                 self.is_comparing &= summary.is_since;
                 if summary.is_since {
-                    self.counts.events_lost += summary.first_event.saturating_sub(self.next_event);
+                    let lost = summary.first_event.saturating_sub(self.next_event);
+                    self.counts.events_lost = self.counts.events_lost.saturating_add(lost);
                 }
-                self.next_event = summary.first_event + summary.events as u64;
+                self.next_event = summary.first_event.saturating_add(summary.events as u64);
                 self.counts.deltas += 1;
                 self.counts.older += summary.older as u64;
             }
