@@ -14,6 +14,8 @@ pub const DELAY_MAX: SimTime = SimTime::from_millis(60_000);
 pub const TRACE_MAX: usize = 1_000_000;
 /// Time between two delays of a trace that does not tell times.
 pub const TRACE_EVERY: SimTime = SimTime::from_millis(10);
+/// Least time between two delays of a trace that does \[s\].
+const TRACE_STEP_MIN: f64 = 1e-6;
 
 /// A path between two stations, one way.
 #[derive(Clone, Debug, PartialEq)]
@@ -157,7 +159,7 @@ pub enum TraceError {
     },
     /// Times that do not grow evenly.
     #[error(
-        "line {line}: {found} s after the line before, the first two are {expected} s apart; valid: even steps"
+        "line {line}: {found} s after the line before, the first two are {expected} s apart; valid: even steps of 1 µs or more"
     )]
     Uneven {
         /// Number of the line.
@@ -210,7 +212,7 @@ impl DelayTrace {
             if let (Some(time), Some(before)) = (time, before) {
                 let found = time - before;
                 let expected = *step.get_or_insert(found);
-                if !(found > 0.0 && (found - expected).abs() <= 1e-3 * expected + 1e-6) {
+                if !(found >= TRACE_STEP_MIN && (found - expected).abs() <= 1e-3 * expected + 1e-6) {
                     return Err(TraceError::Uneven { line, found, expected });
                 }
             }
@@ -262,6 +264,9 @@ mod tests {
         }
         let uneven = DelayTrace::parse("0,0.1\n1,0.1\n3,0.1").expect_err("uneven");
         assert_eq!(uneven, TraceError::Uneven { line: 3, found: 2.0, expected: 1.0 });
+        // A step that would round to no time at all.
+        let short = DelayTrace::parse("0,0.1\n1e-10,0.1").expect_err("too short");
+        assert_eq!(short, TraceError::Uneven { line: 2, found: 1e-10, expected: 1e-10 });
     }
 
     proptest! {
@@ -271,6 +276,22 @@ mod tests {
             if let Ok(trace) = DelayTrace::parse(&text) {
                 prop_assert!(!trace.delays.is_empty() && trace.every > SimTime::ZERO);
                 prop_assert!(trace.delays.iter().all(|delay| *delay <= DELAY_MAX));
+            }
+        }
+
+        #[test]
+        fn times_in_even_steps_are_a_trace_of_that_step(
+            exponent in -14_i32..9, digit in 1_u32..10, delays in prop::collection::vec(-0.1_f64..61.0, 2..20),
+        ) {
+            let step = f64::from(digit) * 10_f64.powi(exponent);
+            let lines = delays.iter().enumerate().map(|(k, delay)| format!("{:e},{delay}\n", k as f64 * step));
+            match DelayTrace::parse(&lines.collect::<String>()) {
+                Ok(trace) => {
+                    prop_assert!(trace.every >= SimTime::from_micros(1) && trace.delays.len() == delays.len());
+                    prop_assert!((trace.every.as_secs_f64() - step).abs() <= 1e-9 + 1e-6 * step);
+                }
+                Err(TraceError::Uneven { .. }) => prop_assert!(step < 1.01e-6),
+                Err(_) => prop_assert!(delays.iter().any(|delay| !(0.0..=60.0).contains(delay))),
             }
         }
     }
