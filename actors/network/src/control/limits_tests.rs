@@ -4,14 +4,15 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 use trocar_scene::{Entity, Revision, SimTime, SurfacePlace, SurfacePoint};
+use trocar_test_support::hostile::mutated;
 
 use super::client::ClientState;
 use super::error::{ControlError, Goodbye};
-use super::frame::{FRAME_MAX, FrameError, OPENING_MAX};
+use super::frame::{FRAME_MAX, FrameError, LENGTH_BYTES, OPENING_MAX, PREAMBLE_BYTES};
 use super::host::{FORBIDDEN_MAX, HostControl, HostState, JOIN_TIME_MAX, OPENING_TIME_MAX, SendError};
 use super::keep_alive::Ping;
 use super::message::{ClientMessage, DELTA_MAX, HostMessage, Request, RequestKind};
-use super::note::{NoteKind, TakeOver};
+use super::note::{Note, NoteKind, TakeOver};
 use super::outbox::{STALLED_MAX, WAITING_MAX};
 use super::plain_text::PlainText;
 use super::session_testing::{Pair, TestSession, ms, name, ticket, wish};
@@ -250,7 +251,40 @@ fn a_changed_byte_anywhere_on_the_way_to_the_station_never_makes_another_scene()
     }
 }
 
+/// Messages of a station and of a host, encoded: the longest, and some with numbers and lists.
+fn messages() -> Vec<Vec<u8>> {
+    let mut pair = Pair::operating();
+    let hello = pair.say_hello();
+    pair.to_client.0 = 0;
+    pair.run_until(|pair| pair.host.as_ref().is_some_and(|host| !host.outgoing().is_empty()));
+    let opening = LENGTH_BYTES + PREAMBLE_BYTES;
+    let welcome = pair.host().outgoing().to_vec();
+    let end = LENGTH_BYTES + u32::from_le_bytes(std::array::from_fn(|at| welcome[at])) as usize;
+    let place = SurfacePlace { entity: Entity::new(0, 0, 7), triangle: 3, barycentric: [0.2, 0.3, 0.5] };
+    let stroke = NoteKind::Stroke { stroke: 1, colour: [9; 3], width: 0.002, places: vec![place; 5] };
+    let note = Note { station: 3, at: ms(5), what: stroke.clone() };
+    let request = ClientMessage::Request(Request { number: 7, what: RequestKind::Note(stroke) });
+    let roster = HostMessage::Roster(pair.session.roster.stations());
+    let encoded = [postcard::to_stdvec(&HostMessage::Note(note)), postcard::to_stdvec(&request)];
+    let mut messages = vec![hello[opening..].to_vec(), welcome[opening..end].to_vec()];
+    messages.extend(encoded.map(|message| message.expect("it encodes")));
+    messages.push(postcard::to_stdvec(&roster).expect("it encodes"));
+    messages
+}
+
 proptest! {
+    #[test]
+    fn a_damaged_message_is_refused_or_written_as_it_is_read(bytes in mutated(messages())) {
+        if let Ok(message) = ClientMessage::decode(&bytes) {
+            let again = postcard::to_stdvec(&message).expect("it encodes");
+            prop_assert_eq!(ClientMessage::decode(&again), Ok(message));
+        }
+        if let Ok(message) = HostMessage::decode(&bytes) {
+            let again = postcard::to_stdvec(&message).expect("it encodes");
+            prop_assert_eq!(HostMessage::decode(&again), Ok(message));
+        }
+    }
+
     #[test]
     fn no_bytes_make_a_message_reader_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         let _ = ClientMessage::decode(&bytes);

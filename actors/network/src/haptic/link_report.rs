@@ -213,6 +213,26 @@ mod tests {
 
     proptest! {
         #[test]
+        fn any_bytes_are_a_report_that_encodes_to_them_or_an_error(
+            mut bytes in proptest::collection::vec(any::<u8>(), 0..2 * REPORT_BYTES), fits: bool, likely: bool,
+        ) {
+            if fits {
+                bytes.resize(REPORT_BYTES, 7);
+                // Most random counts exceed the newest number.
+                if likely {
+                    bytes[7] |= 1;
+                }
+            }
+            match LinkReport::decode(&bytes) {
+                Ok(report) => {
+                    prop_assert_eq!(&report.encode()[..], &bytes[..]);
+                    prop_assert!((0.0..=1.0).contains(&report.loss()));
+                }
+                Err(_) => prop_assert!(!(fits && likely)),
+            }
+        }
+
+        #[test]
         fn a_report_comes_back_as_it_was(
             newest in 0_u64.., expected in 0_u32.., received in 0_u32.., queueing_us in 0_u32..,
         ) {

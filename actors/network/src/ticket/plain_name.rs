@@ -79,6 +79,8 @@ impl fmt::Display for PlainName {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     #[test]
@@ -96,6 +98,19 @@ mod tests {
         for hidden in ['\u{1b}', '\n', '\u{202e}', '\u{200b}', '\0', '\u{85}'] {
             let refused = format!("a{hidden}b").parse::<PlainName>();
             assert_eq!(refused, Err(NameError::Control(hidden)));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_a_name_that_comes_back_or_is_refused(text in any::<String>(), word in "[ \\PC]{0,80}") {
+            for text in [text, word] {
+                let Ok(name) = text.parse::<PlainName>() else { continue };
+                prop_assert!((1..=NAME_MAX).contains(&name.as_str().len()));
+                prop_assert!(name.as_str().trim() == name.as_str() && !name.as_str().chars().any(is_hidden));
+                let bytes = postcard::to_stdvec(&name).expect("it encodes");
+                prop_assert_eq!(postcard::from_bytes::<PlainName>(&bytes), Ok(name));
+            }
         }
     }
 }

@@ -1,6 +1,10 @@
 //! Tests of what a host remembers.
 
+use std::sync::LazyLock;
+
+use proptest::prelude::*;
 use ring::rand::SystemRandom;
+use trocar_test_support::hostile::mutated;
 
 use super::ticket_book::BookError;
 use super::*;
@@ -232,4 +236,42 @@ fn a_book_comes_back_from_its_bytes_and_wrong_bytes_are_refused() {
     }
     let longer = [&bytes[..], &[0]].concat();
     assert!(matches!(TicketBook::decode(&longer), Err(BookError::Entries)));
+}
+
+/// A book with entries of every kind. The certificate is made once, since that takes long.
+static KEPT: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let mut book = book();
+    for (number, person) in ["Ana", "Bo", "Cy"].into_iter().enumerate() {
+        let (id, token) = issue(&mut book, Role::ALL[number], person);
+        if number > 0 {
+            book.redeem(&token, number as u16, &resume_secret(number as u8), NOW).expect("it lets in");
+        }
+        if number > 1 {
+            book.revoke(&Whom::Ticket(id), NOW).expect("it is known");
+        }
+    }
+    book.encode().expect("it encodes")
+});
+
+proptest! {
+    #[test]
+    fn a_damaged_book_is_refused_or_a_book_in_order(
+        damaged in mutated(vec![KEPT.clone()]),
+        tail in prop::collection::vec(any::<u8>(), 0..120),
+        cut in 60_usize..400,
+    ) {
+        // What follows certificate and key is where numbers, names and hashes are.
+        let entries = [&KEPT[..KEPT.len() - cut.min(KEPT.len())], &tail].concat();
+        for bytes in [damaged, entries] {
+            let Ok(mut book) = TicketBook::decode(&bytes) else { continue };
+            let listed = book.list(NOW);
+            prop_assert!(listed.len() <= ENTRIES_MAX && listed.is_sorted_by_key(|ticket| ticket.id));
+            let again = TicketBook::decode(&book.encode().expect("it encodes")).expect("its own bytes");
+            prop_assert_eq!(&again, &book);
+            for ticket in listed {
+                book.revoke(&Whom::Ticket(ticket.id), NOW).expect("it is listed");
+                prop_assert!(book.is_revoked(ticket.id));
+            }
+        }
+    }
 }

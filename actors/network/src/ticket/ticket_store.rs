@@ -276,7 +276,7 @@ fn read(file: &Path) -> Result<Option<(u64, TicketBook)>, StoreError> {
     private_file::read(file, STORE_BYTES_MAX)?.map(|bytes| decode(file, &bytes)).transpose()
 }
 
-fn decode(file: &Path, bytes: &[u8]) -> Result<(u64, TicketBook), StoreError> {
+pub(super) fn decode(file: &Path, bytes: &[u8]) -> Result<(u64, TicketBook), StoreError> {
     let mut from = ByteReader(bytes);
     if from.array() != Some(MAGIC) {
         return Err(StoreError::NoBook(file.to_owned()));

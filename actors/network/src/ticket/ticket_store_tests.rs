@@ -1,10 +1,11 @@
 //! Tests of the book on disk: restarts, several processes, damage.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
 
+use proptest::prelude::*;
 use ring::rand::SystemRandom;
 use tempfile::TempDir;
 
@@ -258,4 +259,25 @@ fn a_full_book_is_written_and_read() {
     assert_eq!(last.to_string(), ENTRIES_MAX.to_string());
     drop(host);
     assert_eq!(redeem(&mut kept.host(), &token, NOW).map(|admission| admission.ticket), Ok(last));
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_are_no_book_and_any_content_with_its_checksum_is_one_or_refused(
+        mut bytes in prop::collection::vec(any::<u8>(), 0..200), version in 0_u32..3, count in 0_u32..220,
+    ) {
+        let file = Path::new("host.book");
+        prop_assert!(matches!(ticket_store::decode(file, &bytes), Err(StoreError::NoBook(_))));
+        let content = bytes.len() as u32;
+        let head: Vec<u8> = [&b"trcrbook"[..], &version.to_le_bytes(), &count.to_le_bytes(), &[0; 8]].concat();
+        bytes.splice(0..0, head);
+        let sum = blake3::hash(&bytes);
+        bytes.extend(sum.as_bytes());
+        match ticket_store::decode(file, &bytes) {
+            Err(StoreError::NewerVersion { found, .. }) => prop_assert!(found == version && version > 1),
+            Err(StoreError::Damaged { .. }) => prop_assert!(version <= 1),
+            Err(error) => prop_assert!(false, "{}", error),
+            Ok(_) => prop_assert!(version == 1 && count == content),
+        }
+    }
 }
