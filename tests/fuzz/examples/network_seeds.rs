@@ -22,7 +22,7 @@ use trocar_network::itp::packet::CONSOLE_MATRIX_BYTES;
 use trocar_network::itp::{Console, ConsoleConfig, ConsoleHand, Dialect, Robot, RobotConfig};
 use trocar_network::replication::{Replica, StateDigest, pieces};
 use trocar_network::ticket::{ResumeSecret, Role, SecretHash, Token};
-use trocar_scene::{Commands, Entity, EntityAllocator, Revision, SimTime, Store, varint};
+use trocar_scene::{Commands, Entity, EntityAllocator, Name, Revision, SimTime, Store, varint};
 
 const MS: u64 = 1_000_000;
 
@@ -121,8 +121,9 @@ fn control() -> Vec<(&'static str, Input)> {
     let join = |role: &[u8]| Input::of(role).step(1, 1, &[]).step(1, 1, &[]).step(1, 1, &[]).step(1, 1, &[]);
     let mut session = join(&mentor).step(7, 1, &[0, 1, 2, 3]).step(8, 1, &[0, 4, 5, 6]).step(1, 1, &[]);
     for what in 1..6 {
-        session = session.step(7, 1, &[what, 0]).step(8, 1, &[what.min(4), 0]);
+        session = session.step(7, 1, &[what, 0]).step(8, 1, &[what.min(3), 0]);
     }
+    session = session.step(1, 1, &[]).step(8, 1, &[4]).step(1, 1, &[]);
     for note in notes() {
         let request = [&[1][..], &encoded(&RequestKind::Note(note.clone()))].concat();
         session = session.step(8, 1, &request).step(7, 1, &[&[3][..], &encoded(&note)].concat());
@@ -258,6 +259,23 @@ fn replica() -> Vec<(&'static str, Input)> {
     }
     let head = changes.iter().position(|byte| *byte == 1).map_or(2, |at| at + 1);
     let since = Input::of(&[1]).step(1, 1, &changes[head..]).step(8, 20, &[0]).step(8, 60, &[1]).step(9, 1, &[]);
+    // A name that is put and removed, what is put of an entity that goes, and events beyond all counting.
+    let registry = SCENES[0].registry();
+    let name = registry.id::<Name>().expect("it is there").0 as u8;
+    let organ = SCENES[0].find("organ").expect("it is there");
+    let (mut an_organ, mut a_writer) = (Vec::new(), Vec::new());
+    for (entity, out) in [(organ, &mut an_organ), (Entity::of_writer(1, 77), &mut a_writer)] {
+        varint::write(varint::zigzag(entity.to_bits().cast_signed()), out);
+    }
+    let put = |entity: &[u8]| [&[1, name, 1][..], entity, &[0, 1, b'x', 0, 0]].concat();
+    let events = [&[9, 0, 0, 0, 0, 0][..], &[0xff; 9], &[1, 1, 1, b'e', 0, 0], &[0; 9]].concat();
+    let contradictions = Input::of(&[1])
+        .step(1, 1, &[&[2, 0, 0, 0, 1, name, 1][..], &an_organ, &put(&an_organ)].concat())
+        .step(1, 1, &[&[2, 0, 1][..], &a_writer, &[0, 0, 0, 0, 0]].concat())
+        .step(1, 1, &[&[3, 0, 0, 1][..], &a_writer, &[0], &put(&a_writer)].concat())
+        .step(1, 1, &events)
+        .step(1, 1, &events)
+        .step(9, 1, &[]);
     let datagrams = Input::of(&[1])
         .step(4, 1, &[&[1][..], &rows[3..]].concat())
         .step(3, 1, &last)
@@ -268,7 +286,13 @@ fn replica() -> Vec<(&'static str, Input)> {
         .step(7, 1, &digest_bytes)
         .step(7, 1, &far)
         .step(9, 1, &[]);
-    vec![("joins", joins), ("in_pieces", in_pieces), ("since", since), ("datagrams", datagrams)]
+    vec![
+        ("joins", joins),
+        ("in_pieces", in_pieces),
+        ("since", since),
+        ("contradictions", contradictions),
+        ("datagrams", datagrams),
+    ]
 }
 
 fn itp() -> Vec<(&'static str, Input)> {
@@ -321,6 +345,7 @@ fn tickets() -> Vec<(&'static str, Vec<u8>)> {
         ("content", with(1, &content)),
         ("delays", with(2, b"# measured\n0.070\n\n0.080\n1e-9\n60\n")),
         ("times", with(2, b"time,delay\n0,0.1\n0.5,0.2\n1.0,0.3\n")),
+        ("short_steps", with(2, b"0,0.1\n1e-10,0.1\n2e-10,0.1\n")),
         ("short", with(3, b"trcrbook\x01\0\0\0\xff\xff\xff\xff\0\0\0\0")),
         ("content_of_book", with(4, &book)),
         ("book", with(5, &book)),
