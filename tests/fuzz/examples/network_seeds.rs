@@ -12,8 +12,8 @@ use trocar_network::compensation::{
     CompensationBlock, ContactModel, EnergyAccount, Method, Payload, WaveIntegrals,
 };
 use trocar_network::control::{
-    ClientControl, ClientMessage, Goodbye, HostMessage, Note, NoteKind, PREAMBLE_BYTES, Ping,
-    PlainText, Pong, Refusal, Request, RequestKind, SurfacePlace, TakeOver,
+    ClientControl, ClientMessage, Goodbye, HostMessage, Note, NoteKind, PREAMBLE_BYTES, Ping, PlainText,
+    Pong, Refusal, Request, RequestKind, SurfacePlace, TakeOver,
 };
 use trocar_network::datagram::{ClockEcho, Header, Kind, PAYLOAD_MAX, encode_hands};
 use trocar_network::hand_sample::HandSample;
@@ -128,7 +128,8 @@ fn control() -> Vec<(&'static str, Input)> {
         let request = [&[1][..], &encoded(&RequestKind::Note(note.clone()))].concat();
         session = session.step(8, 1, &request).step(7, 1, &[&[3][..], &encoded(&note)].concat());
     }
-    session = session.step(1, 1, &[]).step(1, 1_100, &[]).step(1, 1_100, &[]).step(7, 1, &[6]).step(1, 1, &[]);
+    session =
+        session.step(1, 1, &[]).step(1, 1_100, &[]).step(1, 1_100, &[]).step(7, 1, &[6]).step(1, 1, &[]);
     let breaks = join(&operate)
         .step(11, 0, &[9])
         .step(9, 1, &[0])
@@ -258,7 +259,8 @@ fn replica() -> Vec<(&'static str, Input)> {
         in_pieces = in_pieces.step(2, 1, &piece);
     }
     let head = changes.iter().position(|byte| *byte == 1).map_or(2, |at| at + 1);
-    let since = Input::of(&[1]).step(1, 1, &changes[head..]).step(8, 20, &[0]).step(8, 60, &[1]).step(9, 1, &[]);
+    let since =
+        Input::of(&[1]).step(1, 1, &changes[head..]).step(8, 20, &[0]).step(8, 60, &[1]).step(9, 1, &[]);
     // A name that is put and removed, what is put of an entity that goes, and events beyond all counting.
     let registry = SCENES[0].registry();
     let name = registry.id::<Name>().expect("it is there").0 as u8;
@@ -312,10 +314,7 @@ fn itp() -> Vec<(&'static str, Input)> {
         }
         input.step(5, 200, &[]).step(4, 1, &[1]).step(4, 1, &[0]).step(3, 1, &[0; 17])
     };
-    vec![
-        ("raven", packets([16, 5], Dialect::RAVEN)),
-        ("raven_sim", packets([15, 2], Dialect::RAVEN_SIM)),
-    ]
+    vec![("raven", packets([16, 5], Dialect::RAVEN)), ("raven_sim", packets([15, 2], Dialect::RAVEN_SIM))]
 }
 
 fn tickets() -> Vec<(&'static str, Vec<u8>)> {

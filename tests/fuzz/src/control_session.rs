@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use trocar_network::control::{
-    Admitted, Architecture, ClientFacts, ComponentList, Credential, HandInfo, HeldScene, HostEvent, HostFacts,
-    HostSession, ListedComponent, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
+    Admitted, Architecture, ClientFacts, ComponentList, Credential, HandInfo, HeldScene, HostEvent,
+    HostFacts, HostSession, ListedComponent, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
     SceneManifest, SceneOffer, SessionInfo, Wish,
 };
 use trocar_network::ticket::{PlainName, Refused, ResumeSecret, Role, Token};
@@ -122,7 +122,11 @@ impl ControlSession {
             Credential::Ticket { token, .. } => {
                 let role = Role::ALL.into_iter().find(|role| *token.as_bytes() == [*role as u8; 16]);
                 let role = role.ok_or(Refusal::Ticket(Refused::Unknown))?;
-                if self.spent[&role] { Err(Refusal::Ticket(Refused::Spent { at: 7 })) } else { Ok((None, role)) }
+                if self.spent[&role] {
+                    Err(Refusal::Ticket(Refused::Spent { at: 7 }))
+                } else {
+                    Ok((None, role))
+                }
             }
             Credential::Resume { resume } => {
                 let known = self.known.get(&resume.as_bytes()[0]);

@@ -229,7 +229,9 @@ impl Pair {
                 return;
             }
         };
-        assert!(is_running || sent.is_err() || matches!(host.state(), HostState::Sending | HostState::Awaiting));
+        assert!(
+            is_running || sent.is_err() || matches!(host.state(), HostState::Sending | HostState::Awaiting)
+        );
     }
 
     fn client_acts(&mut self, bytes: &[u8]) {

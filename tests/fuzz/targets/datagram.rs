@@ -100,7 +100,8 @@ impl Station {
             output_dofs: Dofs::Six,
             apparent_mass: 0.05,
         };
-        let mut door = Door::new(HANDS[0], DoorLimits::default(), &capabilities).expect("the limits are valid");
+        let mut door =
+            Door::new(HANDS[0], DoorLimits::default(), &capabilities).expect("the limits are valid");
         door.open(SimTime::ZERO, None);
         let config = CouplingConfig::default();
         Self {
@@ -159,7 +160,8 @@ impl Station {
         self.sealed.clear();
         self.sealed.extend_from_slice(&out[..length]);
         let touched = touches();
-        let (header, opened) = self.opener.open(self.now, &mut out[..length]).expect("it is authentic and new");
+        let (header, opened) =
+            self.opener.open(self.now, &mut out[..length]).expect("it is authentic and new");
         assert_eq!(touches(), touched, "opening allocates nothing");
         assert_eq!((header.kind, header.hands, header.sent_at, opened), (kind, hands, sent_at, payload));
         self.accept(header, payload);
@@ -174,7 +176,8 @@ impl Station {
         datagram.extend_from_slice(&sum.finalize().to_le_bytes());
         let decoded = Header::decode(bytes);
         let (phase, newest) = (self.summed.phase(), self.summed.newest_sequence());
-        let opened = self.summed.open(self.now, &mut datagram).map(|(header, payload)| (header, payload.len()));
+        let opened =
+            self.summed.open(self.now, &mut datagram).map(|(header, payload)| (header, payload.len()));
         match (&decoded, &opened) {
             (Ok(header), Ok((of_opened, payload))) => {
                 assert_eq!(header, of_opened);
@@ -272,7 +275,8 @@ impl Station {
         }
         self.sender.sent(&self.local, self.now);
         let mut out = [0; DATAGRAM_MAX];
-        let length = self.sealer.seal_hands(self.now, outgoing.echo, &self.local, &mut out).expect("they fit");
+        let length =
+            self.sealer.seal_hands(self.now, outgoing.echo, &self.local, &mut out).expect("they fit");
         let (header, payload) = self.opener.open(self.now, &mut out[..length]).expect("it is authentic");
         let payload = payload.to_vec();
         self.hands.decode(header.hands, &payload).expect("they are valid");

@@ -7,8 +7,8 @@ use trocar_fuzz::{Step, first, first_chunk, steps, touches};
 use trocar_network::itp::packet::CONSOLE_MATRIX_BYTES;
 use trocar_network::itp::robot::Condition;
 use trocar_network::itp::{
-    Console, ConsoleConfig, ConsoleHand, ConsolePacket, Dialect, GRASP_MAX_MRAD, GRASP_MIN_MRAD, GraspMeaning,
-    Meaning, Robot, RobotConfig, RobotPacket, RotationLayout, Runlevel,
+    Console, ConsoleConfig, ConsoleHand, ConsolePacket, Dialect, GRASP_MAX_MRAD, GRASP_MIN_MRAD,
+    GraspMeaning, Meaning, Robot, RobotConfig, RobotPacket, RotationLayout, Runlevel,
 };
 use trocar_scene::SimTime;
 
@@ -29,8 +29,7 @@ impl Link {
     fn new(number: [u8; 2]) -> Self {
         let [dialect, manners] = number;
         let meaning = |bit: u8| if dialect & bit == 0 { Meaning::Increment } else { Meaning::Absolute };
-        let layout =
-            if dialect & 1 == 0 { RotationLayout::Quaternions } else { RotationLayout::Matrices };
+        let layout = if dialect & 1 == 0 { RotationLayout::Quaternions } else { RotationLayout::Matrices };
         let grasp = match dialect >> 3 & 3 {
             0 => GraspMeaning::Torque,
             1 => GraspMeaning::Angle,

@@ -23,6 +23,8 @@ struct Station {
     commands: Commands,
     feed: Option<SceneFeed>,
     sequence: u64,
+    /// How many more steps of an input may take the host's end to encode its scene.
+    encodings: u8,
 }
 
 /// Whether the station goes on.
@@ -40,7 +42,7 @@ impl Station {
         } else {
             Store::new(registry)
         };
-        Self { now: SimTime::ZERO, replica, store, commands, feed: None, sequence: 0 }
+        Self { now: SimTime::ZERO, replica, store, commands, feed: None, sequence: 0, encodings: 4 }
     }
 
     fn step(&mut self, step: Step<'_>) -> Goes {
@@ -73,6 +75,7 @@ impl Station {
                 self.rows(&payload)
             }
             5 => self.apply(),
+            _ if self.encodings == 0 => true,
             6 => self.acknowledgement(bytes),
             7 => self.digest(bytes),
             8 => self.honest_rows(bytes),
@@ -162,6 +165,7 @@ impl Station {
 
     /// To the host: what a station says that it holds. The answer is a delta that is valid wherever it arrives.
     fn digest(&mut self, bytes: &[u8]) -> Goes {
+        self.encodings -= 1;
         let Ok(digest) = DELTA.holds(bytes.len(), || StateDigest::read(bytes)) else { return true };
         let mut again = Vec::new();
         digest.write(&mut again);
@@ -177,6 +181,7 @@ impl Station {
 
     /// From the host: what has moved, in its own pieces and datagrams.
     fn honest_rows(&mut self, bytes: &[u8]) -> Goes {
+        self.encodings -= 1;
         let (now, what) = (self.now, first(bytes).0);
         let feed = self.feed();
         if what % 2 == 1 {
@@ -203,6 +208,7 @@ impl Station {
 
     /// The station comes back to a host that knows nothing of it, and then has what the host has.
     fn heal(&mut self) -> Goes {
+        self.encodings -= 1;
         if !self.apply() {
             return false;
         }
@@ -219,8 +225,10 @@ impl Station {
         if !self.apply() {
             return false;
         }
-        let (here, there) =
-            (feed.digest(scene).expect("it encodes"), self.replica.digest(self.store.view()).expect("it encodes"));
+        let (here, there) = (
+            feed.digest(scene).expect("it encodes"),
+            self.replica.digest(self.store.view()).expect("it encodes"),
+        );
         assert_eq!(here.differing(&there), Vec::<u64>::new());
         assert!(scene.entities().eq(self.store.view().entities()), "the same entities live");
         self.feed = Some(feed);

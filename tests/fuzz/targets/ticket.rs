@@ -132,7 +132,10 @@ fn book(bytes: &[u8], now: u64) {
     let (token, resume) = (Token::from_bytes([1; 16]), ResumeSecret::from_bytes([2; 32]));
     let redeemed = store.redeem(&token, 3, &resume, now).expect("the file is there");
     if let Ok(admission) = redeemed {
-        assert!(store.redeem(&token, 4, &resume, now).expect("the file is there").is_err(), "it lets in once");
+        assert!(
+            store.redeem(&token, 4, &resume, now).expect("the file is there").is_err(),
+            "it lets in once"
+        );
         assert_eq!(store.resume(&resume, now).expect("the file is there"), Ok(admission));
     }
     if let Some(TicketListing { id, .. }) = listed.first() {
