@@ -99,17 +99,17 @@ impl Pair {
                 self.poll();
             }
             2 => self.carry(usize::from(first(bytes).0)),
-            3 => self.to_host(bytes),
-            4 => self.to_client(bytes),
+            3 => self.host_hears(bytes),
+            4 => self.client_hears(bytes),
             5 => {
                 let is_opening = self.host.as_ref().is_some_and(|host| host.state() == HostState::Opening);
-                self.to_host(&framed(bytes, is_opening));
+                self.host_hears(&framed(bytes, is_opening));
             }
-            6 => self.to_client(&framed(bytes, self.client.state() == ClientState::Opening)),
+            6 => self.client_hears(&framed(bytes, self.client.state() == ClientState::Opening)),
             7 => self.host_acts(bytes),
             8 => self.client_acts(bytes),
             9 => {
-                self.is_up = first(bytes).0 % 2 == 0;
+                self.is_up = first(bytes).0.is_multiple_of(2);
                 self.drop_stream("connection reset by peer");
                 self.client.broke("connection reset by peer", self.now);
             }
@@ -168,10 +168,10 @@ impl Pair {
         let bytes = bytes[..bytes.len().min(most)].to_vec();
         self.from_host.see(&bytes);
         host.advance(bytes.len(), self.now);
-        self.to_client(&bytes);
+        self.client_hears(&bytes);
     }
 
-    fn to_host(&mut self, bytes: &[u8]) {
+    fn host_hears(&mut self, bytes: &[u8]) {
         let Some(host) = &mut self.host else { return };
         let (before, error) = (host.state(), host.error().cloned());
         STREAM.holds(bytes.len(), || host.receive(bytes, self.now, &mut self.session));
@@ -183,7 +183,7 @@ impl Pair {
     }
 
     /// The station takes bytes, and builds what it gets.
-    fn to_client(&mut self, bytes: &[u8]) {
+    fn client_hears(&mut self, bytes: &[u8]) {
         let (client, now) = (&mut self.client, self.now);
         let mut arrived: Option<(SceneManifest, Vec<u8>)> = None;
         STREAM.holds(bytes.len(), || {

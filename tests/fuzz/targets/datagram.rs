@@ -208,7 +208,7 @@ impl Station {
     fn rekey(&mut self, bytes: &[u8]) {
         let (phase, rest) = first_chunk(bytes);
         let (phase, next) = (u32::from_le_bytes(phase), self.opener.phase() + 1);
-        if first(rest).0 % 4 == 0 {
+        if first(rest).0.is_multiple_of(4) {
             let before = self.summed.phase();
             let rekeyed = self.summed.rekey(self.now, of_server(Keys::unprotected(CONNECTION, phase)));
             // The one after the newest that is known: after the present one, or after that which waits.
@@ -270,7 +270,7 @@ impl Station {
         self.local[0].state.pose_in_device.translation.x = f64::from(x) * 1e-3;
         self.local[1].wrench.force.z = f64::from(force) * 0.1;
         let Some(outgoing) = self.sender.tick(&self.local, self.receiver.clock(), self.now) else { return };
-        if sends % 4 == 0 {
+        if sends.is_multiple_of(4) {
             return self.sender.blocked();
         }
         self.sender.sent(&self.local, self.now);

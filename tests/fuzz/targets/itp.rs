@@ -57,9 +57,9 @@ impl Link {
     fn step(&mut self, step: Step<'_>) {
         self.now += SimTime(step.pause_ns);
         match step.what % 6 {
-            0 => self.to_robot(step.bytes),
-            1 => self.to_robot(&summed(step.bytes, self.layout)),
-            2 => self.to_console(step.bytes),
+            0 => self.robot_hears(step.bytes),
+            1 => self.robot_hears(&summed(step.bytes, self.layout)),
+            2 => self.console_hears(step.bytes),
             3 => self.honest(step.bytes),
             4 => {
                 let conditions = [Condition::Ready, Condition::Stopped, Condition::Initialising];
@@ -70,7 +70,7 @@ impl Link {
         self.check_robot();
     }
 
-    fn to_robot(&mut self, bytes: &[u8]) {
+    fn robot_hears(&mut self, bytes: &[u8]) {
         let decoded = ConsolePacket::decode(bytes, self.layout, self.check);
         if let Ok(packet) = &decoded {
             let mut out = [0; CONSOLE_MATRIX_BYTES];
@@ -87,7 +87,7 @@ impl Link {
         }
     }
 
-    fn to_console(&mut self, bytes: &[u8]) {
+    fn console_hears(&mut self, bytes: &[u8]) {
         if let Ok(packet) = RobotPacket::decode(bytes, self.check) {
             let same = bytes.len() - if self.check { 0 } else { SUM_BYTES };
             assert_eq!(packet.encode()[..same], bytes[..same]);
@@ -111,10 +111,10 @@ impl Link {
         let mut out = [0; CONSOLE_MATRIX_BYTES];
         let bytes = packet.encode(&mut out);
         assert_eq!(ConsolePacket::decode(bytes, self.layout, true), Ok(packet));
-        self.to_robot(&bytes.to_vec());
+        self.robot_hears(bytes);
         let forces = [Vector3::new(number(0), number(1), 1.0); 2];
         let reply = self.robot.reply(&forces, u32::from(what)).encode();
-        self.to_console(&reply);
+        self.console_hears(&reply);
     }
 
     /// Arms stay within reach, and nothing acts while the pedal is up.
