@@ -260,7 +260,8 @@ fn messages() -> Vec<Vec<u8>> {
     let opening = LENGTH_BYTES + PREAMBLE_BYTES;
     let welcome = pair.host().outgoing().to_vec();
     let end = LENGTH_BYTES + u32::from_le_bytes(std::array::from_fn(|at| welcome[at])) as usize;
-    let place = SurfacePlace { entity: Entity::new(0, 0, 7), triangle: 3, barycentric: [0.2, 0.3, 0.5] };
+    let on = SurfacePoint::Triangle { corners: [7, 8, 9], barycentric: [0.2, 0.3, 0.5] };
+    let place = SurfacePlace { entity: Entity::new(0, 0, 7), on };
     let stroke = NoteKind::Stroke { stroke: 1, colour: [9; 3], width: 0.002, places: vec![place; 5] };
     let note = Note { station: 3, at: ms(5), what: stroke.clone() };
     let request = ClientMessage::Request(Request { number: 7, what: RequestKind::Note(stroke) });
