@@ -13,7 +13,7 @@ use trocar_network::compensation::{
 };
 use trocar_network::control::{
     ClientControl, ClientMessage, Goodbye, HostMessage, Note, NoteKind, PREAMBLE_BYTES, Ping, PlainText,
-    Pong, Refusal, Request, RequestKind, SurfacePlace, TakeOver,
+    Pong, Refusal, Request, RequestKind, TakeOver,
 };
 use trocar_network::datagram::{ClockEcho, Header, Kind, PAYLOAD_MAX, encode_hands};
 use trocar_network::hand_sample::HandSample;
@@ -22,7 +22,9 @@ use trocar_network::itp::packet::CONSOLE_MATRIX_BYTES;
 use trocar_network::itp::{Console, ConsoleConfig, ConsoleHand, Dialect, Robot, RobotConfig};
 use trocar_network::replication::{Replica, StateDigest, pieces};
 use trocar_network::ticket::{ResumeSecret, Role, SecretHash, Token};
-use trocar_scene::{Commands, Entity, EntityAllocator, Name, Revision, SimTime, Store, varint};
+use trocar_scene::{
+    Commands, Entity, EntityAllocator, Name, Revision, SimTime, Store, SurfacePlace, SurfacePoint, varint,
+};
 
 const MS: u64 = 1_000_000;
 
@@ -106,7 +108,8 @@ fn encoded(message: &impl serde::Serialize) -> Vec<u8> {
 }
 
 fn notes() -> [NoteKind; 5] {
-    let place = SurfacePlace { entity: Entity::new(0, 0, 7), triangle: 3, barycentric: [0.25, 0.25, 0.5] };
+    let on = SurfacePoint::Triangle { corners: [7, 8, 9], barycentric: [0.25, 0.25, 0.5] };
+    let place = SurfacePlace { entity: Entity::new(0, 0, 7), on };
     [
         NoteKind::Pointer(Some(place)),
         NoteKind::Stroke { stroke: 1, colour: [255, 0, 9], width: 0.002, places: vec![place; 3] },

@@ -47,7 +47,7 @@ pub fn client_facts(role: Role) -> ClientFacts {
         program: PlainText::new("0.1.0"),
         components: components(),
         scenario: None,
-        wish: Wish { name: name("Ana"), role: None, hands },
+        wish: Wish { name: name("Ana"), role: None, devices: hands.clone(), hands, moves: false },
     }
 }
 
