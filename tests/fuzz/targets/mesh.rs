@@ -7,8 +7,8 @@ use libfuzzer_sys::fuzz_target;
 use trocar_fuzz::Bound;
 use trocar_scene::mesh::{
     Limits, LineData, MeshError, MeshRules, SurfaceData, TetData, read_gltf, read_gmsh, read_gmsh_line,
-    read_gmsh_surface, read_obj, read_obj_line, read_ply, read_stl, read_vtk, read_vtk_line, read_vtk_surface,
-    repaired_surface, repaired_tets, validate_surface, validate_tets, weld_tolerance,
+    read_gmsh_surface, read_obj, read_obj_line, read_ply, read_stl, read_vtk, read_vtk_line,
+    read_vtk_surface, repaired_surface, repaired_tets, validate_surface, validate_tets, weld_tolerance,
 };
 
 /// An OBJ corner of two bytes ("1 ") becomes a triangle of 12 bytes plus the 36 of its corners, and vectors double.
