@@ -10,6 +10,7 @@ use serde_json::json;
 use trocar::app::App;
 use trocar::network::live::sockets::PORT;
 use trocar::network::live::store_admissions::{unix_secs, wait_for_the_book};
+use trocar::network::ticket::private_file;
 use trocar::network::ticket::{HostAddress, PlainName, Role, TicketId, TicketStore, Whom, utc};
 use trocar::network::{
     HostOptions, Network, NetworkError, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue,
@@ -37,6 +38,9 @@ pub struct HostArgs {
     /// times [default: operate]
     #[arg(long = "ticket", value_name = "ROLE[=PERSON]", value_parser = ticket_wish, help_heading = "Network")]
     pub tickets: Vec<(Role, String)>,
+    /// File for the tickets too, one a line, which only its owner can read
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Network")]
+    pub ticket_file: Option<PathBuf>,
     /// Datagrams without protection, for stations on this machine alone
     #[arg(long, help_heading = "Network")]
     pub insecure: bool,
@@ -194,9 +198,15 @@ fn host_session(app: &App, args: &HostArgs, session: &RunArgs) -> Result<Exit, F
     } else {
         args.tickets.clone()
     };
+    let mut lines = String::new();
     for (role, person) in wishes {
-        let ticket = host.ticket(&person, role, TICKET_LIFE_SECS, &scenario.name)?;
-        announce(&ticket.to_string(), role, &person, session.json)?;
+        let ticket = host.ticket(&person, role, TICKET_LIFE_SECS, &scenario.name)?.to_string();
+        announce(&ticket, role, &person, session.json)?;
+        lines.push_str(&ticket);
+        lines.push('\n');
+    }
+    if let Some(file) = &args.ticket_file {
+        private_file::write(file, lines.as_bytes()).map_err(Failure::invalid)?;
     }
     if !session.json {
         output::tell(&format!(

@@ -166,7 +166,7 @@ fn ticket(source: &TicketSource) -> Result<Ticket, Failure> {
             return Err(Failure::usage("no ticket: name one, or a file with --ticket-file, - for stdin"));
         }
     };
-    text.trim().parse().map_err(Failure::usage)
+    text.lines().next().unwrap_or_default().trim().parse().map_err(Failure::usage)
 }
 
 fn read(file: &Path) -> Result<String, Failure> {
