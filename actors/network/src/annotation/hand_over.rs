@@ -35,7 +35,7 @@ pub(super) fn after(
             let Some(asked) = asked else { return Err(NoteRefusal::NotAsked { hand: name() }.into()) };
             // A hand that nobody serves is the host's to give.
             let is_its_own = hand.station == Some(by.station);
-            if !(is_its_own || is_host) || by.station == asked.by.station && !is_host {
+            if !(is_host || is_its_own && by.station != asked.by.station) {
                 return Err(Refusal::HandNotServed { hand: PlainText::new(hand.name.as_str()) });
             }
             let step = match step {
