@@ -25,12 +25,12 @@ use crate::{output, run};
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct HostArgs {
+    /// What to run. Before the sub-command, which is gone from the matches once it is taken.
+    #[command(flatten)]
+    pub run: HostedRun,
     /// What to do besides.
     #[command(subcommand)]
     pub command: Option<HostCommand>,
-    /// What to run.
-    #[command(flatten)]
-    pub run: HostedRun,
     /// Where to listen.
     #[command(flatten)]
     pub listen: ListenArgs,

@@ -4,3 +4,4 @@
 
 mod projects;
 mod support;
+mod two_stations;

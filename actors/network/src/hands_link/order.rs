@@ -66,7 +66,10 @@ impl HandNumbers {
 }
 
 /// From the controller. What owns memory is made there, and comes back there to be freed.
-#[expect(clippy::large_enum_variant, reason = "payloads lie in the ring, since the hands link allocates nothing")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "payloads lie in the ring, since the hands link allocates nothing"
+)]
 pub enum HandsOrder<A> {
     /// A connection begins; one of the same station ends. A host has the station's number.
     Open {
@@ -115,7 +118,10 @@ pub enum HandsOrder<A> {
 }
 
 /// From the hands link.
-#[expect(clippy::large_enum_variant, reason = "payloads lie in the ring, since the hands link allocates nothing")]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "payloads lie in the ring, since the hands link allocates nothing"
+)]
 pub enum HandsNews<A> {
     /// A datagram came.
     Arrived {

@@ -18,8 +18,6 @@
 //! network on them.
 
 mod host;
-#[cfg(test)]
-mod lockstep_tests;
 mod part;
 mod station;
 
