@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use trocar_scene::{
-    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, LinkState, Snapshot,
-    Station, StationRole, Tick,
+    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, Grasp, Hand, LinkState,
+    Snapshot, Station, StationRole, Tick,
 };
 
 use super::host_machine::HostMachine;
@@ -102,7 +102,9 @@ pub(super) fn role(role: Role) -> StationRole {
 
 impl<A: Copy + PartialEq + Send + 'static> Controller for HostController<A> {
     fn access(&self) -> Access {
-        AnnotationBoard::access(Access::new().writes::<Station>(EntitySet::Own))
+        AnnotationBoard::access(
+            Access::new().reads::<Hand>().reads::<Grasp>().writes::<Station>(EntitySet::Own),
+        )
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {

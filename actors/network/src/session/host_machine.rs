@@ -205,6 +205,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     pub fn step(&mut self, now: SimTime, scene: &Snapshot) {
         if self.members.scene.revision() != scene.revision() {
             self.members.scene = Arc::new(scene.clone());
+            self.members.tell_holding();
         }
         if now >= self.refresh_at {
             self.refresh_at = now + REFRESH_EVERY;

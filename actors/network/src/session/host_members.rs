@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use trocar_scene::{Entity, Revision, SimTime, Snapshot};
+use trocar_scene::{Entity, Grasp, Hand, Revision, SimTime, Snapshot};
 
 use super::admissions::Admissions;
 use super::own_rows::own_rows;
@@ -118,6 +118,15 @@ impl Members {
             self.roster.hands().iter().filter(has_device).map(|hand| hand.entity).collect();
         // A station's hands have far fewer rows than a feed can leave out.
         member.feed.exclude(own_rows(self.columns.registry(), &self.scene, &hands, member.moves));
+    }
+
+    /// Tells each hand's device whether the instrument holds something: its jaws then wait for the fingers of whoever comes.
+    pub fn tell_holding(&self) {
+        for (info, hand) in self.roster.hands().iter().zip(&self.hands) {
+            let instrument = self.scene.get::<Hand>(info.entity).map(|hand| hand.instrument);
+            let holds = instrument.is_some_and(|instrument| self.scene.get::<Grasp>(instrument).is_some());
+            hand.control.set_holding(holds);
+        }
     }
 
     /// A hand goes to another station, or back to the host.
