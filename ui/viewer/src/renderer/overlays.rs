@@ -121,10 +121,10 @@ impl OverlayLayer {
                 let at = view.onto_lens(view.project(point)?.0);
                 at.iter().all(|share| (0.0..=1.0).contains(share)).then_some(at)
             };
-            fn placed<'a>(
-                texts: &'a [(Point3<f64>, String)],
+            fn placed(
+                texts: &[(Point3<f64>, String)],
                 place: impl Fn(&Point3<f64>) -> Option<[f64; 2]>,
-            ) -> Vec<([f64; 2], &'a str)> {
+            ) -> Vec<([f64; 2], &str)> {
                 texts.iter().filter_map(|(point, words)| Some((place(point)?, words.as_str()))).collect()
             }
             // Both eyes of the first view get the legends; other views do not.
