@@ -130,7 +130,7 @@ fn take_part(
             ..SessionArgs::default()
         },
         seconds: view.seconds,
-        window: view.window.clone(),
+        window: view.window,
         lockstep: false,
         play: options.play,
         bindings: None,
