@@ -36,7 +36,7 @@ impl Pair {
         let mut now = SimTime::ZERO;
         let mut joining = Joining::over(&app, &join, &ticket, &wire, number, now).expect("it can join");
         while !joining.step(now).expect("it is let in") {
-            now = now + MS + MS + MS + MS;
+            now += SimTime::from_millis(4);
             assert!(host.run_until(now), "the host goes on");
             assert!(now < SimTime::from_millis(10_000), "{:?} {:?}", joining.progress(), joining.trouble());
         }
@@ -53,7 +53,7 @@ impl Pair {
     }
 
     fn step(&mut self) -> bool {
-        self.now = self.now + MS;
+        self.now += MS;
         let goes_on = self.host.run_until(self.now);
         self.station.run_until(self.now);
         goes_on

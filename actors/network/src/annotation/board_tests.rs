@@ -70,7 +70,7 @@ impl Session {
             ANA => &ana,
             _ => &bo,
         };
-        self.now = self.now + SimTime::from_millis(1);
+        self.now += SimTime::from_millis(1);
         what.check().expect("what comes over the wire is checked");
         let note = Note { station, at: self.now, what };
         let author = Author { name: named, is_host: station == HOST };

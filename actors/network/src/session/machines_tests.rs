@@ -220,7 +220,7 @@ impl Host {
     fn step(&mut self, now: SimTime) {
         self.device.step(now, None);
         self.hands.step(now);
-        if now.as_nanos() % 4_000_000 == 0 {
+        if now.as_nanos().is_multiple_of(4_000_000) {
             self.commands.begin(now);
             let phase = now.as_secs_f64();
             for (index, entity) in self.moving.iter().take(20).enumerate() {
@@ -290,7 +290,7 @@ impl Station {
     fn step(&mut self, now: SimTime, intent: Option<HandIntent>) {
         self.device.step(now, intent);
         self.hands.step(now);
-        if now.as_nanos() % 4_000_000 != 0 {
+        if !now.as_nanos().is_multiple_of(4_000_000) {
             return;
         }
         if self.machine.progress().is_some() || self.machine.welcome().is_some() {

@@ -26,7 +26,8 @@ fn a_run_is_looked_at_on_its_grid_and_is_as_long_as_it_should_be() {
     let app = App::new();
     let scenario = app.scenario("wall").expect("comes with Trocar");
     let folder = tempfile::tempdir().expect("a folder for temporary files");
-    let record = Some(folder.path().join("a.mcap"));
+    let file = folder.path().join("a.mcap");
+    let record = Some(file.clone());
     let options = RunOptions { record: record.clone(), ..options() };
     let mut looks = Vec::new();
     let outcome =
@@ -43,7 +44,7 @@ fn a_run_is_looked_at_on_its_grid_and_is_as_long_as_it_should_be() {
     }
     let sampled: Vec<f64> = outcome.trace.hands["right"].applied_force.iter().map(|(secs, _)| secs).collect();
     assert!(sampled.iter().all(|secs| *secs >= 12.345), "{sampled:?}");
-    let recording = trocar_kernel::recorder::Recording::open(&record.expect("set")).expect("opens");
+    let recording = trocar_kernel::recorder::Recording::open(&file).expect("opens");
     let mut replay =
         trocar_kernel::recorder::Replay::new(&recording, app.registry()).expect("has a keyframe");
     assert_eq!(replay.time(), BEGIN);
@@ -102,7 +103,7 @@ fn in_real_time_drivers_and_controllers_show_the_same_session_time() {
     let measured = loop {
         let scene = session.snapshot();
         if let Some(state) = scene.get::<DeviceState>(hand.entity).filter(|state| state.connected) {
-            break state.clone();
+            break *state;
         }
         assert!(Instant::now() < limit, "its device is measured");
         std::thread::sleep(Duration::from_millis(1));
