@@ -8,7 +8,7 @@
 //!
 //! let app = App::new();
 //! let host = Arc::new(NetworkHost::open(&HostOptions::default())?);
-//! println!("{}", host.ticket("Ana", trocar::network::ticket::Role::Operate)?);
+//! println!("{}", host.ticket("Ana", trocar::network::ticket::Role::Operate, 3_600, "peg-transfer")?);
 //! let options = RunOptions { network: Network::Host(host), ..RunOptions::default() };
 //! run::run(&app, &app.scenario("peg-transfer")?, &options, &mut |_| ())?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
