@@ -16,7 +16,8 @@ use crate::hands::{HandPort, OpenedHand};
 use crate::kind::KindContext;
 use crate::kinds::MANUAL;
 use crate::network::{
-    self, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, STATION_WRITER, StationHands,
+    self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, STATION_WRITER,
+    StationHands, TakingPart,
 };
 use crate::options::RunOptions;
 use crate::play;
@@ -30,6 +31,8 @@ pub struct Assembly {
     pub hands: Vec<OpenedHand>,
     /// What moves the hands' datagrams, if others share the session.
     pub network: Option<NetworkPart>,
+    /// What is said to the others at the end.
+    pub(crate) last_word: Option<LastWord>,
     /// The plan for branches and resets. Changes to `spec` hold for this session only.
     pub(crate) plan: Arc<SessionPlan>,
     /// Actors that join when the session runs live.
@@ -63,11 +66,12 @@ impl Assembly {
             commands.put(hand.port().entity, hand.info());
         }
         let mut roles = Vec::with_capacity(scenario.controllers.len() + 1);
-        let mut network = None;
+        let (mut network, mut last) = (None, None);
         if let Some(station) = station {
-            let (blueprint, part) = network::stationed(station, network_hands.take_station())?;
-            roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, blueprint));
-            network = Some(part);
+            let TakingPart { actor, part, last_word } =
+                network::stationed(station, network_hands.take_station())?;
+            roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, actor));
+            (network, last) = (Some(part), Some(last_word));
         }
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind_of(&entry.kind) else {
@@ -91,9 +95,9 @@ impl Assembly {
         let scene = store.snapshot();
         let hosted =
             network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
-        if let Some((blueprint, part)) = hosted {
-            roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, blueprint));
-            network = Some(part);
+        if let Some(TakingPart { actor, part, last_word }) = hosted {
+            roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, actor));
+            (network, last) = (Some(part), Some(last_word));
         }
 
         let plan = SessionPlan {
@@ -106,7 +110,7 @@ impl Assembly {
             fault_targets: options.fault_targets.clone(),
         };
         let spec = plan.first((options.seed, options.begin), &ports);
-        Ok(Self { spec, hands, network, plan: Arc::new(plan), actors: app.actors.clone() })
+        Ok(Self { spec, hands, network, last_word: last, plan: Arc::new(plan), actors: app.actors.clone() })
     }
 }
 

@@ -29,12 +29,15 @@ use crate::assembly::Assembly;
 use crate::branching::Origin;
 use crate::error::RunError;
 use crate::hands::{HandPort, OpenedHand};
-use crate::network::NetworkPart;
+use crate::network::{LastWord, NetworkPart};
 
 /// First writer number of guests: above those of any scenario's controllers, below the operator's.
 const GUESTS_FROM: u16 = 0x8000;
 /// Capacity of a guest's ring, in batches.
 const GUEST_CAPACITY: usize = 64;
+/// Longest wait for the other stations to take the last word, and time between two tries.
+const LAST_WORD_MAX: Duration = Duration::from_millis(300);
+const LAST_WORD_EVERY: Duration = Duration::from_millis(2);
 /// Longest wait for the Model's answer to the operator.
 const ANSWER_MAX: Duration = Duration::from_secs(1);
 
@@ -46,6 +49,7 @@ pub struct Session {
     actors: Vec<HostedActor>,
     /// What moves the hands' datagrams, if others share the session.
     network: Option<HandsThread>,
+    last_word: Option<LastWord>,
     next_guest: u16,
     pub(crate) fences_raised: bool,
     /// In virtual time, the plan and prototypes for resets and branches.
@@ -106,11 +110,14 @@ impl Session {
             seed: assembly.spec.seed,
             begin: assembly.spec.begin,
         };
+        let last_word = assembly.last_word;
         let mut spec = assembly.spec;
         spec.peers.extend(assembly.hands.into_iter().map(OpenedHand::into_peer));
         spec.peers.extend(assembly.network.and_then(NetworkPart::into_peer));
         let running = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
-        Ok(Self::new(running, hands, Vec::new(), Some(origin)))
+        let mut session = Self::new(running, hands, Vec::new(), Some(origin));
+        session.last_word = last_word;
+        Ok(session)
     }
 
     /// Starts a session in real time. Drivers start first, so that the first haptic tick finds a sample.
@@ -130,9 +137,10 @@ impl Session {
         let clock = Clock::pausable(start, clock).beginning_at(begin);
         let network = assembly.network.map(|part| part.start(clock.clone())).transpose();
         let network = network.map_err(RunError::Network)?.flatten();
+        let last_word = assembly.last_word;
         let live = LiveSession::start_on(assembly.spec, clock)?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
-        session.network = network;
+        (session.network, session.last_word) = (network, last_word);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
             let Running::Live(live, _) = &session.running else { break };
@@ -149,8 +157,8 @@ impl Session {
         origin: Option<Origin>,
     ) -> Self {
         let (actors, next_guest) = (Vec::new(), GUESTS_FROM);
-        let network = None;
-        Self { running, hands, drivers, actors, network, next_guest, fences_raised: false, origin }
+        let (network, last_word) = (None, None);
+        Self { running, hands, drivers, actors, network, last_word, next_guest, fences_raised: false, origin }
     }
 
     fn number_of_a_guest(&mut self) -> Result<WriterId, LiveError> {
@@ -369,6 +377,12 @@ impl Session {
             Running::Lockstep(session) => session.finish(),
             Running::Live(session, _) => session.stop(0),
         };
+        if let Some(last_word) = &mut self.last_word {
+            let begun = Instant::now();
+            while !last_word() && begun.elapsed() < LAST_WORD_MAX {
+                std::thread::sleep(LAST_WORD_EVERY);
+            }
+        }
         drop(self.network);
         let mut driver_errors = Vec::new();
         for driver in self.drivers {

@@ -105,6 +105,11 @@ impl<A: Copy + PartialEq> Connection<A> {
         self.id
     }
 
+    /// Whether strangers can neither read nor make its datagrams.
+    pub fn is_protected(&self) -> bool {
+        self.sealer.is_protected()
+    }
+
     /// Knows the next phase's key from the other side.
     ///
     /// # Errors

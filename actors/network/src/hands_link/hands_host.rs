@@ -3,10 +3,11 @@
 use trocar_scene::SimTime;
 
 use super::HandsLink;
-use super::connection::{Arrived, Connection, Reply};
-use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd, Parcel};
+use super::connection::Connection;
+use super::exchange::{self, Ways};
+use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
 use crate::control::STATIONS_MAX;
-use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header, Kind};
+use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
 use crate::hand_sample::{CLUTCHES, HandSample};
 use crate::remote_hand::StationEnd;
 
@@ -153,9 +154,8 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
             return;
         };
         let Link { station, connection, serves, .. } = link;
-        let id = connection.id();
-        let reply = match connection.receive(now, from, datagram) {
-            Ok((Arrived::Hands, reply)) => {
+        match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
+            Ok(true) => {
                 for sample in connection.samples() {
                     if serves.as_slice().contains(&sample.hand)
                         && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
@@ -163,26 +163,9 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
                         hand.end.post(*station, now, sample);
                     }
                 }
-                reply
             }
-            Ok((Arrived::Rows(payload), reply)) => {
-                tell(controller, id, Kind::Rows, payload);
-                reply
-            }
-            Ok((Arrived::RowAcks(payload), reply)) => {
-                tell(controller, id, Kind::RowAcks, payload);
-                reply
-            }
-            Ok((Arrived::Other, reply)) => reply,
-            Err(_) => {
-                strangers.refused += 1;
-                return;
-            }
-        };
-        if let Some(Reply { kind, payload }) = reply
-            && let Some(length) = connection.seal(kind, &payload, now, out)
-        {
-            send(from, &out[..length]);
+            Ok(false) => {}
+            Err(_) => strangers.refused += 1,
         }
     }
 
@@ -198,33 +181,13 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
                     samples.push(answer_of(hand, now));
                 }
             }
-            let id = connection.id();
-            if let Some(address) = connection.address() {
-                if let Some(length) = connection.tick(samples, now, out) {
-                    let is_sent = send(address, &out[..length]);
-                    connection.sent(samples, length, is_sent, now);
-                }
-                if let Some(length) = connection.report(now, out) {
-                    send(address, &out[..length]);
-                }
-            }
-            if let Some(point) = connection.point(now) {
-                controller.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
-            }
-            if connection.is_worn() && !*is_worn {
-                *is_worn = controller.tell(HandsNews::Worn { connection: id });
-            }
+            let to = connection.address();
+            exchange::send_due(connection, to, samples, is_worn, now, Ways { controller, send, out });
         }
     }
 
     fn is_idle(&self) -> bool {
         self.links.is_empty()
-    }
-}
-
-fn tell<A>(controller: &mut LinkEnd<A>, connection: u32, kind: Kind, payload: &[u8]) {
-    if let Some(parcel) = Parcel::new(kind, payload) {
-        controller.tell(HandsNews::Arrived { connection, parcel });
     }
 }
 

@@ -3,9 +3,10 @@
 use trocar_scene::SimTime;
 
 use super::HandsLink;
-use super::connection::{Arrived, Connection, Reply};
-use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd, Parcel};
-use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Kind};
+use super::connection::Connection;
+use super::exchange::{self, Ways};
+use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
+use crate::datagram::{DATAGRAM_MAX, HANDS_MAX};
 use crate::hand_sample::HandSample;
 use crate::remote_hand::{Presence, StationEnd};
 
@@ -133,60 +134,61 @@ impl<A: Copy + PartialEq> HandsStation<A> {
     }
 
     fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
-        if let HandsOrder::Open { connection, peer, .. } = order {
-            self.host = peer.or(self.host);
-            self.close();
-            self.is_worn = false;
-            // The hands that it serves are told anew, and placed anew.
-            self.serves = HandNumbers::default();
-            self.connection = Some(connection);
-            return;
-        }
-        if matches!(order, HandsOrder::CloseAll) {
-            return self.close();
-        }
-        let id = match &order {
-            HandsOrder::Serve { connection, .. }
-            | HandsOrder::Send { connection, .. }
-            | HandsOrder::RekeyOpener { connection, .. }
-            | HandsOrder::RekeySealer { connection, .. }
-            | HandsOrder::Close { connection } => *connection,
-            HandsOrder::Open { .. } | HandsOrder::CloseAll => return,
-        };
-        let Some(connection) = self.connection.as_mut().filter(|connection| connection.id() == id) else {
-            return;
-        };
         match order {
-            HandsOrder::Serve { hands, .. } => {
-                if connection.expect_hands(hands.as_slice()).is_ok() {
-                    for hand in &mut self.hands {
-                        let served = |numbers: &HandNumbers| numbers.as_slice().contains(&hand.number);
-                        match (served(&self.serves), served(&hands)) {
-                            (false, true) => hand.place(now),
-                            (true, false) => hand.leave(),
-                            _ => {}
-                        }
-                    }
-                    self.serves = hands;
+            HandsOrder::Open { connection, peer, .. } => {
+                self.host = peer.or(self.host);
+                self.close();
+                self.is_worn = false;
+                // The hands that it serves are told anew, and placed anew.
+                self.serves = HandNumbers::default();
+                self.connection = Some(connection);
+            }
+            HandsOrder::Serve { connection, hands } => {
+                if self.open(connection).is_some_and(|open| open.expect_hands(hands.as_slice()).is_ok()) {
+                    self.serve(hands, now);
                 }
             }
-            HandsOrder::Send { parcel, .. } => {
-                if let Some(host) = self.host
-                    && let Some(length) = connection.seal(parcel.kind(), parcel.payload(), now, &mut self.out)
+            HandsOrder::Send { connection, parcel } => {
+                let Self { host, connection: open, out, .. } = self;
+                if let (Some(host), Some(open)) = (host, open.as_mut().filter(|open| open.id() == connection))
+                    && let Some(length) = open.seal(parcel.kind(), parcel.payload(), now, out)
                 {
-                    send(host, &self.out[..length]);
+                    send(*host, &out[..length]);
                 }
             }
-            HandsOrder::RekeyOpener { key, .. } => {
+            HandsOrder::RekeyOpener { connection, key } => {
                 // A key that does not fit leaves the present one in use; the host asks for another phase.
-                let _ = connection.rekey_opener(now, key);
+                let _ = self.open(connection).map(|open| open.rekey_opener(now, key));
             }
-            HandsOrder::RekeySealer { key, .. } => {
-                self.is_worn &= connection.rekey_sealer(key).is_err();
+            HandsOrder::RekeySealer { connection, key } => {
+                if self.open(connection).is_some_and(|open| open.rekey_sealer(key).is_ok()) {
+                    self.is_worn = false;
+                }
             }
-            HandsOrder::Close { .. } => self.close(),
-            HandsOrder::Open { .. } | HandsOrder::CloseAll => {}
+            HandsOrder::Close { connection } => {
+                if self.open(connection).is_some() {
+                    self.close();
+                }
+            }
+            HandsOrder::CloseAll => self.close(),
         }
+    }
+
+    /// The connection, if it is the one of this number.
+    fn open(&mut self, id: u32) -> Option<&mut Connection<A>> {
+        self.connection.as_deref_mut().filter(|connection| connection.id() == id)
+    }
+
+    fn serve(&mut self, hands: HandNumbers, now: SimTime) {
+        for hand in &mut self.hands {
+            let served = |numbers: &HandNumbers| numbers.as_slice().contains(&hand.number);
+            match (served(&self.serves), served(&hands)) {
+                (false, true) => hand.place(now),
+                (true, false) => hand.leave(),
+                _ => {}
+            }
+        }
+        self.serves = hands;
     }
 
     fn close(&mut self) {
@@ -208,9 +210,8 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
             self.refused += 1;
             return;
         };
-        let id = connection.id();
-        let reply = match connection.receive(now, from, datagram) {
-            Ok((Arrived::Hands, reply)) => {
+        match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
+            Ok(true) => {
                 for sample in connection.samples() {
                     if serves.as_slice().contains(&sample.hand)
                         && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
@@ -218,26 +219,9 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
                         hand.hear(now, sample);
                     }
                 }
-                reply
             }
-            Ok((Arrived::Rows(payload), reply)) => {
-                tell(controller, id, Kind::Rows, payload);
-                reply
-            }
-            Ok((Arrived::RowAcks(payload), reply)) => {
-                tell(controller, id, Kind::RowAcks, payload);
-                reply
-            }
-            Ok((Arrived::Other, reply)) => reply,
-            Err(_) => {
-                self.refused += 1;
-                return;
-            }
-        };
-        if let Some(Reply { kind, payload }) = reply
-            && let Some(length) = connection.seal(kind, &payload, now, out)
-        {
-            send(from, &out[..length]);
+            Ok(false) => {}
+            Err(_) => self.refused += 1,
         }
     }
 
@@ -261,32 +245,11 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
                 samples.push(shown(hand, now));
             }
         }
-        let id = connection.id();
-        if let Some(host) = *host {
-            if let Some(length) = connection.tick(samples, now, out) {
-                let is_sent = send(host, &out[..length]);
-                connection.sent(samples, length, is_sent, now);
-            }
-            if let Some(length) = connection.report(now, out) {
-                send(host, &out[..length]);
-            }
-        }
-        if let Some(point) = connection.point(now) {
-            controller.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });
-        }
-        if connection.is_worn() && !*is_worn {
-            *is_worn = controller.tell(HandsNews::Worn { connection: id });
-        }
+        exchange::send_due(connection, *host, samples, is_worn, now, Ways { controller, send, out });
     }
 
     fn is_idle(&self) -> bool {
         self.connection.is_none()
-    }
-}
-
-fn tell<A>(controller: &mut LinkEnd<A>, connection: u32, kind: Kind, payload: &[u8]) {
-    if let Some(parcel) = Parcel::new(kind, payload) {
-        controller.tell(HandsNews::Arrived { connection, parcel });
     }
 }
 

@@ -18,6 +18,7 @@
 mod connection;
 #[cfg(test)]
 mod connection_tests;
+mod exchange;
 mod hands_host;
 mod hands_station;
 mod order;

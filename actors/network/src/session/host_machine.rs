@@ -6,9 +6,7 @@ use std::sync::Arc;
 use trocar_scene::{SimTime, Snapshot};
 
 use super::admissions::Admissions;
-use super::host_members::{
-    AcceptedNote, HostHandControl, Member, MemberFigures, Members, NOTES_MAX, figures,
-};
+use super::host_members::{AcceptedNote, HostHandControl, Member, Members, NOTES_MAX, figures};
 use crate::control::{
     ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, NoteKind, PACE_BYTES,
     Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
@@ -96,6 +94,8 @@ pub struct HostMachine<A> {
     /// Notes that all stations were told, for the actor.
     shown: VecDeque<AcceptedNote>,
     strangers: u64,
+    /// Time of the last step.
+    now: SimTime,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
@@ -146,6 +146,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             incidents: VecDeque::new(),
             shown: VecDeque::new(),
             strangers: 0,
+            now: SimTime::ZERO,
         }
     }
 
@@ -167,15 +168,6 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             .iter()
             .filter_map(|(station, member)| Some((*station, *member.quality.as_ref()?.curve().last()?)));
         points.collect()
-    }
-
-    /// How the links have done so far.
-    pub fn figures(&self) -> Vec<MemberFigures> {
-        let figures = self.members.members.iter().filter_map(|(station, member)| {
-            let summary = member.quality.as_ref()?.summary();
-            Some(MemberFigures { station: *station, summary })
-        });
-        figures.collect()
     }
 
     /// Connections that ended before anybody was let in.
@@ -203,6 +195,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
 
     /// One step: takes what has come, and sends what is due of the scene as it is now.
     pub fn step(&mut self, now: SimTime, scene: &Snapshot) {
+        self.now = now;
         if self.members.scene.revision() != scene.revision() {
             self.members.scene = Arc::new(scene.clone());
             self.members.tell_holding();
@@ -226,9 +219,17 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         }
     }
 
-    /// Ends all connections with a word; to be called once at the end of the session, before the last [`Self::step`].
-    pub fn dismiss_all(&mut self, goodbye: &Goodbye, now: SimTime) {
-        self.links.values_mut().for_each(|link| link.control.dismiss(goodbye.clone(), now));
+    /// The session is over, and all stations are told: to be called again and again after the last [`Self::step`], until it
+    /// is true that they were told, or cannot be.
+    pub fn finish(&mut self) -> bool {
+        let now = self.now;
+        self.links.values_mut().for_each(|link| link.control.dismiss(Goodbye::SessionOver, now));
+        let streams: Vec<StreamId> = self.links.keys().copied().collect();
+        streams.into_iter().for_each(|stream| self.flush(stream, now));
+        // The last words of streams that are closed go out while they work; who comes now comes too late.
+        self.streams.work(now, &mut self.opened);
+        self.opened.drain(..).for_each(|stream| self.streams.close(stream));
+        self.links.is_empty()
     }
 
     fn refresh(&mut self, now: SimTime) {

@@ -14,7 +14,7 @@ use crate::control::{
     SessionInfo, TakeOver, Wish,
 };
 use crate::hands_link::HOST;
-use crate::haptic::{LinkPoint, LinkQuality, LinkSummary, Rate};
+use crate::haptic::{LinkPoint, LinkQuality, Rate};
 use crate::remote_hand::HandControl;
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::scene_feed::{FeedLimits, Resumed, SceneFeed};
@@ -49,15 +49,6 @@ pub(super) struct Member {
     pub writes_refused: u64,
     /// Phase of the keys that it uses since the last look.
     pub rekeyed: Option<u32>,
-}
-
-/// How a station's link does.
-#[derive(Clone, Debug, Default)]
-pub struct MemberFigures {
-    /// The station.
-    pub station: u16,
-    /// Its figures.
-    pub summary: LinkSummary,
 }
 
 /// A note that the session has accepted, for the board that shows it in the scene.

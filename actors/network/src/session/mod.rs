@@ -24,7 +24,7 @@ mod station_machine;
 pub use admissions::{Admissions, BookAdmissions, UnixClock, examine, no_station};
 pub use host_controller::HostController;
 pub use host_machine::{HostMachine, HostSetup, Incident};
-pub use host_members::{AcceptedNote, HostHandControl, MemberFigures};
+pub use host_members::{AcceptedNote, HostHandControl};
 pub use machine_slot::{HeldMachine, MachineSlot};
 pub use own_rows::own_rows;
 pub use station_controller::StationController;

@@ -12,8 +12,8 @@ use super::host_members::digest_of;
 use super::own_rows::own_rows;
 use crate::control::{
     ClientControl, ClientEvent, ClientFacts, ClientState, ControlError, Credential, HandInfo, HeldScene,
-    Note, NoteKind, Refusal, RequestKind, SceneCounts, SceneKind, SceneManifest, SendError, StationInfo,
-    StreamWish, TakeOver, Welcome,
+    Note, Refusal, RequestKind, SceneCounts, SceneKind, SceneManifest, SendError, StationInfo, StreamWish,
+    Welcome,
 };
 use crate::datagram::{Keys, Kind, Side};
 use crate::hands_link::{Connection, ControllerEnd, HandNumbers, HandsNews, HandsOrder, Parcel};
@@ -108,6 +108,9 @@ pub struct StationMachine<A> {
     has_joined: bool,
     /// Whether the station's own controllers run although this machine has taken nothing yet.
     is_in_session: bool,
+    is_protected: bool,
+    /// Time of the last step.
+    now: SimTime,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
@@ -144,6 +147,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             was_running: false,
             has_joined: false,
             is_in_session: false,
+            is_protected: true,
+            now,
         }
     }
 
@@ -245,17 +250,15 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         self.control.request(what, now)
     }
 
-    /// The trainee takes an instrument back that somebody took over.
-    ///
-    /// # Errors
-    /// [`SendError`].
-    pub fn take_back(&mut self, hand: u8, now: SimTime) -> Result<u32, SendError> {
-        self.request(RequestKind::Note(NoteKind::TakeOver { hand, step: TakeOver::Return }), now)
-    }
-
-    /// Leaves the session; to be called once, before the last [`Self::step`].
-    pub fn leave(&mut self, now: SimTime) {
+    /// Leaves the session, so that its hands are free at once: to be called again and again after the last
+    /// [`Self::step`], until it is true that the host has been told, or nobody can be told.
+    pub fn leave(&mut self) -> bool {
+        let now = self.now;
         self.control.leave(now);
+        self.flush(now);
+        // The last words of a stream that is closed go out while it works.
+        self.stream.work(now);
+        self.control.outgoing().is_empty()
     }
 
     /// One step: takes what has come and puts it into `out`, which becomes one batch; `scene` is the station's as it is now.
@@ -263,6 +266,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     /// # Errors
     /// [`StationError`] when all is over.
     pub fn step(&mut self, now: SimTime, scene: &Snapshot, out: &mut Commands) -> Result<(), StationError> {
+        self.now = now;
         self.connect(now);
         self.receive(now);
         self.take_hands_news();
@@ -399,8 +403,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             self.control.broke("no keys for its datagrams", now);
             return;
         };
-        let histograms = connection.meter().histograms().clone();
-        self.quality.get_or_insert_with(|| LinkQuality::new(histograms));
+        self.quality = Some(LinkQuality::new(connection.meter().histograms().clone()));
+        self.is_protected = connection.is_protected();
         self.connection = Some(id);
         self.hands.order(HandsOrder::Open { station, connection, peer: self.stream.peer() });
     }
@@ -519,7 +523,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             role: self.control.welcome().map_or(StationRole::Watch, |welcome| role(welcome.role)),
             here: self.control.state() == ClientState::Running,
             hands,
-            protected: true,
+            protected: self.is_protected,
             link: point.map_or_else(LinkState::default, state),
         }
     }

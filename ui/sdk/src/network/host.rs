@@ -33,7 +33,7 @@ use trocar_scene::scenario::Scenario;
 use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Snapshot};
 
 use super::part::NetworkPart;
-use super::{HANDS_PEER, Network, NetworkError};
+use super::{HANDS_PEER, LastWord, Network, NetworkError, TakingPart};
 use crate::kind::Blueprint;
 
 /// How long a ticket lets in, if nothing else is said \[s\].
@@ -302,7 +302,7 @@ pub(crate) fn hosted(
     seed: u64,
     scene: &Snapshot,
     hands: NetworkHands,
-) -> Result<Option<(Blueprint, NetworkPart)>, NetworkError> {
+) -> Result<Option<TakingPart>, NetworkError> {
     let settings = NetworkSettings::of(scenario)?;
     match network {
         Network::None | Network::Station(_) => Ok(None),
@@ -328,7 +328,8 @@ pub(crate) fn hosted(
                 let scene = Arc::new(scene.clone());
                 Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
             };
-            Ok(Some((blueprint(first, is_protected, again), NetworkPart::Live { socket, link })))
+            let (actor, last_word) = blueprint(first, is_protected, again);
+            Ok(Some(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word }))
         }
         Network::LockstepHost(host) => {
             let setup = setup(scenario, &settings, seed, scene, hands.infos, false)?;
@@ -345,7 +346,8 @@ pub(crate) fn hosted(
             };
             let first =
                 make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
-            Ok(Some((blueprint(first, true, make), NetworkPart::Lockstep(Box::new(peer)))))
+            let (actor, last_word) = blueprint(first, true, make);
+            Ok(Some(TakingPart { actor, part: NetworkPart::Lockstep(Box::new(peer)), last_word }))
         }
     }
 }
@@ -408,11 +410,14 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(
     first: HostMachine<A>,
     is_protected: bool,
     again: impl Fn(&Snapshot) -> Result<HostMachine<A>, ControllerError> + Send + Sync + 'static,
-) -> Blueprint {
+) -> (Blueprint, LastWord) {
     let slot = MachineSlot::new(first);
+    let ended = slot.clone();
+    // A machine that its actor still has, or that was lost, says nothing more.
+    let last_word = move || ended.take().is_none_or(|mut machine| machine.work(HostMachine::finish));
     let factory = move |context: &BuildContext<'_>| {
         let machine = slot.take_or_make(|| again(context.scene))?;
         Ok(Box::new(HostController::new(context, machine, is_protected)) as Box<dyn Controller>)
     };
-    super::blueprint(Arc::new(factory))
+    (super::blueprint(Arc::new(factory)), Box::new(last_word))
 }

@@ -49,6 +49,19 @@ pub const NETWORK_HZ: f64 = 250.0;
 /// Name of the hands link in virtual time.
 const HANDS_PEER: &str = "network.hands";
 
+/// Tells the other end that the session is over; true once it was told, or cannot be.
+pub(crate) type LastWord = Box<dyn FnMut() -> bool + Send>;
+
+/// A session's part in a network.
+pub(crate) struct TakingPart {
+    /// Its actor.
+    pub actor: Blueprint,
+    /// Its hands link.
+    pub part: NetworkPart,
+    /// What is said at the end.
+    pub last_word: LastWord,
+}
+
 /// The network's actor: it takes what may be a whole scene at once, so that its flow has no limit of its own.
 fn blueprint(factory: Factory) -> Blueprint {
     Blueprint { class: RuntimeClass::Network, factory, fences: Vec::new(), for_hands: None, arrange: None }

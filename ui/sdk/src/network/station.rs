@@ -32,7 +32,7 @@ use trocar_scene::{
 
 use super::host::{NetworkSettings, plain_name, random_secret};
 use super::part::NetworkPart;
-use super::{HANDS_PEER, NetworkError};
+use super::{HANDS_PEER, LastWord, NetworkError, TakingPart};
 use crate::app::App;
 use crate::kind::Blueprint;
 
@@ -392,35 +392,35 @@ impl StationHands {
 }
 
 /// The actor of a station's session, and its hands link.
-pub(crate) fn stationed(
-    station: &Station,
-    hands: StationHands,
-) -> Result<(Blueprint, NetworkPart), NetworkError> {
+pub(crate) fn stationed(station: &Station, hands: StationHands) -> Result<TakingPart, NetworkError> {
     let parts = station.parts.lock().unwrap_or_else(PoisonError::into_inner).take();
     match parts {
         Some(Parts::Live { joined, peer }) => {
             let socket = sockets::station(&peer)?;
-            let (blueprint, link) = blueprint(joined);
+            let (actor, last_word, link) = blueprint(joined);
             let link: Box<dyn HandsLink<SocketAddr>> = Box::new(HandsStation::new(hands.0, link));
-            Ok((blueprint, NetworkPart::Live { socket, link }))
+            Ok(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word })
         }
         Some(Parts::Lockstep { joined, wire }) => {
-            let (blueprint, link) = blueprint(joined);
+            let (actor, last_word, link) = blueprint(joined);
             let link: Box<dyn HandsLink<usize>> = Box::new(HandsStation::new(hands.0, link));
             let wires = Wires::default();
             wires.add(wire);
             let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station);
-            Ok((blueprint, NetworkPart::Lockstep(Box::new(peer))))
+            Ok(TakingPart { actor, part: NetworkPart::Lockstep(Box::new(peer)), last_word })
         }
         None => Err(NetworkError::System("the station's session has ended; join again".to_owned())),
     }
 }
 
 /// The actor of a machine that has joined; one that is lost is made again, and comes back by its secret.
-fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Blueprint, LinkEnd<A>) {
+fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Blueprint, LastWord, LinkEnd<A>) {
     let Joined { machine, setup, controller, link, redial } = joined;
     let parts = machine.parts();
     let slot = MachineSlot::new(*machine);
+    let ended = slot.clone();
+    // A machine that its actor still has, or that was lost, says nothing more.
+    let last_word = move || ended.take().is_none_or(|mut machine| machine.work(StationMachine::leave));
     let again = move |scene: &Snapshot, now: SimTime| {
         let lost = || ControllerError::Failed("the network died before it was in the session".to_owned());
         let parts = parts.clone().ok_or_else(lost)?;
@@ -438,5 +438,5 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Bluepr
         let machine = slot.take_or_make(|| again(context.scene, context.time))?;
         Ok(Box::new(StationController::new(context, machine)) as Box<dyn Controller>)
     };
-    (super::blueprint(Arc::new(factory)), link)
+    (super::blueprint(Arc::new(factory)), Box::new(last_word), link)
 }
