@@ -102,6 +102,7 @@ fn every_component_goes_through_every_format_unchanged() {
     instruments(&mut formats);
     hands_and_tasks(&mut formats);
     annotations(&mut formats);
+    stations(&mut formats);
     let registered: BTreeSet<&str> = formats.registry.iter().map(|(_, entry)| entry.name).collect();
     let missing: Vec<_> = registered.difference(&formats.seen).collect();
     assert!(missing.is_empty(), "components without a test: {missing:?}");
@@ -352,6 +353,24 @@ fn annotations(formats: &mut Formats) {
     formats.check(PictureFreeze { by: by(5) }, true);
     let step = TakeOverStep::Accepted;
     formats.check(TakeOverRequest { by: by(5), step, answer: Some(by(6)) }, true);
+}
+
+fn stations(formats: &mut Formats) {
+    let link = LinkState {
+        round_trip: 0.15,
+        jitter: 0.001,
+        loss: 0.02,
+        age: 0.08,
+        rate: 249.0,
+        bytes_received: 3.1e5,
+        bytes_sent: 4.2e4,
+    };
+    let hands = vec!["left".into(), "right".into()];
+    let role = StationRole::Mentor;
+    formats.check(
+        Station { number: 3, name: "Ada".into(), role, here: true, hands, protected: true, link },
+        true,
+    );
 }
 
 fn hands_and_tasks(formats: &mut Formats) {

@@ -46,7 +46,8 @@ fn fields_lie_where_the_table_says() {
     assert_eq!(bytes[8..12], [0x0a, 0x0b, 0x0c, 0x0d]);
     for (hand, start) in [(5, 12), (6, 112)] {
         let of = |offset: usize| &bytes[start + offset..];
-        assert_eq!(of(0)[..8], [hand, 3, 0x01, 0x80, 1, 2, 3, 4]);
+        let flags = 3 | 7 << 2;
+        assert_eq!(of(0)[..8], [hand, flags, 0x01, 0x80, 1, 2, 3, 4]);
         let number = |offset: usize| f32::from_le_bytes(of(offset)[..4].try_into().expect("four bytes"));
         let rotation = [(20, 0.0), (24, 0.6), (28, 0.0), (32, 0.8)];
         let position = [(8, 1.0), (12, 2.0), (16, 3.0)];

@@ -7,7 +7,7 @@ use clap::{Arg, Command};
 const NAMES: [&str; 3] = ["MuJoCo", "PyElastica", "GitHub"];
 
 /// Headings of the options of `run` and `replay`; all others are under `Options`.
-const HEADINGS: [(&str, &[&str]); 4] = [
+const HEADINGS: [(&str, &[&str]); 5] = [
     (
         "Session",
         &[
@@ -43,7 +43,11 @@ const HEADINGS: [(&str, &[&str]); 4] = [
         ],
     ),
     ("Output", &["record", "record-exact", "no-record", "report", "no-report", "force", "json"]),
+    ("Network", &["port", "bind", "address", "tickets", "ticket", "ticket-file", "name", "insecure"]),
 ];
+/// Commands whose options stand under headings.
+const WITH_HEADINGS: [&str; 5] =
+    ["trocar run", "trocar replay", "trocar host", "trocar join", "trocar watch"];
 
 /// Every command with its full name, from the program down.
 fn commands() -> Vec<(String, Command)> {
@@ -106,7 +110,7 @@ fn help_texts_have_no_types_and_no_marks_of_rustdoc() {
 #[test]
 fn every_option_stands_under_the_heading_where_it_is_looked_for() {
     for (name, command) in commands() {
-        let has_headings = name == "trocar run" || name == "trocar replay";
+        let has_headings = WITH_HEADINGS.contains(&name.as_str());
         for (option, arg) in options(&command) {
             let heading = arg.get_help_heading().unwrap_or("Options");
             let listed = HEADINGS.iter().find(|(_, options)| options.contains(&option));
@@ -114,16 +118,22 @@ fn every_option_stands_under_the_heading_where_it_is_looked_for() {
                 Some((heading, _)) if has_headings => heading,
                 // `trocar graph` takes the same session options as `run`.
                 Some(("Session", _)) if name == "trocar graph" => "Session",
+                // A ticket says where its host listens.
+                Some(("Network", _)) if name == "trocar host ticket" => "Network",
                 _ => "Options",
             };
             assert_eq!(heading, expected, "{name} --{option}");
         }
     }
-    let run = commands().into_iter().find(|(name, _)| name == "trocar run").expect("a command").1;
-    let known: Vec<&str> = options(&run).map(|(option, _)| option).collect();
+    let commands: Vec<Command> = commands()
+        .into_iter()
+        .filter(|(name, _)| WITH_HEADINGS.contains(&name.as_str()))
+        .map(|(_, it)| it)
+        .collect();
+    let known: Vec<&str> = commands.iter().flat_map(options).map(|(option, _)| option).collect();
     for (heading, listed) in HEADINGS {
         for option in listed {
-            assert!(known.contains(option), "{heading}: --{option} is no option of run");
+            assert!(known.contains(option), "{heading}: --{option} is no option of {WITH_HEADINGS:?}");
         }
     }
 }
