@@ -97,7 +97,7 @@ pub struct DeviceState {
     pub angular_velocity: Vector3<f64>,
     /// Opening angle of the gripper \[rad\]; 0 is closed.
     pub gripper: f64,
-    /// Bit `n` is set while button `n` is pressed.
+    /// Bit `n` is set while button `n` of the handle is pressed, up to 15; above are the [`Pedals`](crate::Pedals).
     pub buttons: u32,
     /// False while the device is unplugged; pose and gripper are then the last that were measured.
     pub connected: bool,

@@ -32,6 +32,7 @@ mod lane_gate;
 mod link;
 mod oscillator;
 mod passivity;
+mod pedals;
 mod reader;
 mod replay_hand;
 mod sched;
@@ -57,6 +58,7 @@ pub use link::{
 };
 pub use oscillator::Oscillator;
 pub use passivity::{PassivityConfig, PassivityController, PortEnergy};
+pub use pedals::{HAS_PEDALS, PEDAL_COAGULATE, PEDAL_ENERGY, Pedals};
 pub use reader::{MAX_FILE_BYTES, MAX_ROWS, ReadError, RowProblem, StartTime};
 pub use replay_hand::ReplayHand;
 pub use spec::{BuildError, DeviceSpec, SpecError};

@@ -314,16 +314,15 @@ fn instruments(formats: &mut Formats) {
         friction: 0.3,
     };
     // TOML has no null, so a list with gaps cannot stand in it; the engine writes this one, never a file.
-    formats.check(
-        LocalContactModel {
-            proxy_in_world: pose(),
-            proxy_velocity: velocity(),
-            planes: [Some(plane), None, Some(plane), None],
-            base_force: v(0.2),
-            at: SimTime(9),
-        },
-        false,
-    );
+    let model = LocalContactModel {
+        proxy_in_world: pose(),
+        proxy_velocity: velocity(),
+        planes: [Some(plane), None, Some(plane), None],
+        base_force: v(0.2),
+        at: SimTime(9),
+    };
+    formats.check(model, false);
+    formats.check(StationContactModel { model }, false);
 }
 
 fn annotations(formats: &mut Formats) {

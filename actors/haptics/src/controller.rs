@@ -5,14 +5,14 @@
 //! direction of its predecessor, and the driver, which keeps the energy, ramps its force in.
 
 use nalgebra::{Isometry3, Vector3};
-use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HandIntent};
+use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HAS_PEDALS, HandIntent};
 use trocar_scene::kinematics::coupling::{InstrumentCoupling, Transmission};
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::kinematics::spatial::{Twist, Wrench};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, DeviceForce, DeviceState, Entity, EntitySet,
     Hand, HandTarget, HapticStatus, Instrument, InstrumentForce, InstrumentTarget, LocalContactModel, Port,
-    Pose, Revision, SimTime, Snapshot, Tick, Velocity, VirtualFixture,
+    Pose, Revision, SimTime, Snapshot, StationContactModel, Tick, Velocity, VirtualFixture,
 };
 
 use crate::config::{HapticsConfig, HapticsError};
@@ -143,7 +143,8 @@ impl HapticsController {
     }
 
     fn press_buttons(&mut self, buttons: u32, out: &mut Commands) {
-        let mut changed = buttons ^ self.buttons;
+        // That a device has pedals is nothing that is pressed.
+        let mut changed = (buttons ^ self.buttons) & !HAS_PEDALS;
         while changed != 0 {
             let button = changed.trailing_zeros();
             let name = if buttons & (1 << button) == 0 { "button_released" } else { "button_pressed" };
@@ -190,9 +191,13 @@ impl HapticsController {
         Some(InstrumentForce { at: self.age_from(force.at, seen_at), ..*force })
     }
 
-    /// The simulation's local contact model, likewise.
+    /// The simulation's local contact model, likewise; at a station the one that it makes itself.
     fn contact_model(&mut self, scene: &Snapshot, now: SimTime) -> Option<LocalContactModel> {
         let instrument = self.rig.instrument;
+        if let Some(own) = scene.get::<StationContactModel>(instrument) {
+            let seen_at = self.seen.model.at(scene.changed::<StationContactModel>(instrument), now);
+            return Some(LocalContactModel { at: own.model.at.min(seen_at), ..own.model });
+        }
         let seen_at = self.seen.model.at(scene.changed::<LocalContactModel>(instrument), now);
         let model = scene.get::<LocalContactModel>(instrument)?;
         Some(LocalContactModel { at: self.age_from(model.at, seen_at), ..*model })
@@ -328,6 +333,7 @@ impl Controller for HapticsController {
             .reads::<Velocity>()
             .reads::<InstrumentForce>()
             .reads::<LocalContactModel>()
+            .reads::<StationContactModel>()
             .reads::<VirtualFixture>()
             .writes::<DeviceState>(hand())
             .writes::<DeviceForce>(hand())

@@ -17,6 +17,7 @@ pub mod motor_model;
 pub mod noise;
 pub mod path;
 pub mod path_controller;
+mod pedals;
 pub mod strategy;
 pub mod trainee_view;
 

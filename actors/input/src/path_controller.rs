@@ -4,11 +4,12 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::coupling::InstrumentCoupling;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, Activation, ActivationMode, BuildContext, Commands, Controller, ControllerError, Entity,
-    EntitySet, Hand, HandTarget, Snapshot, Tick,
+    Access, Activation, ActivationMode, BuildContext, Commands, Controller, ControllerError, DeviceState,
+    Entity, EntitySet, Hand, HandTarget, Snapshot, Tick,
 };
 
 use crate::path::{Moment, Path, Step};
+use crate::pedals::asked_by_pedals;
 use crate::trainee_view::tip_pose;
 
 /// A movement as a scenario file describes it.
@@ -85,20 +86,23 @@ impl PathController {
 
 impl Controller for PathController {
     fn access(&self) -> Access {
-        let access = Access::new().writes::<HandTarget>(EntitySet::Of(vec![self.hand]));
-        if self.activates {
-            access.reads::<Activation>().writes::<Activation>(EntitySet::Of(vec![self.rig.instrument]))
-        } else {
-            access
-        }
+        Access::new()
+            .reads::<DeviceState>()
+            .reads::<Activation>()
+            .writes::<Activation>(EntitySet::Of(vec![self.rig.instrument]))
+            .writes::<HandTarget>(EntitySet::Of(vec![self.hand]))
     }
 
-    fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let moment = self.path.at(tick.time.as_secs_f64());
         out.put(self.hand, self.target(&moment));
-        let Moment { level, mode, .. } = moment;
-        if self.activates && self.told != Some((level, mode)) {
-            self.told = Some((level, mode));
+        let scripted = self.activates.then_some((moment.level, moment.mode));
+        // A script that switches nothing still lets go of what pedals have switched on.
+        let is_on = || scene.get::<Activation>(self.rig.instrument).is_some_and(|asked| asked.level > 0.0);
+        let let_go = || is_on().then_some((0.0, None));
+        let asked = asked_by_pedals(scene, self.hand).or(scripted).or_else(let_go);
+        if let Some((level, mode)) = asked.filter(|_| asked != self.told) {
+            self.told = asked;
             out.put(self.rig.instrument, Activation { level, since: tick.time, mode });
         }
         Ok(())

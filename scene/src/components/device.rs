@@ -98,7 +98,8 @@ pub struct DeviceState {
     pub velocity_in_device: Velocity,
     /// Opening of the gripper \[rad\].
     pub gripper: f64,
-    /// One bit per button.
+    /// One bit per button of the handle, 0 to 15; above are pedals, if the device has any (16), for the instrument's own
+    /// current (17) and for coagulation (18).
     pub buttons: u32,
     /// Whether the device is connected.
     pub connected: bool,

@@ -295,3 +295,13 @@ pub struct LocalContactModel {
     /// When it was computed.
     pub at: SimTime,
 }
+
+/// The local contact model that a station makes for an instrument of its own hand, from its own copy of the scene; haptics
+/// there renders it in place of the host's, which is late by the network's delay.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "station_contact_model", record = RecordPolicy::sampled(30.0, 1e-5), schema)]
+#[serde(deny_unknown_fields)]
+pub struct StationContactModel {
+    /// The model.
+    pub model: LocalContactModel,
+}

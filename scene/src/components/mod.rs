@@ -29,7 +29,7 @@ pub use field::{ScalarField, ScalarFields};
 pub use graph::{Name, Parent, Pose, Velocity};
 pub use instrument::{
     Activation, ActivationMode, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind,
-    InstrumentTarget, JawState, LocalContactModel, Port,
+    InstrumentTarget, JawState, LocalContactModel, Port, StationContactModel,
 };
 pub use joint::{JOINTS_MAX, Joint, JointFrame, JointFrames, JointKind, JointLoad, JointState, Joints};
 pub use matter::{Burn, Motion, Parameter, RigidBody, Source, Sources, Temperature, Tissue};
@@ -67,7 +67,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
         Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
         CollisionList, TaskState, Measured, VitalSigns, Station,
-        MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest,
+        MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest, StationContactModel,
     )?;
     Ok(())
 }

@@ -16,6 +16,7 @@ mod recordings;
 mod reflect;
 mod refusals;
 mod runs;
+mod stations;
 mod support;
 mod templates;
 #[cfg(target_os = "linux")]

@@ -3,18 +3,21 @@
 use std::path::{Component, Path};
 use std::sync::Arc;
 
+use trocar_collision::controller::StationTouchController;
 use trocar_devices::HapticDevice;
 use trocar_kernel::spec::{SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{Commands, ControllerEntry, Entity, EntityAllocator, SCENARIO_SPAWNER, SimTime, Store};
+use trocar_scene::{
+    Commands, ControllerEntry, Entity, EntityAllocator, Hand, SCENARIO_SPAWNER, SimTime, Snapshot, Store,
+};
 
 use crate::app::App;
 use crate::app::actors::ActorKind;
 pub use crate::error::AssemblyError;
 use crate::hands::{HandPort, OpenedHand};
-use crate::kind::KindContext;
-use crate::kinds::MANUAL;
+use crate::kind::{Blueprint, KindContext};
+use crate::kinds::{MANUAL, plain};
 use crate::network::{
     self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, STATION_WRITER,
     StationHands, TakingPart,
@@ -22,6 +25,11 @@ use crate::network::{
 use crate::options::RunOptions;
 use crate::play;
 use crate::session::plan::{Role, SessionPlan};
+
+/// Name of a station's own touch.
+const TOUCH: &str = "touch";
+/// Its ticks per second \[Hz\].
+const TOUCH_HZ: f64 = 1_000.0;
 
 /// A session and its hands, before it runs.
 pub struct Assembly {
@@ -72,6 +80,10 @@ impl Assembly {
                 network::stationed(station, network_hands.take_station())?;
             roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, actor));
             (network, last) = (Some(part), Some(last_word));
+            if !ports.is_empty() {
+                let touch = station_touch(&station.scene, &ports);
+                roles.push(Role::new(TOUCH, roles.len() as u16 + 1, TOUCH_HZ, touch));
+            }
         }
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind_of(&entry.kind) else {
@@ -83,7 +95,7 @@ impl Assembly {
             if let Some(arrange) = blueprint.arrange.take() {
                 arrange(store.view(), &mut commands);
             }
-            // Spawner 0 is the scenario's; writers count from 1 in the order of the file, after a station's network.
+            // Spawner 0 is the scenario's; writers count from 1 in the order of the file, after a station's network and touch.
             roles.push(Role::new(&entry.name, roles.len() as u16 + 1, entry.rate_hz, blueprint));
         }
         stagger_haptics(&mut roles);
@@ -112,6 +124,13 @@ impl Assembly {
         let spec = plan.first((options.seed, options.begin), &ports);
         Ok(Self { spec, hands, network, last_word: last, plan: Arc::new(plan), actors: app.actors.clone() })
     }
+}
+
+/// What the hands of a station touch, by its own copy of the scene.
+fn station_touch(scene: &Snapshot, hands: &[HandPort]) -> Blueprint {
+    let instrument = |hand: &HandPort| scene.get::<Hand>(hand.entity).map(|hand| hand.instrument);
+    let instruments: Vec<Entity> = hands.iter().filter_map(instrument).collect();
+    plain(RuntimeClass::Collision, move |context| StationTouchController::new(&instruments, context))
 }
 
 /// Staggers the haptic controllers over their period. Drivers tick at whole milliseconds with a higher priority: with

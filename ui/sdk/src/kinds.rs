@@ -233,6 +233,13 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
         Some(hand) => parse_or_default::<RendererConfig>(&hand.renderer)?,
         None => RendererConfig::default(),
     };
+    // A station renders the contact model that it makes itself: the host's forces and places have waited in a network.
+    let renderer = match (context.options.network.station(), renderer) {
+        (Some(_), RendererConfig::ZeroOrderHold | RendererConfig::VirtualCoupling(_)) => {
+            RendererConfig::default()
+        }
+        (_, renderer) => renderer,
+    };
     let default = HapticsConfig::default();
     let config = HapticsConfig {
         renderer,

@@ -18,6 +18,8 @@ mod obb_tree;
 mod proximity;
 mod report;
 mod spherical_hash;
+mod static_bodies;
+mod station_touch;
 mod tree_body;
 mod z_buffer;
 
@@ -27,6 +29,7 @@ pub use finger_proxy::{FingerProxyConfig, FingerProxyController};
 pub use obb_tree::{ObbTreeConfig, ObbTreeController};
 pub use proximity::{ProximityConfig, ProximityController};
 pub use spherical_hash::{SphericalHashConfig, SphericalHashController};
+pub use station_touch::StationTouchController;
 pub use z_buffer::{ZBufferConfig, ZBufferController};
 
 /// Registers this crate's own components.

@@ -12,6 +12,7 @@ use trocar_scene::{
 use nalgebra::{Isometry3, Vector3};
 
 use super::mapping::{HandKinematics, HandLimits, ManualHand};
+use crate::pedals::asked_by_pedals;
 
 /// Longest time that a hand catches up after a pause of the controller \[s\].
 const CATCH_UP_MAX_SECS: f64 = 0.1;
@@ -194,7 +195,8 @@ impl Controller for ManualController {
             out.put(entity, HandTarget { handle_in_device, gripper: place.gripper });
             // Without a person nothing is active.
             let asked = input.map(|input| input.hand(side));
-            let (level, mode) = asked.map_or((0.0, None), |asked| (asked.activation, asked.mode));
+            let by_keys = asked.map_or((0.0, None), |asked| (asked.activation, asked.mode));
+            let (level, mode) = asked_by_pedals(scene, entity).unwrap_or(by_keys);
             let before = scene.get::<Activation>(rig.instrument).copied().unwrap_or_default();
             if (level, mode) != (before.level, before.mode) {
                 out.put(rig.instrument, Activation { level, since: tick.time, mode });

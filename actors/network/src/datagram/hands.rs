@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use thiserror::Error;
-use trocar_devices::{DeviceState, Wrench};
+use trocar_devices::{DeviceState, Pedals, Wrench};
 use trocar_scene::{Entity, SimTime};
 
 use super::PAYLOAD_MAX;
@@ -23,6 +23,8 @@ const GRABBED: u8 = 1 << 1;
 /// Where the count of clutches lies in the flags.
 const CLUTCH_SHIFT: u32 = 2;
 const CLUTCH: u8 = (CLUTCHES - 1) << CLUTCH_SHIFT;
+/// Where the pedals lie in the flags.
+const PEDALS_SHIFT: u32 = 6;
 /// In place of the time held when there is nothing to echo.
 const NO_ECHO: u32 = u32::MAX;
 
@@ -57,16 +59,6 @@ pub enum HandsError {
     /// A hand comes twice.
     #[error("hand {0} comes twice in one datagram")]
     Repeated(u8),
-    /// Bits that mean nothing yet are set.
-    #[error(
-        "hand {hand} has flags {flags:#04x}; only bits 0 (connected), 1 (grabbed) and 2 to 5 (clutches) may be set"
-    )]
-    Flags {
-        /// Number of the hand.
-        hand: u8,
-        /// Its flags.
-        flags: u8,
-    },
     /// It holds something without saying so.
     #[error("hand {0} names a grabbed entity or node, but its flag for grabbed is not set; both must be 0")]
     Grabbed(u8),
@@ -101,7 +93,7 @@ impl Met {
 /// Writes a payload of kind hands, and returns its length.
 ///
 /// Numbers are rounded to single precision, and those beyond its range become its greatest. Of the buttons, 0 to 15
-/// travel. An echo held for longer than the field can say (71 minutes) is left out.
+/// and the pedals travel. An echo held for longer than the field can say (71 minutes) is left out.
 ///
 /// # Errors
 /// When there are more than [`HANDS_MAX`] samples, a hand comes twice, or a sample is not valid. Nothing that the payload
@@ -147,7 +139,8 @@ fn encode_hand(sample: &HandSample, fields: &mut Writer<'_>) -> Result<(), Hands
         .u8(*hand)
         .u8(flag(state.connected, CONNECTED)
             | flag(grabbed.is_some(), GRABBED)
-            | (clutch % CLUTCHES) << CLUTCH_SHIFT)
+            | (clutch % CLUTCHES) << CLUTCH_SHIFT
+            | pedal_bits(Pedals::of(state.buttons)) << PEDALS_SHIFT)
         .u16(state.buttons as u16)
         .u32(*age_us)
         .f32s(translation.vector.as_slice())
@@ -160,6 +153,18 @@ fn encode_hand(sample: &HandSample, fields: &mut Writer<'_>) -> Result<(), Hands
         .u64(entity)
         .u32(node);
     Ok(())
+}
+
+/// What the two bits of the pedals say.
+const PEDALS: [Pedals; 4] = [Pedals::None, Pedals::Released, Pedals::Energy, Pedals::Coagulate];
+
+fn pedal_bits(pedals: Pedals) -> u8 {
+    match pedals {
+        Pedals::None => 0,
+        Pedals::Released => 1,
+        Pedals::Energy => 2,
+        Pedals::Coagulate => 3,
+    }
 }
 
 /// Hands that have been received, in a place that is used again and again.
@@ -237,9 +242,6 @@ fn decode_hand(fields: &mut Reader<'_>) -> Decoded<HandSample> {
     let wrench: [[f64; 3]; 2] = [fields.f32s()?, fields.f32s()?];
     let [gripper] = fields.f32s()?;
     let (entity, node) = (fields.u64()?, fields.u32()?);
-    if flags & !(CONNECTED | GRABBED | CLUTCH) != 0 {
-        return Some(Err(HandsError::Flags { hand, flags }));
-    }
     if flags & GRABBED == 0 && (entity, node) != (0, 0) {
         return Some(Err(HandsError::Grabbed(hand)));
     }
@@ -264,7 +266,7 @@ fn decode_hand(fields: &mut Reader<'_>) -> Decoded<HandSample> {
             linear_velocity,
             angular_velocity,
             gripper,
-            buttons: u32::from(buttons),
+            buttons: u32::from(buttons) | PEDALS[usize::from(flags >> PEDALS_SHIFT)].buttons(),
             connected: flags & CONNECTED != 0,
         },
         wrench: Wrench { force, torque },

@@ -22,7 +22,7 @@
 //! | 0 | 8 | sent at \[ns\] of the newest datagram received from the other side, by that side's clock |
 //! | 8 | 4 | how long it was held \[µs\]; 2³² − 1 if there is none, and the field before is then 0 |
 //! | 12 + 100 k | 1 | number of the hand |
-//! | + 1 | 1 | flags: bit 0 connected, bit 1 grabbed, bits 2 to 5 count of clutches; the others are 0 |
+//! | + 1 | 1 | flags: bit 0 connected, bit 1 grabbed, bits 2 to 5 count of clutches, bits 6 and 7 pedals: 0 none, 1 released, 2 energy, 3 coagulate |
 //! | + 2 | 2 | buttons 0 to 15 |
 //! | + 4 | 4 | age of the measurement \[µs\] |
 //! | + 8 | 12 | position in the device's frame \[m\], 3 × f32 |

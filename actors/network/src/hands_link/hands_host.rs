@@ -94,6 +94,8 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                     link.serves = hands;
                 }
             }
+            // A host's own pedals are in its scene already.
+            HandsOrder::Press { .. } => {}
             HandsOrder::Send { connection, parcel } => {
                 let Self { links, out, .. } = self;
                 let link = links.iter_mut().find(|link| link.connection.id() == connection);

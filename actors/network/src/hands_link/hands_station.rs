@@ -1,5 +1,6 @@
 //! The hands link of a station: its own hands go to the host, and the host's answers come back.
 
+use trocar_devices::Pedals;
 use trocar_scene::SimTime;
 
 use super::HandsLink;
@@ -19,6 +20,8 @@ pub const HOST: u16 = 0;
 const PLACED_FOR: SimTime = SimTime::from_millis(20);
 /// Longest time for a hand to come to where the host has it; then its own device goes on from where it is.
 const PLACING_MAX: SimTime = SimTime::from_millis(2_000);
+/// Pedals that nobody speaks of for so long count as released.
+const PEDALS_HELD: SimTime = SimTime::from_millis(100);
 /// What counts as being there \[m\], [rad].
 const PLACE_TOLERANCE: (f64, f64) = (1e-5, 1e-4);
 
@@ -38,6 +41,8 @@ pub struct StationHand {
     clutch: Option<u8>,
     /// The count when the own device went on.
     clutch_before: u8,
+    /// What the person at the station does with its pedals, and when that was said.
+    pedals: (Pedals, SimTime),
 }
 
 impl StationHand {
@@ -45,7 +50,8 @@ impl StationHand {
     pub fn new(number: u8, end: StationEnd) -> Self {
         end.control().set_mirroring(true);
         end.control().take(HOST);
-        Self { number, end, placing_since: None, there_since: None, clutch: None, clutch_before: 0 }
+        let pedals = (Pedals::None, SimTime::ZERO);
+        Self { number, end, placing_since: None, there_since: None, clutch: None, clutch_before: 0, pedals }
     }
 
     /// The hand goes to where the host has it.
@@ -86,6 +92,16 @@ impl StationHand {
             (self.placing_since, self.there_since) = (None, None);
             self.end.control().give_back();
         }
+    }
+
+    /// The pedals as they count now, as bits of the buttons.
+    fn pedals(&self, now: SimTime) -> u32 {
+        match self.pedals {
+            (Pedals::None, _) => Pedals::None,
+            (pedals, at) if now.since(at) <= PEDALS_HELD => pedals,
+            _ => Pedals::Released,
+        }
+        .buttons()
     }
 
     /// Whether its own device moves it.
@@ -146,6 +162,11 @@ impl<A: Copy + PartialEq> HandsStation<A> {
             HandsOrder::Serve { connection, hands } => {
                 if self.open(connection).is_some_and(|open| open.expect_hands(hands.as_slice()).is_ok()) {
                     self.serve(hands, now);
+                }
+            }
+            HandsOrder::Press { hand, pedals } => {
+                if let Some(hand) = self.hands.iter_mut().find(|known| known.number == hand) {
+                    hand.pedals = (pedals, now);
                 }
             }
             HandsOrder::Send { connection, parcel } => {
@@ -255,11 +276,14 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
 
 /// A hand as its device shows it, as a sample.
 fn shown(hand: &mut StationHand, now: SimTime) -> HandSample {
+    let pedals = hand.pedals(now);
     let answer = hand.end.answer();
     let age = now.since(answer.at).as_nanos() / 1_000;
+    let mut state = answer.state;
+    state.buttons |= pedals;
     HandSample {
         hand: hand.number,
-        state: answer.state,
+        state,
         wrench: answer.local_wrench,
         grabbed: None,
         age_us: u32::try_from(age).unwrap_or(u32::MAX),

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rtrb::{Consumer, Producer, RingBuffer};
+use trocar_devices::Pedals;
 
 use super::connection::Connection;
 use crate::datagram::{HANDS_MAX, Kind, PAYLOAD_MAX, ReceiveKey, SendKey};
@@ -86,6 +87,13 @@ pub enum HandsOrder<A> {
         connection: u32,
         /// The hands.
         hands: HandNumbers,
+    },
+    /// What the person at the station does with the pedals of a hand; to be said again and again.
+    Press {
+        /// The hand.
+        hand: u8,
+        /// Its pedals.
+        pedals: Pedals,
     },
     /// A datagram is to go.
     Send {

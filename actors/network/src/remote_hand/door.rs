@@ -7,16 +7,16 @@
 //! - its velocity is that of the motion let through, whatever the sample claims;
 //! - forces are within the limits, and fade with the time since the newest datagram *arrived*, never with the path's
 //!   delay: 1 up to 50 ms, 0 from 100 ms;
-//! - silence of 100 ms releases every button, holds the jaws, and stops the motion, short of the goal at the latest;
+//! - silence of 100 ms releases every button and pedal, holds the jaws, and stops the motion, short of the goal at the latest;
 //! - who returns from silence, and who takes the hand over, moves nothing by it (a [`Clutch`] takes up the difference),
-//!   and must release a button before a press of it counts.
+//!   and must release a button or pedal before a press of it counts.
 //!
 //! A sample that is refused counts as not having arrived: a station that sends only nonsense falls silent.
 //! A door reads no clock, allocates nothing and never blocks; same inputs, same bits.
 
 use nalgebra::{Isometry3, Vector3};
 use thiserror::Error;
-use trocar_devices::{Capabilities, DeviceState, Dofs, Workspace, Wrench};
+use trocar_devices::{Capabilities, DeviceState, Dofs, HAS_PEDALS, Pedals, Workspace, Wrench};
 use trocar_scene::SimTime;
 
 use super::clutch::Clutch;
@@ -28,7 +28,7 @@ use crate::hand_sample::HandSample;
 /// How far from unit length a rotation may be that is renormalised: single precision is 1e-7 off.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Buttons that a sample carries.
-const BUTTONS: u32 = 0xffff;
+const BUTTONS: u32 = 0xffff | Pedals::MASK;
 /// Share of an interval between datagrams that the newest interval has in the estimate.
 const INTERVAL_BLEND: f64 = 0.125;
 /// A stream whose interval is at most this many steps is followed at once; one that is slower is spread.
@@ -220,6 +220,7 @@ impl Door {
         self.stepped_at = Some(now);
         self.bounds = self.workspace;
         self.release();
+        self.buttons = 0;
         self.motion = shown.filter(|shown| shown.is_valid()).map(|shown| {
             let position = shown.pose_in_device.translation.vector;
             // Where the hand is, a hand can be: its own device has a wall there, or none.
@@ -352,7 +353,8 @@ impl Door {
     fn release(&mut self) {
         self.clutch = None;
         self.gate.close();
-        self.buttons = 0;
+        // Pedals that are released still are the only ones that count.
+        self.buttons &= HAS_PEDALS;
         self.wrench = Wrench::ZERO;
     }
 
@@ -398,7 +400,8 @@ impl Door {
     }
 
     fn press(&mut self, state: &DeviceState) {
-        self.buttons = self.gate.pass(state.buttons & BUTTONS);
+        let buttons = state.buttons & BUTTONS;
+        self.buttons = self.gate.pass(buttons & !HAS_PEDALS) | (buttons & HAS_PEDALS);
         self.fingers = state.gripper.max(0.0).min(self.limits.gripper_max);
         self.statistics.clamped_gripper += u64::from(self.fingers != state.gripper);
         if self.motion.is_none() {

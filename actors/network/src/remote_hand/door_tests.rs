@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use trocar_devices::{Capabilities, DeviceState, Dofs, Workspace, Wrench};
+use trocar_devices::{Capabilities, DeviceState, Dofs, Pedals, Workspace, Wrench};
 use trocar_scene::SimTime;
 
 use super::*;
@@ -247,6 +247,30 @@ fn silence_releases_the_pedal_holds_the_jaws_and_stops_the_motion() {
 }
 
 #[test]
+fn silence_releases_the_foot_pedal_and_it_counts_once_it_has_been_released() {
+    let mut bench = Bench::new();
+    let asked = |pedals: Pedals| pressed(pedals.buttons());
+    let pedals = |state: DeviceState| Pedals::of(state.buttons);
+    assert_eq!(
+        pedals(bench.feed_for(10, &asked(Pedals::Coagulate))),
+        Pedals::Released,
+        "pressed from the start"
+    );
+    assert_eq!(pedals(bench.feed(&asked(Pedals::Released))), Pedals::Released);
+    assert_eq!(pedals(bench.feed(&asked(Pedals::Coagulate))), Pedals::Coagulate);
+    assert_eq!(pedals(bench.wait(99)), Pedals::Coagulate);
+    // It has pedals still, so that nobody else's script switches its instrument.
+    assert_eq!(pedals(bench.wait(1)), Pedals::Released);
+    assert_eq!(pedals(bench.feed_for(10, &asked(Pedals::Coagulate))), Pedals::Released);
+    bench.feed(&asked(Pedals::Released));
+    assert_eq!(pedals(bench.feed(&asked(Pedals::Energy))), Pedals::Energy);
+    // Another owner, without pedals.
+    let now = bench.now();
+    bench.door.open(now, None);
+    assert_eq!(pedals(bench.feed_for(10, &pressed(0))), Pedals::None);
+}
+
+#[test]
 fn a_motion_that_silence_stops_slows_down_smoothly_and_never_passes_its_goal() {
     // A wide workspace, so that the approach is still going on when the station falls silent.
     let wide = Capabilities { workspace: Workspace::centred(Vector3::repeat(2.0)), ..capabilities() };
@@ -305,7 +329,7 @@ fn a_pedal_that_is_down_when_the_station_comes_does_not_count() {
     assert_eq!(bench.feed_for(20, &pressed(1)).buttons, 0);
     bench.feed(&pressed(0));
     assert_eq!(bench.feed(&pressed(1)).buttons, 1);
-    assert_eq!(bench.feed(&pressed(0xdead_0001)).buttons, 1, "a sample has 16 buttons");
+    assert_eq!(bench.feed(&pressed(0xdea8_0001)).buttons, 1, "a sample has 16 buttons, and pedals");
 }
 
 #[test]
@@ -430,7 +454,7 @@ proptest! {
             assert!(state.linear_velocity.norm() <= limits.linear_speed * (1.0 + 1e-9));
             assert!(state.angular_velocity.norm() <= limits.angular_speed * (1.0 + 1e-9));
             assert!((0.0..=limits.gripper_max).contains(&state.gripper));
-            assert!(state.buttons <= 0xffff);
+            assert!(state.buttons <= 0x7_ffff);
             assert!(wrench.is_finite());
             assert!(wrench.force.norm() <= 3.3 * (1.0 + 1e-12));
             assert!(wrench.torque.norm() <= 0.1 * (1.0 + 1e-12));

@@ -2,7 +2,7 @@
 
 use trocar_scene::{
     Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry,
-    Snapshot,
+    Snapshot, StationContactModel,
 };
 
 use crate::replication::delta::RowSet;
@@ -21,8 +21,11 @@ pub fn own_rows(registry: &Registry, scene: &Snapshot, hands: &[Entity], moves: 
         ];
         rows.extend(of_hand.into_iter().flatten().map(|id| (id, *hand)));
         let instrument = scene.get::<Hand>(*hand).map(|hand| hand.instrument);
-        let of_instrument =
-            [registry.id::<InstrumentTarget>(), registry.id::<Activation>().filter(|_| moves)];
+        let of_instrument = [
+            registry.id::<InstrumentTarget>(),
+            registry.id::<StationContactModel>(),
+            registry.id::<Activation>().filter(|_| moves),
+        ];
         rows.extend(of_instrument.into_iter().flatten().zip(instrument.into_iter().cycle()));
     }
     rows

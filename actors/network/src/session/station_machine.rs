@@ -5,7 +5,11 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use thiserror::Error;
-use trocar_scene::{Commands, Entity, LinkState, Revision, SimTime, Snapshot, Station, StationRole};
+use trocar_devices::Pedals;
+use trocar_scene::{
+    Activation, ActivationMode, Commands, Entity, Hand, LinkState, Revision, SimTime, Snapshot, Station,
+    StationRole,
+};
 
 use super::host_controller::{role, state};
 use super::host_members::digest_of;
@@ -26,6 +30,8 @@ use crate::streams::{StationStream, StreamState};
 const TAKEN_MAX: usize = 1 << 20;
 /// Time between two acknowledgements of rows.
 const ACKNOWLEDGE_EVERY: SimTime = SimTime::from_millis(20);
+/// Time between two tellings of what a person does with the pedals.
+const PRESS_EVERY: SimTime = SimTime::from_millis(20);
 /// Deltas that wait to be applied, one a step.
 const DELTAS_MAX: usize = 64;
 /// Notes and refusals that wait for the actor.
@@ -102,6 +108,9 @@ pub struct StationMachine<A> {
     quality: Option<LinkQuality>,
     news: VecDeque<StationNews>,
     acknowledged_at: SimTime,
+    /// The pedals of the hands that it serves, as they were told last, and when.
+    pressed: Vec<(u8, Pedals)>,
+    pressed_at: SimTime,
     received: Vec<u8>,
     payload: Vec<u8>,
     was_running: bool,
@@ -142,6 +151,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             quality: None,
             news: VecDeque::new(),
             acknowledged_at: SimTime::ZERO,
+            pressed: Vec::new(),
+            pressed_at: SimTime::ZERO,
             received: Vec::new(),
             payload: Vec::new(),
             was_running: false,
@@ -274,6 +285,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         self.build(now, scene, out);
         self.follow(now, out);
         self.acknowledge(now);
+        self.press(now, scene);
         self.flush(now);
         let is_running = self.control.state() == ClientState::Running;
         if self.was_running && !is_running {
@@ -563,6 +575,22 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         }
     }
 
+    /// Tells the hands link what the person at the station does with the pedals.
+    fn press(&mut self, now: SimTime, scene: &Snapshot) {
+        if !self.moves {
+            return;
+        }
+        let pressed: Vec<(u8, Pedals)> =
+            self.served().map(|hand| (hand.number, pedals_of(scene, hand.entity))).collect();
+        if pressed == self.pressed && now.since(self.pressed_at) < PRESS_EVERY {
+            return;
+        }
+        for &(hand, pedals) in &pressed {
+            self.hands.order(HandsOrder::Press { hand, pedals });
+        }
+        (self.pressed, self.pressed_at) = (pressed, now);
+    }
+
     /// Moves what waits into the stream.
     fn flush(&mut self, now: SimTime) {
         while !self.control.outgoing().is_empty() {
@@ -582,6 +610,18 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
 
     fn tell(&mut self, news: StationNews) {
         push(&mut self.news, news);
+    }
+}
+
+/// What the person does with the pedals of a hand, by the instrument that it holds in the station's own scene.
+fn pedals_of(scene: &Snapshot, hand: Entity) -> Pedals {
+    let instrument = scene.get::<Hand>(hand).map(|hand| hand.instrument);
+    match instrument.and_then(|instrument| scene.get::<Activation>(instrument)) {
+        Some(Activation { level, mode, .. }) if *level > 0.0 => match mode {
+            Some(ActivationMode::Coagulate) => Pedals::Coagulate,
+            _ => Pedals::Energy,
+        },
+        _ => Pedals::Released,
     }
 }
 

@@ -1,6 +1,7 @@
 //! The program from outside, for several of the tests.
 #![allow(dead_code, reason = "each program of tests uses a part of it")]
 
+pub mod pair;
 pub mod projects;
 pub mod screen;
 

@@ -1,0 +1,1 @@
+//! Tests of touch at a station.

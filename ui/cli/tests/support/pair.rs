@@ -1,0 +1,102 @@
+//! A host and a station that joined it, in one process and in virtual time.
+
+use std::sync::Arc;
+
+use trocar::app::App;
+use trocar::network::impairments::Impairments;
+use trocar::network::lockstep::Wire;
+use trocar::network::ticket::Role;
+use trocar::network::{JoinOptions, Joining, LockstepHost, Network};
+use trocar::run::{self, RunOptions};
+use trocar::session::Session;
+use trocar_kernel::faults::{FaultKind, FaultOrder};
+use trocar_scene::{Pose, SimTime, Snapshot};
+
+const MS: SimTime = SimTime::from_millis(1);
+
+/// A host, and a station that joined it.
+pub struct Pair {
+    pub host: Session,
+    pub station: Session,
+    /// What lies between them.
+    pub wire: Wire,
+    pub now: SimTime,
+}
+
+impl Pair {
+    /// A station with these hands (`name` or `name=device`), which follow the session's virtual trainee.
+    pub fn new(scenario: &str, path: &Impairments, hands: &[&str]) -> Self {
+        Self::join(scenario, path, hands, false)
+    }
+
+    /// A station whose hands a person moves.
+    pub fn played(scenario: &str, path: &Impairments, hands: &[&str]) -> Self {
+        Self::join(scenario, path, hands, true)
+    }
+
+    fn join(scenario: &str, path: &Impairments, hands: &[&str], play: bool) -> Self {
+        let app = App::new();
+        let scenario = app.scenario(scenario).expect("a scenario");
+        let network = Arc::new(LockstepHost::new().expect("a host"));
+        let ticket = network.ticket("Ana", Role::Operate).expect("a ticket");
+        let wire = Wire::new(path, 7);
+        let number = network.wires().add(wire.clone());
+        let options =
+            RunOptions { lockstep: true, network: Network::LockstepHost(network), ..RunOptions::default() };
+        let mut host = run::start(&app, &scenario, &options).expect("it starts");
+        let hands: Vec<_> = hands.iter().map(|hand| hand_and_device(hand)).collect();
+        let join =
+            JoinOptions { name: Some("Ana".into()), hands: hands.clone(), play, ..JoinOptions::default() };
+        let mut now = SimTime::ZERO;
+        let mut joining = Joining::over(&app, &join, &ticket, &wire, number, now).expect("it can join");
+        while !joining.step(now).expect("it is let in") {
+            now += SimTime::from_millis(4);
+            assert!(host.run_until(now), "the host goes on");
+            assert!(now < SimTime::from_millis(10_000), "{:?} {:?}", joining.progress(), joining.trouble());
+        }
+        let station = Arc::new(joining.joined(&wire, number).expect("it is in the session"));
+        let options = RunOptions {
+            lockstep: true,
+            begin: now,
+            hands,
+            play,
+            network: Network::Station(station.clone()),
+            ..RunOptions::default()
+        };
+        let station = run::start(&app, &station.scenario, &options).expect("it starts");
+        Self { host, station, wire, now }
+    }
+
+    /// A millisecond at both; whether the host goes on.
+    pub fn step(&mut self) -> bool {
+        self.now += MS;
+        let goes_on = self.host.run_until(self.now);
+        self.station.run_until(self.now);
+        goes_on
+    }
+
+    /// The path between them is gone, or there again.
+    pub fn partition(&self, begins: bool) {
+        let lossy = Impairments { loss: 1.0, ..Impairments::default() };
+        for order in lossy.orders(1) {
+            self.wire.fault(&FaultOrder { kind: FaultKind::Partition, index: 9, begins, ..order });
+        }
+    }
+
+    pub fn run(&mut self, millis: u64) {
+        for _ in 0..millis {
+            self.step();
+        }
+    }
+}
+
+/// Where an entity is.
+pub fn place(scene: &Snapshot, name: &str) -> Pose {
+    let entity = scene.find(name).expect("it is there");
+    *scene.get::<Pose>(entity).expect("it has a place")
+}
+
+fn hand_and_device(text: &str) -> (String, String) {
+    let (hand, device) = text.split_once('=').unwrap_or((text, "virtual"));
+    (hand.to_owned(), device.to_owned())
+}
