@@ -1,6 +1,6 @@
 //! The hands link of a station: its own hands go to the host, and the host's answers come back.
 
-use trocar_devices::Pedals;
+use trocar_devices::{HAS_PEDALS, Pedals};
 use trocar_scene::SimTime;
 
 use super::HandsLink;
@@ -9,7 +9,7 @@ use super::exchange::{self, Ways};
 use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX};
 use crate::hand_sample::HandSample;
-use crate::remote_hand::{Presence, StationEnd};
+use crate::remote_hand::{PedalGate, Presence, StationEnd};
 
 /// Orders that are taken at one tick.
 const ORDERS_AT_ONCE: usize = 64;
@@ -43,6 +43,7 @@ pub struct StationHand {
     clutch_before: u8,
     /// What the person at the station does with its pedals, and when that was said.
     pedals: (Pedals, SimTime),
+    gate: PedalGate,
 }
 
 impl StationHand {
@@ -50,8 +51,16 @@ impl StationHand {
     pub fn new(number: u8, end: StationEnd) -> Self {
         end.control().set_mirroring(true);
         end.control().take(HOST);
-        let pedals = (Pedals::None, SimTime::ZERO);
-        Self { number, end, placing_since: None, there_since: None, clutch: None, clutch_before: 0, pedals }
+        Self {
+            number,
+            end,
+            placing_since: None,
+            there_since: None,
+            clutch: None,
+            clutch_before: 0,
+            pedals: (Pedals::None, SimTime::ZERO),
+            gate: PedalGate::default(),
+        }
     }
 
     /// The hand goes to where the host has it.
@@ -77,7 +86,10 @@ impl StationHand {
             return;
         };
         if sample.state.connected {
-            self.end.post(HOST, now, sample);
+            // The host's pedals are this person's own, as they came there.
+            let mut place = *sample;
+            place.state.buttons &= !Pedals::MASK;
+            self.end.post(HOST, now, &place);
         }
         let answer = self.end.answer();
         let (far, turned) = PLACE_TOLERANCE;
@@ -92,6 +104,17 @@ impl StationHand {
             (self.placing_since, self.there_since) = (None, None);
             self.end.control().give_back();
         }
+    }
+
+    /// The person does this with the pedals. After a time in which nobody has spoken of them, a pedal counts once it has been
+    /// released.
+    fn press(&mut self, now: SimTime, pedals: Pedals) {
+        if now.since(self.pedals.1) > PEDALS_HELD {
+            self.gate.close();
+        }
+        let buttons = pedals.buttons();
+        let passed = self.gate.pass(buttons & !HAS_PEDALS) | (buttons & HAS_PEDALS);
+        self.pedals = (Pedals::of(passed), now);
     }
 
     /// The pedals as they count now, as bits of the buttons.
@@ -166,7 +189,7 @@ impl<A: Copy + PartialEq> HandsStation<A> {
             }
             HandsOrder::Press { hand, pedals } => {
                 if let Some(hand) = self.hands.iter_mut().find(|known| known.number == hand) {
-                    hand.pedals = (pedals, now);
+                    hand.press(now, pedals);
                 }
             }
             HandsOrder::Send { connection, parcel } => {
