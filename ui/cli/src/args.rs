@@ -167,6 +167,15 @@ pub struct RunArgs {
     /// Which key, button or stick means what, for a person who plays (TOML)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "play", help_heading = "Session")]
     pub bindings: Option<PathBuf>,
+    /// Go on where this recording ends, such as that of a session whose machine died; with the seed that it had
+    #[arg(
+        long,
+        value_name = "RECORDING",
+        value_hint = ValueHint::FilePath,
+        conflicts_with = "seed",
+        help_heading = "Session"
+    )]
+    pub resume: Option<PathBuf>,
     /// Fault plan: what shall go wrong, and what must hold all the same; a name (see `trocar list plans`)
     /// or a TOML file
     #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath, help_heading = "Session")]

@@ -135,6 +135,7 @@ fn take_part(
         play: options.play,
         bindings: None,
         faults: None,
+        resume: None,
         pictures: view.pictures.clone(),
         record: view.record.clone(),
         record_exact: false,

@@ -8,6 +8,7 @@ use trocar::app::App;
 use trocar::network::Network;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
+use trocar::resume::Resumed;
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::session::{doubts, forecast};
 use trocar::summary::{BY_THE_PROGRAM, Exit, Mode, RunSummary};
@@ -54,10 +55,11 @@ pub fn run_in(app: &App, args: &RunArgs, network: &Network) -> Result<Exit, Fail
     // Errors in the scenario are reported before a window opens.
     let startup = Startup::new(&args.session.scenario, READING, args.json);
     let (scenario, _) = scenario(app, args, network)?;
+    let resumed = resumed(app, args, 1)?;
     let show = Show {
         title: if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() },
         folder: Some(scenario.folder().to_owned()),
-        first: Arc::new(first_scene(app, &scenario, network)?),
+        first: Arc::new(first_scene(app, &scenario, network, resumed.as_ref())?),
         play: args.play.then_some(bindings),
     };
     drop(startup);
@@ -122,11 +124,23 @@ fn scenario(app: &App, args: &RunArgs, network: &Network) -> Result<(Scenario, T
 }
 
 /// The scene at the start.
-fn first_scene(app: &App, scenario: &Scenario, network: &Network) -> Result<Snapshot, Failure> {
-    match network.station() {
-        Some(station) => Ok(station.scene.clone()),
-        None => Ok(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
+fn first_scene(
+    app: &App,
+    scenario: &Scenario,
+    network: &Network,
+    resumed: Option<&Resumed>,
+) -> Result<Snapshot, Failure> {
+    match (network.station(), resumed) {
+        (Some(station), _) => Ok(station.scene.clone()),
+        (None, Some(resumed)) => Ok(Snapshot::clone(resumed.scene())),
+        (None, None) => Ok(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
     }
+}
+
+/// Where an earlier session has stopped, for the first session of this run; repetitions begin at the beginning.
+fn resumed(app: &App, args: &RunArgs, number: u32) -> Result<Option<Resumed>, Failure> {
+    let file = args.resume.as_ref().filter(|_| number == 1);
+    file.map(|file| Resumed::read(app, file)).transpose().map_err(Failure::invalid)
 }
 
 /// One session from start to end: the first one, or a repetition.
@@ -152,6 +166,8 @@ fn attempt(
     options.play = args.play;
     options.network = network.clone();
     options.begin = network.station().map_or(options.begin, |station| station.now());
+    options.resume = resumed(app, args, number)?;
+    options.seed = options.resume.as_ref().map_or(options.seed, Resumed::seed);
 
     if options.lockstep && app.actors().next().is_some() {
         let names = app.actors().collect::<Vec<_>>().join(", ");
@@ -173,7 +189,7 @@ fn attempt(
         // In virtual time a session is over before a user could tune it.
         tuning_service.open();
     }
-    let first = first_scene(app, &scenario, network)?;
+    let first = first_scene(app, &scenario, network, options.resume.as_ref())?;
     // What was mended, and what is doubtful, in the meshes and values of the scenario, and what its methods cannot bear, is
     // said before anything runs.
     let mut known = doubts(&first);

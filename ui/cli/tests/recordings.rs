@@ -104,3 +104,35 @@ fn what_is_no_recording_or_of_another_version_is_refused_with_a_word() {
         assert!(stderr(&output).contains("not a recording of trocar"), "{}", stderr(&output));
     }
 }
+
+#[test]
+fn a_session_goes_on_where_its_recording_was_cut_and_completes() {
+    let folder = here();
+    recorded(folder.path(), "tube-loop", &[]);
+    let whole = std::fs::read(folder.path().join("a.mcap")).expect("a recording");
+    std::fs::write(folder.path().join("cut.mcap"), &whole[..whole.len() * 4 / 5]).expect("a file");
+    let line = ["run", "tube-loop", "--lockstep", "--resume", "cut.mcap", "--no-report", "--json"];
+    let output = trocar(folder.path(), &line);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let resumed = object(&output);
+    let line = ["run", "tube-loop", "--lockstep", "--no-record", "--no-report", "--json"];
+    let alone = object(&trocar(folder.path(), &line));
+    for key in ["completed", "score"] {
+        assert_eq!(resumed["task"][key], alone["task"][key], "{key}");
+    }
+    let seconds = |run: &serde_json::Value| run["sim_secs"].as_f64().expect("a time");
+    let rest = seconds(&alone) - seconds(&resumed);
+    assert!((1.0..3.0).contains(&rest), "it goes on after {rest} s");
+    // The new recording has the end, and nothing that was there is gone.
+    let replayed = object(&trocar(folder.path(), &["replay", "tube-loop.mcap", "--json"]));
+    assert_eq!(replayed["task"]["over"], resumed["task"]["over"]);
+    for (line, why) in [
+        (["run", "wall", "--lockstep", "--resume", "cut.mcap"], "'tube-loop'"),
+        (["run", "tube-loop", "--lockstep", "--resume", "tube-loop.mcap"], "was over"),
+        (["run", "tube-loop", "--lockstep", "--resume", "none.mcap"], "none.mcap"),
+    ] {
+        let output = trocar(folder.path(), &line);
+        assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+        assert!(stderr(&output).contains(why), "{}", stderr(&output));
+    }
+}

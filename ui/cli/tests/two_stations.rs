@@ -1,8 +1,14 @@
 //! Whole exercises of a host and its stations, in virtual time.
 
-use trocar::network::impairments::Impairments;
-use trocar_scene::SimTime;
+use std::path::Path;
+use std::sync::Arc;
 
+use trocar::app::App;
+use trocar::network::impairments::Impairments;
+use trocar::run::{self, RunOptions};
+use trocar_scene::{Grasp, HapticStatus, SimTime, Snapshot, Station};
+
+use crate::support::here;
 use crate::support::pair::Pair;
 
 #[test]
@@ -13,6 +19,137 @@ fn the_left_hand_at_a_station_and_the_right_one_at_the_host_transfer_the_pegs() 
         ..Impairments::delay(SimTime::from_millis(75))
     };
     let mut pair = Pair::new("peg-transfer", &path, &["left"]);
+    while pair.step() && pair.now < SimTime::from_millis(300_000) {}
+    let task = pair.host.task();
+    assert!(task.completed, "{task:?} at {}", pair.now);
+}
+
+#[test]
+fn exercises_succeed_with_a_hand_at_a_station() {
+    let path = Impairments {
+        loss: 0.02,
+        jitter: SimTime::from_millis(5),
+        ..Impairments::delay(SimTime::from_millis(75))
+    };
+    for (scenario, hand) in [
+        ("two-rates", "left"),
+        ("cloth-cut", "left"),
+        ("bleeding", "left"),
+        ("needle-tissue", "left"),
+        ("tube-loop", "left"),
+        ("knot", "left"),
+    ] {
+        let begun = std::time::Instant::now();
+        let mut pair = Pair::new(scenario, &path, &[hand]);
+        while pair.step() && pair.now < SimTime::from_millis(60_000) {}
+        let scene = pair.host.snapshot();
+        for (_, task) in scene.iter::<trocar_scene::TaskState>() {
+            println!(
+                "{scenario}: completed {} over {} score {:?} at {} in {:?}",
+                task.completed,
+                task.over,
+                task.score,
+                pair.now,
+                begun.elapsed()
+            );
+            for error in &task.errors {
+                println!("   {error:?}");
+            }
+        }
+    }
+}
+
+/// The largest energy that the hand got out of its device \[J\], the largest force \[N\] and the mean stiffness that it felt
+/// while it pressed on the liver at 1 Hz for a minute.
+fn pressed_liver(device: &str, path: Option<&Impairments>) -> (f64, f64, f64) {
+    let text = include_str!("../../../scenarios/fem-liver.toml").replace("seconds = 6.0", "seconds = 300.0");
+    let app = App::new();
+    let scenario = app.scenario_from(Path::new("fem-liver.toml"), &text).expect("a scenario");
+    let mut step: Box<dyn FnMut() -> Arc<Snapshot>> = match path {
+        Some(path) => {
+            let mut pair = Pair::of(&scenario, path, &[device], false);
+            Box::new(move || {
+                pair.step();
+                pair.station.snapshot()
+            })
+        }
+        None => {
+            let hand = device.split_once('=').map(|(name, device)| (name.to_owned(), device.to_owned()));
+            let options =
+                RunOptions { lockstep: true, hands: hand.into_iter().collect(), ..RunOptions::default() };
+            let (mut alone, mut now) =
+                (run::start(&app, &scenario, &options).expect("it starts"), SimTime::ZERO);
+            Box::new(move || {
+                now += SimTime::from_millis(1);
+                alone.run_until(now);
+                alone.snapshot()
+            })
+        }
+    };
+    let (mut energy, mut stiffness, mut count, mut force_max) = (0.0_f64, 0.0, 0, 0.0);
+    for millis in 0..66_000 {
+        let scene = step();
+        let hand = scene.find("hand.right").expect("a hand");
+        let Some(status) = scene.get::<HapticStatus>(hand) else { continue };
+        energy = energy.min(status.energy_min);
+        force_max = status.force_max;
+        if millis > 10_000 && status.felt_stiffness > 0.0 {
+            stiffness += status.felt_stiffness;
+            count += 1;
+        }
+    }
+    (energy, force_max, stiffness / f64::from(count.max(1)))
+}
+
+#[test]
+fn touching_a_liver_over_a_network_gives_no_energy_and_feels_alike() {
+    let folder = here();
+    let file = folder.path().join("press.csv");
+    let rows: String = (0..6_600)
+        .map(|row| {
+            let t = 0.01 * f64::from(row);
+            let phase = (t - 4.0).max(0.0) * std::f64::consts::TAU;
+            format!("{t},0.0,0.0,{},1.0,0.0,0.0,0.0,0.0\n", 0.0205 - 0.0055 * phase.cos())
+        })
+        .collect();
+    std::fs::write(&file, format!("t,x,y,z,qw,qx,qy,qz,gripper\n{rows}")).expect("a file");
+    let device = format!("right=replay:{},force=on", file.display());
+    let (_, _, here) = pressed_liver(&device, None);
+    assert!(here > 20.0, "{here} N/m");
+    for round_trip in [0, 100, 300, 1_000] {
+        for (loss, burst) in [(0.0, 1.0), (0.05, 1.0), (0.2, 1.0), (0.05, 40.0)] {
+            let path =
+                Impairments { loss, burst, ..Impairments::delay(SimTime::from_millis(round_trip / 2)) };
+            let (energy, force, there) = pressed_liver(&device, Some(&path));
+            println!(
+                "{round_trip} ms, loss {loss}, burst {burst}: {energy:.6} J, {force:.3} N, felt {:.3}",
+                there / here
+            );
+        }
+    }
+}
+
+#[test]
+fn a_host_that_is_killed_in_mid_air_goes_on_from_its_recording_and_the_exercise_completes() {
+    let path = Impairments {
+        loss: 0.02,
+        jitter: SimTime::from_millis(5),
+        ..Impairments::delay(SimTime::from_millis(75))
+    };
+    let mut pair = Pair::new("peg-transfer", &path, &["left"]);
+    let held = |pair: &mut Pair| pair.host.snapshot().iter::<Grasp>().count();
+    while held(&mut pair) == 0 || pair.now < SimTime::from_millis(8_000) {
+        assert!(pair.step());
+    }
+    pair.kill_host();
+    let killed_at = pair.now;
+    let back = |pair: &mut Pair| {
+        pair.host.snapshot().iter::<Station>().any(|(_, row)| row.here && row.hands == ["left"])
+    };
+    while !back(&mut pair) {
+        assert!(pair.step() && pair.now.since(killed_at) < SimTime::from_millis(5_000));
+    }
+    println!("back after {}", pair.now.since(killed_at));
     while pair.step() && pair.now < SimTime::from_millis(300_000) {}
     let task = pair.host.task();
     assert!(task.completed, "{task:?} at {}", pair.now);

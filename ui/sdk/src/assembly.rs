@@ -61,10 +61,15 @@ impl Assembly {
         let mut network_hands = WrappedHands::new(&options.network);
         let hands = open_hands(app, scenario, options, &mut network_hands)?;
         let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
-        let mut store = match station {
-            Some(station) => Store::from_snapshot(&station.scene),
-            None => scenario.spawn(app.registry())?,
+        let mut store = match (station, &options.resume) {
+            (Some(station), _) => Store::from_snapshot(&station.scene),
+            (None, Some(resumed)) => {
+                resumed.check(scenario)?;
+                Store::from_snapshot(resumed.scene())
+            }
+            (None, None) => scenario.spawn(app.registry())?,
         };
+        let begin = options.begin();
         let number = station.map_or(0, |station| station.number);
         let allocator = EntityAllocator::new(number, SCENARIO_SPAWNER);
         // Entities that are added to the scene are numbered after those of the file.
@@ -103,7 +108,7 @@ impl Assembly {
             return Err(scenario.error_at("hand", 0, error.to_string()).into());
         }
         commands.seal();
-        store.apply(&mut commands, options.begin);
+        store.apply(&mut commands, begin);
         let scene = store.snapshot();
         let hosted =
             network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
@@ -117,11 +122,11 @@ impl Assembly {
             station: number,
             scene,
             roles,
-            until: options.seconds.map(|seconds| options.begin + SimTime::from_secs_f64(seconds)),
+            until: options.seconds.map(|seconds| begin + SimTime::from_secs_f64(seconds)),
             faults: options.faults.clone(),
             fault_targets: options.fault_targets.clone(),
         };
-        let spec = plan.first((options.seed, options.begin), &ports);
+        let spec = plan.first((options.seed, begin), &ports);
         Ok(Self { spec, hands, network, last_word: last, plan: Arc::new(plan), actors: app.actors.clone() })
     }
 }

@@ -9,6 +9,7 @@ use trocar_scene::scenario::ScenarioError;
 
 use crate::network::NetworkError;
 use crate::recorded_hand::RecordedHandError;
+use crate::resume::ResumeError;
 
 /// Why a session could not be assembled.
 #[derive(Debug, Error)]
@@ -16,6 +17,9 @@ pub enum AssemblyError {
     /// The scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
+    /// A recording from whose end the session cannot go on.
+    #[error(transparent)]
+    Resume(#[from] ResumeError),
     /// A hand that the scenario does not have.
     #[error("--hand {name}: the scenario has no such hand; there are: {known}")]
     UnknownHand {

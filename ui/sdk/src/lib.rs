@@ -94,6 +94,7 @@ pub mod plans;
 pub mod play;
 pub mod prelude;
 pub mod recorded_hand;
+pub mod resume;
 pub mod run;
 pub mod session;
 pub mod soak;

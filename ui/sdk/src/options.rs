@@ -10,6 +10,7 @@ use trocar_kernel::spec::FaultSink;
 use trocar_scene::SimTime;
 
 use crate::network::Network;
+use crate::resume::Resumed;
 
 /// Further targets for faults, by name, that belong to the program.
 #[derive(Clone, Default)]
@@ -29,6 +30,8 @@ pub struct RunOptions {
     /// Session time at the start, for a station that joins a host: see
     /// [`SessionSpec::begin`](trocar_kernel::spec::SessionSpec::begin).
     pub begin: SimTime,
+    /// Where an earlier session has stopped, if this one goes on there: it begins in that scene, at that time.
+    pub resume: Option<Resumed>,
     /// End this long after the start \[s\]; `None`: when the exercise is over.
     pub seconds: Option<f64>,
     /// Seed of all randomness.
@@ -61,6 +64,7 @@ impl Default for RunOptions {
         Self {
             lockstep: false,
             begin: SimTime::ZERO,
+            resume: None,
             seconds: None,
             seed: 1,
             hands: Vec::new(),
@@ -74,5 +78,12 @@ impl Default for RunOptions {
             network: Network::None,
             stop: Arc::default(),
         }
+    }
+}
+
+impl RunOptions {
+    /// Session time at the start.
+    pub fn begin(&self) -> SimTime {
+        self.resume.as_ref().map_or(self.begin, Resumed::time)
     }
 }

@@ -24,6 +24,7 @@ const HEADINGS: [(&str, &[&str]); 5] = [
             "play",
             "bindings",
             "faults",
+            "resume",
         ],
     ),
     ("Window", &["window", "headless"]),

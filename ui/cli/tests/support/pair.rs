@@ -2,15 +2,20 @@
 
 use std::sync::Arc;
 
+use tempfile::TempDir;
 use trocar::app::App;
 use trocar::network::impairments::Impairments;
 use trocar::network::lockstep::Wire;
 use trocar::network::ticket::Role;
 use trocar::network::{JoinOptions, Joining, LockstepHost, Network};
+use trocar::resume::Resumed;
 use trocar::run::{self, RunOptions};
 use trocar::session::Session;
 use trocar_kernel::faults::{FaultKind, FaultOrder};
+use trocar_scene::scenario::Scenario;
 use trocar_scene::{Pose, SimTime, Snapshot};
+
+use super::here;
 
 const MS: SimTime = SimTime::from_millis(1);
 
@@ -21,29 +26,39 @@ pub struct Pair {
     /// What lies between them.
     pub wire: Wire,
     pub now: SimTime,
+    /// How far a host that was killed is behind.
+    lag: SimTime,
+    scenario: Scenario,
+    network: Arc<LockstepHost>,
+    recording: TempDir,
 }
 
 impl Pair {
     /// A station with these hands (`name` or `name=device`), which follow the session's virtual trainee.
     pub fn new(scenario: &str, path: &Impairments, hands: &[&str]) -> Self {
-        Self::join(scenario, path, hands, false)
+        Self::of(&named(scenario), path, hands, false)
     }
 
     /// A station whose hands a person moves.
     pub fn played(scenario: &str, path: &Impairments, hands: &[&str]) -> Self {
-        Self::join(scenario, path, hands, true)
+        Self::of(&named(scenario), path, hands, true)
     }
 
-    fn join(scenario: &str, path: &Impairments, hands: &[&str], play: bool) -> Self {
+    /// A host of this scenario and a station with these hands, which a person moves or the virtual trainee.
+    pub fn of(scenario: &Scenario, path: &Impairments, hands: &[&str], play: bool) -> Self {
         let app = App::new();
-        let scenario = app.scenario(scenario).expect("a scenario");
         let network = Arc::new(LockstepHost::new().expect("a host"));
         let ticket = network.ticket("Ana", Role::Operate).expect("a ticket");
         let wire = Wire::new(path, 7);
         let number = network.wires().add(wire.clone());
-        let options =
-            RunOptions { lockstep: true, network: Network::LockstepHost(network), ..RunOptions::default() };
-        let mut host = run::start(&app, &scenario, &options).expect("it starts");
+        let recording = here();
+        let options = RunOptions {
+            lockstep: true,
+            record: Some(recording.path().join("host-1.mcap")),
+            network: Network::LockstepHost(network.clone()),
+            ..RunOptions::default()
+        };
+        let mut host = run::start(&app, scenario, &options).expect("it starts");
         let hands: Vec<_> = hands.iter().map(|hand| hand_and_device(hand)).collect();
         let join =
             JoinOptions { name: Some("Ana".into()), hands: hands.clone(), play, ..JoinOptions::default() };
@@ -64,15 +79,35 @@ impl Pair {
             ..RunOptions::default()
         };
         let station = run::start(&app, &station.scenario, &options).expect("it starts");
-        Self { host, station, wire, now }
+        let lag = SimTime::ZERO;
+        Self { host, station, wire, now, lag, scenario: scenario.clone(), network, recording }
     }
 
     /// A millisecond at both; whether the host goes on.
     pub fn step(&mut self) -> bool {
         self.now += MS;
-        let goes_on = self.host.run_until(self.now);
+        let goes_on = self.host.run_until(SimTime(self.now.as_nanos() - self.lag.as_nanos()));
         self.station.run_until(self.now);
         goes_on
+    }
+
+    /// The host's program is killed, and another one goes on from its recording.
+    pub fn kill_host(&mut self) {
+        let of = |name: &str| self.recording.path().join(name);
+        // What is on the disk now is what a killed program leaves.
+        std::fs::copy(of("host-1.mcap"), of("killed.mcap")).expect("a recording");
+        self.wire.disconnect();
+        let app = App::new();
+        let resumed = Resumed::read(&app, &of("killed.mcap")).expect("it can go on");
+        assert!(self.now.since(resumed.time()) <= SimTime::from_millis(1_100), "a second is lost at most");
+        let options = RunOptions {
+            lockstep: true,
+            resume: Some(resumed),
+            network: Network::LockstepHost(self.network.clone()),
+            ..RunOptions::default()
+        };
+        self.host = run::start(&app, &self.scenario, &options).expect("it goes on");
+        self.lag = self.now.since(self.host.now());
     }
 
     /// The path between them is gone, or there again.
@@ -99,4 +134,8 @@ pub fn place(scene: &Snapshot, name: &str) -> Pose {
 fn hand_and_device(text: &str) -> (String, String) {
     let (hand, device) = text.split_once('=').unwrap_or((text, "virtual"));
     (hand.to_owned(), device.to_owned())
+}
+
+fn named(scenario: &str) -> Scenario {
+    App::new().scenario(scenario).expect("a scenario")
 }
