@@ -12,7 +12,8 @@ use trocar_scene::output_file;
 use trocar_scene::scenario::Scenario;
 use trocar_viewer::{Layout, OffscreenRenderer, Quality, View};
 
-use crate::args::{positive, size};
+use crate::args::picture::size;
+use crate::args::values::positive;
 use crate::escape::{self, printable};
 use crate::failure::Failure;
 use crate::output::{self, file_stem, replace};

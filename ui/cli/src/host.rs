@@ -1,174 +1,26 @@
 //! `trocar host`: a session that others join, and the tickets with which they do.
 
 use std::io::IsTerminal;
-use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use clap::{ArgMatches, Args, FromArgMatches, Subcommand, ValueHint};
 use serde_json::json;
 use trocar::app::App;
-use trocar::network::live::sockets::PORT;
 use trocar::network::live::store_admissions::{unix_secs, wait_for_the_book};
 use trocar::network::ticket::private_file;
-use trocar::network::ticket::{HostAddress, PlainName, Role, TicketId, TicketStore, Whom, utc};
+use trocar::network::ticket::{PlainName, Role, TicketId, TicketStore, Whom, utc};
 use trocar::network::{
     HostOptions, Network, NetworkError, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue,
 };
 use trocar::summary::{Exit, SCHEMA};
 
-use crate::args::{RunArgs, positive};
+use crate::args::{HostArgs, HostCommand, RevokeArgs, RunArgs, TicketArgs, TicketsArgs};
 use crate::failure::Failure;
 use crate::{output, run};
 
-/// `trocar host`.
-#[derive(Debug, Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
-pub struct HostArgs {
-    /// What to run. Before the sub-command, which is gone from the matches once it is taken.
-    #[command(flatten)]
-    pub run: HostedRun,
-    /// What to do besides.
-    #[command(subcommand)]
-    pub command: Option<HostCommand>,
-    /// Where to listen.
-    #[command(flatten)]
-    pub listen: ListenArgs,
-    /// Ticket to give out at the start: ROLE or ROLE=PERSON, with the roles operate, mentor and watch; may be given several
-    /// times [default: operate]
-    #[arg(long = "ticket", value_name = "ROLE[=PERSON]", value_parser = ticket_wish, help_heading = "Network")]
-    pub tickets: Vec<(Role, String)>,
-    /// File for the tickets too, one a line, which only its owner can read
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Network")]
-    pub ticket_file: Option<PathBuf>,
-    /// Datagrams without protection, for stations on this machine alone
-    #[arg(long, help_heading = "Network")]
-    pub insecure: bool,
-}
-
-/// The arguments of a run, where there is no sub-command.
-#[derive(Debug)]
-pub struct HostedRun(Option<Box<RunArgs>>);
-
-impl Args for HostedRun {
-    fn augment_args(command: clap::Command) -> clap::Command {
-        RunArgs::augment_args(command)
-    }
-    fn augment_args_for_update(command: clap::Command) -> clap::Command {
-        RunArgs::augment_args_for_update(command)
-    }
-}
-
-impl FromArgMatches for HostedRun {
-    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
-        if matches.subcommand_name().is_some() {
-            return Ok(Self(None));
-        }
-        RunArgs::from_arg_matches(matches).map(|run| Self(Some(Box::new(run))))
-    }
-    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
-        *self = Self::from_arg_matches(matches)?;
-        Ok(())
-    }
-}
-
-/// Where a host listens, and where its tickets are.
-#[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Network")]
-pub struct ListenArgs {
-    /// Port for TCP and UDP; 0 is any
-    #[arg(long, default_value_t = PORT)]
-    pub port: u16,
-    /// The address to listen at [default: every one of this machine]
-    #[arg(long, value_name = "ADDRESS")]
-    pub bind: Option<IpAddr>,
-    /// An address that tickets carry, with its port, in place of those that this machine knows of itself; may be given
-    /// several times
-    #[arg(long = "address", value_name = "ADDRESS:PORT", value_parser = host_address)]
-    pub addresses: Vec<HostAddress>,
-    /// File of the host's certificate and tickets [default: in the user's folder of state]
-    #[arg(long = "tickets", value_name = "FILE", value_hint = ValueHint::FilePath)]
-    pub book: Option<PathBuf>,
-}
-
-/// What a host does besides hosting.
-#[derive(Debug, Subcommand)]
-pub enum HostCommand {
-    /// Give out a ticket, for a host that runs or will run with the same file of tickets
-    Ticket(TicketArgs),
-    /// List the tickets that were given out
-    Tickets(TicketsArgs),
-    /// Withdraw a ticket, or all of a person; their stations are cut off
-    Revoke(RevokeArgs),
-}
-
-/// `trocar host ticket`.
-#[derive(Debug, Args)]
-pub struct TicketArgs {
-    /// What its holder may do: operate, mentor or watch
-    #[arg(long, default_value = "operate", value_parser = role)]
-    pub role: Role,
-    /// For whom it is
-    #[arg(long, default_value = "guest")]
-    pub person: String,
-    /// Hours after which it lets nobody in any more
-    #[arg(long, value_name = "HOURS", default_value_t = 24.0, value_parser = positive)]
-    pub hours: f64,
-    /// Where the host listens.
-    #[command(flatten)]
-    pub listen: ListenArgs,
-    /// Print exactly one JSON object on stdout
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `trocar host tickets`.
-#[derive(Debug, Args)]
-pub struct TicketsArgs {
-    /// File of the host's tickets [default: in the user's folder of state]
-    #[arg(long = "tickets", value_name = "FILE", value_hint = ValueHint::FilePath)]
-    pub book: Option<PathBuf>,
-    /// Print exactly one JSON object on stdout
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// `trocar host revoke`.
-#[derive(Debug, Args)]
-pub struct RevokeArgs {
-    /// Number of a ticket (see `trocar host tickets`), or the person whose tickets are withdrawn
-    pub whom: String,
-    /// File of the host's tickets [default: in the user's folder of state]
-    #[arg(long = "tickets", value_name = "FILE", value_hint = ValueHint::FilePath)]
-    pub book: Option<PathBuf>,
-    /// Print exactly one JSON object on stdout
-    #[arg(long)]
-    pub json: bool,
-}
-
-impl HostArgs {
-    /// Folders from which meshes may be read.
-    pub fn assets(&self) -> &[PathBuf] {
-        self.run.0.as_ref().map_or(&[], |run| &run.session.assets)
-    }
-}
-
-fn role(text: &str) -> Result<Role, String> {
-    text.parse().map_err(|_| "valid are operate, mentor and watch".to_owned())
-}
-
-fn host_address(text: &str) -> Result<HostAddress, String> {
-    text.parse().map_err(|error| format!("{error}"))
-}
-
-fn ticket_wish(text: &str) -> Result<(Role, String), String> {
-    let (role_text, person) = text.split_once('=').unwrap_or((text, "guest"));
-    Ok((role(role_text)?, person.to_owned()))
-}
-
 /// Hosts a session, or does what belongs to one.
 pub fn host(app: &App, args: &HostArgs) -> Result<Exit, Failure> {
-    match (&args.command, &args.run.0) {
+    match (&args.command, args.run.session()) {
         (Some(HostCommand::Ticket(args)), _) => ticket(args),
         (Some(HostCommand::Tickets(args)), _) => tickets(args),
         (Some(HostCommand::Revoke(args)), _) => revoke(args),

@@ -1,11 +1,10 @@
 //! `trocar join` and `trocar watch`: a station of a session that somebody hosts.
 
 use std::io::{BufRead, IsTerminal, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use clap::{Args, ValueHint};
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar::app::App;
 use trocar::network::control::ClientState;
@@ -13,79 +12,9 @@ use trocar::network::ticket::{LINE_MAX, Role, Ticket};
 use trocar::network::{JoinOptions, JoinProgress, Network, Station};
 use trocar::summary::Exit;
 
-use crate::args::{PictureArgs, RunArgs, SessionArgs, WindowArgs, hand, positive};
+use crate::args::{JoinArgs, RunArgs, SessionArgs, TicketSource, ViewArgs, WatchArgs};
 use crate::failure::Failure;
 use crate::{output, run, signals};
-
-/// `trocar join`.
-#[derive(Debug, Args)]
-pub struct JoinArgs {
-    /// The ticket, and how it is shown.
-    #[command(flatten)]
-    pub ticket: TicketSource,
-    /// A hand that this station serves, with its device: NAME=SPEC, such as `left=virtual`; `trocar list devices` names
-    /// every device
-    #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand, help_heading = "Session")]
-    pub hands: Vec<(String, String)>,
-    /// A person moves the hands with mouse, keyboard or gamepad; otherwise the session's virtual trainee moves virtual ones
-    #[arg(long, help_heading = "Session")]
-    pub play: bool,
-    /// What is seen and kept.
-    #[command(flatten)]
-    pub view: ViewArgs,
-}
-
-/// `trocar watch`.
-#[derive(Debug, Args)]
-pub struct WatchArgs {
-    /// The ticket, and how it is shown.
-    #[command(flatten)]
-    pub ticket: TicketSource,
-    /// What is seen and kept.
-    #[command(flatten)]
-    pub view: ViewArgs,
-}
-
-/// Where the ticket comes from, and who shows it.
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Network")]
-pub struct TicketSource {
-    /// The ticket; without it, or `--ticket-file`, it is asked for. Others on this machine can read it here
-    #[arg(value_name = "TICKET", help_heading = None::<&str>)]
-    pub ticket: Option<String>,
-    /// File with the ticket; `-` is stdin
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, conflicts_with = "ticket")]
-    pub ticket_file: Option<PathBuf>,
-    /// Name of this station, which the others see
-    #[arg(long, value_name = "NAME")]
-    pub name: Option<String>,
-    /// Datagrams without protection, as the host was told; on one machine alone
-    #[arg(long)]
-    pub insecure: bool,
-}
-
-/// What is seen of a session, and what is kept of it.
-#[derive(Debug, Args)]
-pub struct ViewArgs {
-    /// End after this much time, in seconds; otherwise when the session is over
-    #[arg(long, value_parser = positive, help_heading = "Session")]
-    pub seconds: Option<f64>,
-    /// Windows.
-    #[command(flatten)]
-    pub window: WindowArgs,
-    /// Pictures.
-    #[command(flatten)]
-    pub pictures: PictureArgs,
-    /// Recording (MCAP); `-` is stdout; without it a station records nothing
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
-    pub record: Option<PathBuf>,
-    /// Report (HTML, one file); `-` is stdout; without it a station writes none
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
-    pub report: Option<PathBuf>,
-    /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
-    #[arg(long, help_heading = "Output")]
-    pub json: bool,
-}
 
 /// Joins a session, and serves its hands.
 pub fn join(app: &App, args: &JoinArgs) -> Result<Exit, Failure> {
@@ -210,7 +139,7 @@ fn joined(
         }
         bar.tick();
     };
-    let joined = trocar::network::join(app, ticket, options, stop, &mut show);
+    let joined = trocar::network::join(app.registry(), ticket, options, stop, &mut show);
     bar.finish_and_clear();
     if let Err(error) = &joined
         && let Some(signal) = signals::catch()?.arrived()

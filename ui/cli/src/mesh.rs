@@ -16,7 +16,7 @@ use trocar_scene::{
 };
 use trocar_viewer::{Layout, OffscreenRenderer, Picture, Quality, View};
 
-use crate::args::size;
+use crate::args::picture::size;
 use crate::failure::Failure;
 use crate::output::{self, replace};
 

@@ -14,7 +14,7 @@ use trocar::network::live::sockets::PORT;
 use trocar::summary::{Exit, SCHEMA};
 use trocar_scene::SimTime;
 
-use crate::args::positive;
+use crate::args::values::positive;
 use crate::failure::Failure;
 use crate::{output, signals};
 

@@ -8,8 +8,7 @@ use trocar::app::App;
 use trocar::network::Network;
 use trocar::plans::{PLANS, PlanError};
 use trocar::play::Bindings;
-use trocar::resume::Resumed;
-use trocar::run::{RunOptions, RunOutcome};
+use trocar::run::{Resumed, RunOptions, RunOutcome};
 use trocar::session::{doubts, forecast};
 use trocar::summary::{BY_THE_PROGRAM, Exit, Mode, RunSummary};
 use trocar::tuning::{Tuner, TuningSets};
@@ -140,7 +139,7 @@ fn first_scene(
 /// Where an earlier session has stopped, for the first session of this run; repetitions begin at the beginning.
 fn resumed(app: &App, args: &RunArgs, number: u32) -> Result<Option<Resumed>, Failure> {
     let file = args.resume.as_ref().filter(|_| number == 1);
-    file.map(|file| Resumed::read(app, file)).transpose().map_err(Failure::invalid)
+    file.map(|file| Resumed::read(app.registry(), file)).transpose().map_err(Failure::invalid)
 }
 
 /// One session from start to end: the first one, or a repetition.

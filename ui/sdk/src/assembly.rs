@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use trocar_collision::controller::StationTouchController;
 use trocar_devices::HapticDevice;
-use trocar_kernel::spec::{SessionSpec, period_of};
+use trocar_kernel::spec::{Factory, SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{
@@ -83,7 +83,7 @@ impl Assembly {
         if let Some(station) = station {
             let TakingPart { actor, part, last_word } =
                 network::stationed(station, network_hands.take_station())?;
-            roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, actor));
+            roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, network_actor(actor)));
             (network, last) = (Some(part), Some(last_word));
             if !ports.is_empty() {
                 let touch = station_touch(&station.scene, &ports);
@@ -113,7 +113,7 @@ impl Assembly {
         let hosted =
             network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
         if let Some(TakingPart { actor, part, last_word }) = hosted {
-            roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, actor));
+            roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, network_actor(actor)));
             (network, last) = (Some(part), Some(last_word));
         }
 
@@ -129,6 +129,11 @@ impl Assembly {
         let spec = plan.first((options.seed, begin), &ports);
         Ok(Self { spec, hands, network, last_word: last, plan: Arc::new(plan), actors: app.actors.clone() })
     }
+}
+
+/// The network's actor.
+fn network_actor(factory: Factory) -> Blueprint {
+    Blueprint { class: RuntimeClass::Network, factory, fences: Vec::new(), for_hands: None, arrange: None }
 }
 
 /// What the hands of a station touch, by its own copy of the scene.

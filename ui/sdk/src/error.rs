@@ -8,8 +8,8 @@ use trocar_kernel::recorder::RecorderError;
 use trocar_scene::scenario::ScenarioError;
 
 use crate::network::NetworkError;
+use crate::options::ResumeError;
 use crate::recorded_hand::RecordedHandError;
-use crate::resume::ResumeError;
 
 /// Why a session could not be assembled.
 #[derive(Debug, Error)]

@@ -94,7 +94,6 @@ pub mod plans;
 pub mod play;
 pub mod prelude;
 pub mod recorded_hand;
-pub mod resume;
 pub mod run;
 pub mod session;
 pub mod soak;

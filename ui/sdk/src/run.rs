@@ -17,7 +17,7 @@ use crate::app::App;
 use crate::assembly::{Assembly, AssemblyError};
 pub use crate::error::RunError;
 use crate::graph::ActorGraph;
-pub use crate::options::{FaultTargets, RunOptions};
+pub use crate::options::{FaultTargets, ResumeError, Resumed, RunOptions};
 use crate::session::{Finished, Session, doubts, forecast};
 use crate::summary::{BY_THE_PROGRAM, Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;

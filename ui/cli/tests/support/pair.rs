@@ -8,8 +8,7 @@ use trocar::network::impairments::Impairments;
 use trocar::network::lockstep::Wire;
 use trocar::network::ticket::Role;
 use trocar::network::{JoinOptions, Joining, LockstepHost, Network};
-use trocar::resume::Resumed;
-use trocar::run::{self, RunOptions};
+use trocar::run::{self, Resumed, RunOptions};
 use trocar::session::Session;
 use trocar_kernel::faults::{FaultKind, FaultOrder};
 use trocar_scene::scenario::Scenario;
@@ -63,7 +62,8 @@ impl Pair {
         let join =
             JoinOptions { name: Some("Ana".into()), hands: hands.clone(), play, ..JoinOptions::default() };
         let mut now = SimTime::ZERO;
-        let mut joining = Joining::over(&app, &join, &ticket, &wire, number, now).expect("it can join");
+        let mut joining =
+            Joining::over(app.registry(), &join, &ticket, &wire, number, now).expect("it can join");
         while !joining.step(now).expect("it is let in") {
             now += SimTime::from_millis(4);
             assert!(host.run_until(now), "the host goes on");
@@ -98,7 +98,7 @@ impl Pair {
         std::fs::copy(of("host-1.mcap"), of("killed.mcap")).expect("a recording");
         self.wire.disconnect();
         let app = App::new();
-        let resumed = Resumed::read(&app, &of("killed.mcap")).expect("it can go on");
+        let resumed = Resumed::read(app.registry(), &of("killed.mcap")).expect("it can go on");
         assert!(self.now.since(resumed.time()) <= SimTime::from_millis(1_100), "a second is lost at most");
         let options = RunOptions {
             lockstep: true,

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Deserialize;
 use trocar_devices::HapticDevice;
+use trocar_kernel::spec::Factory;
 use trocar_network::control::{
     Architecture, ComponentList, HandInfo, HostFacts, PlainText, SCENARIO_TEXT_MAX, SESSION_HANDS_MAX,
     SessionInfo,
@@ -34,7 +35,6 @@ use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Snapshot};
 
 use super::part::NetworkPart;
 use super::{HANDS_PEER, LastWord, Network, NetworkError, TakingPart};
-use crate::kind::Blueprint;
 
 /// How long a ticket lets in, if nothing else is said \[s\].
 pub const TICKET_LIFE_SECS: u64 = 24 * 3_600;
@@ -410,7 +410,7 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(
     first: HostMachine<A>,
     is_protected: bool,
     again: impl Fn(&Snapshot) -> Result<HostMachine<A>, ControllerError> + Send + Sync + 'static,
-) -> (Blueprint, LastWord) {
+) -> (Factory, LastWord) {
     let slot = MachineSlot::new(first);
     let ended = slot.clone();
     // A machine that its actor still has, or that was lost, says nothing more.
@@ -419,5 +419,5 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(
         let machine = slot.take_or_make(|| again(context.scene))?;
         Ok(Box::new(HostController::new(context, machine, is_protected)) as Box<dyn Controller>)
     };
-    (super::blueprint(Arc::new(factory)), Box::new(last_word))
+    (Arc::new(factory), Box::new(last_word))
 }

@@ -26,12 +26,10 @@ use std::sync::Arc;
 
 use thiserror::Error;
 use trocar_kernel::spec::Factory;
-use trocar_kernel::supervision::RuntimeClass;
 use trocar_network::control::{ControlError, ExitClass};
 use trocar_network::live::sockets::SocketError;
 use trocar_network::ticket::StoreError;
 
-use crate::kind::Blueprint;
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
 pub use part::NetworkPart;
@@ -54,17 +52,12 @@ pub(crate) type LastWord = Box<dyn FnMut() -> bool + Send>;
 
 /// A session's part in a network.
 pub(crate) struct TakingPart {
-    /// Its actor.
-    pub actor: Blueprint,
+    /// Makes its actor.
+    pub actor: Factory,
     /// Its hands link.
     pub part: NetworkPart,
     /// What is said at the end.
     pub last_word: LastWord,
-}
-
-/// The network's actor: it takes what may be a whole scene at once, so that its flow has no limit of its own.
-fn blueprint(factory: Factory) -> Blueprint {
-    Blueprint { class: RuntimeClass::Network, factory, fences: Vec::new(), for_hands: None, arrange: None }
 }
 
 /// How a session takes part in a network.

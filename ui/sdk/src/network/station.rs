@@ -9,6 +9,7 @@ use std::time::Duration;
 use ring::rand::SystemRandom;
 use trocar_devices::HapticDevice;
 use trocar_kernel::runtime::Clock;
+use trocar_kernel::spec::Factory;
 use trocar_network::control::{
     ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
 };
@@ -27,14 +28,12 @@ use trocar_network::streams::StationStream;
 use trocar_network::ticket::{ResumeSecret, Role, Ticket};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{
-    BuildContext, Commands, Controller, ControllerError, EntityAllocator, SimTime, Snapshot, Store,
+    BuildContext, Commands, Controller, ControllerError, EntityAllocator, Registry, SimTime, Snapshot, Store,
 };
 
 use super::host::{NetworkSettings, plain_name, random_secret};
 use super::part::NetworkPart;
 use super::{HANDS_PEER, LastWord, NetworkError, TakingPart};
-use crate::app::App;
-use crate::kind::Blueprint;
 
 /// The writer under which a station's network joins before there is a session: the first of its controllers.
 pub(crate) const STATION_WRITER: u16 = 1;
@@ -77,7 +76,7 @@ pub struct Joining<A> {
     link: LinkEnd<A>,
     devices: Vec<String>,
     moves: bool,
-    app_registry: Arc<trocar_scene::Registry>,
+    registry: Arc<Registry>,
     /// Since the welcome.
     begun: Option<Begun>,
 }
@@ -133,7 +132,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
     /// # Errors
     /// [`NetworkError`] when a name does not travel.
     pub fn new(
-        app: &App,
+        registry: &Arc<Registry>,
         options: &JoinOptions,
         credential: Credential,
         stream: Box<dyn StationStream<A>>,
@@ -146,7 +145,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
         let setup = StationSetup {
             facts: ClientFacts {
                 program: PlainText::new(env!("CARGO_PKG_VERSION")),
-                components: ComponentList::of(app.registry()),
+                components: ComponentList::of(registry),
                 scenario: None,
                 wish: Wish {
                     name: plain_name(&name)?,
@@ -168,7 +167,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             link,
             devices: options.hands.iter().map(|(hand, _)| hand.clone()).collect(),
             moves: options.play,
-            app_registry: app.registry().clone(),
+            registry: registry.clone(),
             begun: None,
         })
     }
@@ -181,9 +180,9 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
         if self.begun.is_none()
             && let Some(welcome) = self.machine.welcome()
         {
-            let begun = Begun::new(welcome, self.app_registry.clone())?;
+            let begun = Begun::new(welcome, self.registry.clone())?;
             let settings = NetworkSettings::of(&begun.scenario)?;
-            let columns = ReplicatedColumns::new(&self.app_registry, &settings.columns)
+            let columns = ReplicatedColumns::new(&self.registry, &settings.columns)
                 .map_err(|error| NetworkError::Scenario(error.to_string()))?;
             let has_device = |hand: &&HandInfo| self.devices.iter().any(|name| name == hand.name.as_str());
             let devices = welcome.session.hands.iter().filter(has_device).map(|hand| hand.entity).collect();
@@ -199,7 +198,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
                 stepped
             }
             None => {
-                let registry = self.app_registry.clone();
+                let registry = self.registry.clone();
                 let scene = Store::new(registry.clone()).snapshot();
                 let mut nothing = Commands::new(registry, EntityAllocator::new(0, STATION_WRITER));
                 self.machine.step(now, &scene, &mut nothing)
@@ -256,7 +255,7 @@ impl Joining<usize> {
     /// # Errors
     /// [`NetworkError`].
     pub fn over(
-        app: &App,
+        registry: &Arc<Registry>,
         options: &JoinOptions,
         ticket: &Ticket,
         wire: &Wire,
@@ -264,7 +263,7 @@ impl Joining<usize> {
         now: SimTime,
     ) -> Result<Self, NetworkError> {
         let stream = WireStationStream::new(wire.clone(), number, HANDSHAKE);
-        Self::new(app, options, credential(ticket, options)?, Box::new(stream), now)
+        Self::new(registry, options, credential(ticket, options)?, Box::new(stream), now)
     }
 
     /// The station, once it is in the session.
@@ -280,7 +279,7 @@ impl Joining<usize> {
 }
 
 impl Begun {
-    fn new(welcome: &Welcome, registry: Arc<trocar_scene::Registry>) -> Result<Self, NetworkError> {
+    fn new(welcome: &Welcome, registry: Arc<Registry>) -> Result<Self, NetworkError> {
         let session = &welcome.session;
         let file = format!("{}.toml", session.scenario_name);
         let scenario = Scenario::outline(Path::new(&file), &session.scenario_text)
@@ -321,7 +320,7 @@ fn credential(ticket: &Ticket, options: &JoinOptions) -> Result<Credential, Netw
 /// # Errors
 /// [`NetworkError`]; also when `stop` was set meanwhile.
 pub fn join(
-    app: &App,
+    registry: &Arc<Registry>,
     ticket: &Ticket,
     options: &JoinOptions,
     stop: &AtomicBool,
@@ -337,7 +336,7 @@ pub fn join(
     let stream = dial().map_err(NetworkError::Usage)?;
     let clock = Clock::start();
     let now = clock.now();
-    let mut joining = Joining::new(app, options, credential(ticket, options)?, stream, now)?;
+    let mut joining = Joining::new(registry, options, credential(ticket, options)?, stream, now)?;
     while !joining.step(clock.now())? {
         progress(&joining.progress(), joining.trouble().as_deref());
         if stop.load(Ordering::Relaxed) {
@@ -414,7 +413,7 @@ pub(crate) fn stationed(station: &Station, hands: StationHands) -> Result<Taking
 }
 
 /// The actor of a machine that has joined; one that is lost is made again, and comes back by its secret.
-fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Blueprint, LastWord, LinkEnd<A>) {
+fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Factory, LastWord, LinkEnd<A>) {
     let Joined { machine, setup, controller, link, redial } = joined;
     let parts = machine.parts();
     let slot = MachineSlot::new(*machine);
@@ -438,5 +437,5 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Bluepr
         let machine = slot.take_or_make(|| again(context.scene, context.time))?;
         Ok(Box::new(StationController::new(context, machine)) as Box<dyn Controller>)
     };
-    (super::blueprint(Arc::new(factory)), Box::new(last_word), link)
+    (Arc::new(factory), Box::new(last_word), link)
 }

@@ -4,23 +4,31 @@
 //! last scene is where the new session begins, at the time that it had: every controller takes over from the scene, as
 //! one that the supervisor has restarted does. What a recording samples (places, forces) is as exact as it says.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use thiserror::Error;
 use trocar_kernel::recorder::{Recording, RecordingError};
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{SimTime, Snapshot, TaskState};
-
-use crate::app::App;
+use trocar_scene::{Registry, SimTime, Snapshot, TaskState};
 
 /// Where an earlier session has stopped.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Resumed {
     file: PathBuf,
     scenario: String,
     seed: u64,
     scene: Arc<Snapshot>,
+}
+
+impl fmt::Debug for Resumed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Resumed")
+            .field("file", &self.file)
+            .field("time", &self.time())
+            .finish_non_exhaustive()
+    }
 }
 
 /// Why a recording is no place to go on from.
@@ -52,10 +60,10 @@ impl Resumed {
     ///
     /// # Errors
     /// [`ResumeError`] when it cannot be read, or its exercise was over.
-    pub fn read(app: &App, file: &Path) -> Result<Self, ResumeError> {
+    pub fn read(registry: &Arc<Registry>, file: &Path) -> Result<Self, ResumeError> {
         let recording = Recording::open(file)?;
-        recording.check_components(app.registry())?;
-        let scene = recording.snapshot_at(app.registry(), SimTime(u64::MAX))?;
+        recording.check_components(registry)?;
+        let scene = recording.snapshot_at(registry, SimTime(u64::MAX))?;
         if scene.iter::<TaskState>().any(|(_, task)| task.over) {
             return Err(ResumeError::Over { file: name(file), secs: scene.time().as_secs_f64() });
         }

@@ -1,5 +1,7 @@
 //! Options of a run.
 
+mod resume;
+
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -10,7 +12,8 @@ use trocar_kernel::spec::FaultSink;
 use trocar_scene::SimTime;
 
 use crate::network::Network;
-use crate::resume::Resumed;
+
+pub use resume::{ResumeError, Resumed};
 
 /// Further targets for faults, by name, that belong to the program.
 #[derive(Clone, Default)]
