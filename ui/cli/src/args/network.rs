@@ -104,12 +104,12 @@ pub struct TicketArgs {
     /// Hours after which it lets nobody in any more
     #[arg(long, value_name = "HOURS", default_value_t = 24.0, value_parser = positive)]
     pub hours: f64,
-    /// Where the host listens.
-    #[command(flatten)]
-    pub listen: ListenArgs,
     /// Print exactly one JSON object on stdout
     #[arg(long)]
     pub json: bool,
+    /// Where the host listens.
+    #[command(flatten)]
+    pub listen: ListenArgs,
 }
 
 /// `trocar host tickets`.
@@ -166,9 +166,6 @@ fn ticket_wish(text: &str) -> Result<(Role, String), String> {
 /// `trocar join`.
 #[derive(Debug, Args)]
 pub struct JoinArgs {
-    /// The ticket, and how it is shown.
-    #[command(flatten)]
-    pub ticket: TicketSource,
     /// A hand that this station serves, with its device: NAME=SPEC, such as `left=virtual`; `trocar list devices` names
     /// every device
     #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand, help_heading = "Session")]
@@ -179,17 +176,20 @@ pub struct JoinArgs {
     /// What is seen and kept.
     #[command(flatten)]
     pub view: ViewArgs,
+    /// The ticket, and how it is shown.
+    #[command(flatten)]
+    pub ticket: TicketSource,
 }
 
 /// `trocar watch`.
 #[derive(Debug, Args)]
 pub struct WatchArgs {
-    /// The ticket, and how it is shown.
-    #[command(flatten)]
-    pub ticket: TicketSource,
     /// What is seen and kept.
     #[command(flatten)]
     pub view: ViewArgs,
+    /// The ticket, and how it is shown.
+    #[command(flatten)]
+    pub ticket: TicketSource,
 }
 
 /// Where the ticket comes from, and who shows it.

@@ -68,7 +68,7 @@ fn in_virtual_time_it_goes_back_to_its_begin_and_is_branched_as_any_other() {
         session.reset().expect("can begin again");
         assert_eq!((session.begin(), session.now()), (BEGIN, BEGIN));
         let scene = session.snapshot();
-        assert!(scene.iter::<TaskState>().next().is_none() && scene.time() == SimTime::ZERO);
+        assert!(scene.iter::<TaskState>().next().is_none() && scene.time() == BEGIN);
         session.step(secs(0.2));
         assert_eq!(session.hash(), hash, "the same bits");
         assert!(!session.step(secs(1.0)), "and the same end");
