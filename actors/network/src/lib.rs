@@ -20,4 +20,5 @@ pub mod remote_hand;
 pub mod replication;
 pub mod session;
 pub mod streams;
+pub mod teleoperation;
 pub mod ticket;

@@ -16,6 +16,7 @@ pub mod station;
 pub mod surface_place;
 pub mod task;
 pub mod telementoring;
+pub mod teleoperation;
 pub mod virtual_fixture;
 pub mod visual;
 
@@ -47,6 +48,7 @@ pub use telementoring::{
     LABEL_TEXT_MAX, LABELS_MAX, MentorLabel, MentorPointer, MentorStroke, PictureFreeze, SECTION_PLACES_MAX,
     SECTIONS_MAX, SIGNATURE_NAME_MAX, STROKE_WIDTH_MAX, Signature, TakeOverRequest, TakeOverStep,
 };
+pub use teleoperation::{SlaveOrder, SlaveState, Teleoperation, TeleoperationFigures};
 pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 
@@ -68,6 +70,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
         CollisionList, TaskState, Measured, VitalSigns, Station,
         MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest, StationContactModel,
+        Teleoperation, SlaveOrder,
     )?;
     Ok(())
 }

@@ -9,6 +9,7 @@ pub mod hands_thread;
 pub mod interfaces;
 mod leaving;
 mod lookup;
+pub mod reflected;
 pub mod reflector;
 pub mod sockets;
 pub mod store_admissions;

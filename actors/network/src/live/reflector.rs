@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::net::{IpAddr, Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -81,7 +81,21 @@ impl ReflectorServer {
         path: Impairments,
         seed: u64,
     ) -> Result<Self, SocketError> {
-        let sockets = HostSockets::bind(None, port)?;
+        Self::bind_at(None, port, host, path, seed)
+    }
+
+    /// The same at one address of the machine.
+    ///
+    /// # Errors
+    /// [`SocketError`].
+    pub fn bind_at(
+        address: Option<IpAddr>,
+        port: u16,
+        host: Option<SocketAddr>,
+        path: Impairments,
+        seed: u64,
+    ) -> Result<Self, SocketError> {
+        let sockets = HostSockets::bind(address, port)?;
         Ok(Self { sockets, host, path, seed, begun: Instant::now(), counts: Arc::default() })
     }
 

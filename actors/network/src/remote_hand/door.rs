@@ -195,6 +195,11 @@ impl Door {
         self.standing
     }
 
+    /// Where the hand should be for a sample of this pose, before the limits; `None` while the clutch is open.
+    pub fn goal_of(&self, hand_in_device: &Isometry3<f64>) -> Option<Isometry3<f64>> {
+        self.clutch.map(|clutch| clutch.shown(hand_in_device))
+    }
+
     /// Time since the newest sample arrived, or since the door was opened if none has.
     pub fn age(&self, now: SimTime) -> SimTime {
         now.since(self.arrived_at.unwrap_or(self.since))

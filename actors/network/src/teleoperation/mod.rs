@@ -1,0 +1,41 @@
+//! Tele-surgery: a master's poses go over a path, and a slave within limits of its own follows them.
+//!
+//! A *reflected hand* repeats the experiment of the paper: its device is the master, the instrument in the scene is the
+//! slave, and every pose makes the round trip to a packet reflector before it moves anything.
+//!
+//! ```text
+//! master's device ─▶ ReflectedHand ─▶ ReflectedLink ─▶ packet reflector ─┐
+//! instrument ◀─ haptics ◀─ driver ◀─ [ Slave ] ◀─ ReflectedLink ◀────────┘
+//! ```
+//!
+//! [`ReflectedHand`] is a device like any other, below its driver; [`ReflectedLink`] is a [`HandsLink`] with the drivers of
+//! all of them, over sockets or in virtual time; [`ReflectedController`] is the actor that shows and measures. [`Slave`] is
+//! the robot: speed, workspace, force, pedal, emergency stop, scaling and clutch. [`internet_path`] makes a trace of round
+//! trips.
+//!
+//! [`HandsLink`]: crate::hands_link::HandsLink
+
+mod controller;
+mod delay_histogram;
+mod exchange;
+mod force_limit;
+pub mod internet_path;
+mod pose_history;
+mod reflected_hand;
+mod reflected_link;
+mod slave;
+mod tracking;
+mod tremor_filter;
+
+pub use controller::{ReflectedController, ReflectedWatch};
+pub use delay_histogram::DelayHistogram;
+pub use exchange::{
+    Arrival, LinkReport, LinkedHand, MasterSample, SlaveControl, SlaveReport, WatchedHand,
+};
+pub use force_limit::{ForceLimit, GIVES_WAY_MAX, MOBILITY};
+pub use pose_history::PoseHistory;
+pub use reflected_hand::ReflectedHand;
+pub use reflected_link::{LinkError, ReflectedLink, WatchedLink};
+pub use slave::{Slave, SlaveConfig, SlaveError};
+pub use tracking::{CONTACT_FORCE, LAGS, LOOK_EVERY, Look, TrackingMeter};
+pub use tremor_filter::{CUTOFF_HZ, TremorFilter};

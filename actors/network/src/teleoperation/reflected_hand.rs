@@ -1,0 +1,146 @@
+//! Reflected hand: a device whose handle is a master, and whose shown pose is the slave's, which follows what has come back
+//! from the packet reflector.
+//!
+//! Haptics and physics see the slave. The master's device is read, and moved by a virtual trainee, without any delay. It
+//! renders no force: one that comes a round trip after the motion would be active
+//! ([`compensation`](crate::compensation)). What the scene asks for is felt by the slave, whose force is limited.
+//!
+//! `read` and `write` allocate nothing, lock nothing and do not block, if the master's device does not.
+
+use nalgebra::Isometry3;
+use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
+use trocar_scene::{SimTime, SlaveState};
+
+use super::exchange::{DeviceEnd, LinkedHand, MasterSample, SlaveReport, WatchedHand, exchange};
+use super::pose_history::PoseHistory;
+use super::slave::{Slave, SlaveConfig, SlaveError};
+use super::tremor_filter::TremorFilter;
+
+/// A device behind a path.
+pub struct ReflectedHand {
+    capabilities: Capabilities,
+    master: Box<dyn HapticDevice>,
+    filter: Option<TremorFilter>,
+    slave: Slave,
+    end: DeviceEnd,
+    /// What was sent.
+    history: PoseHistory,
+    read_at: Option<SimTime>,
+    report: SlaveReport,
+}
+
+impl ReflectedHand {
+    /// Hand number `hand`: the device that is the master, and the ends of its link and its actor.
+    ///
+    /// # Errors
+    /// [`SlaveError`] when a figure of the slave is out of range.
+    pub fn new(
+        hand: u8,
+        config: SlaveConfig,
+        master: Box<dyn HapticDevice>,
+    ) -> Result<(Self, LinkedHand, WatchedHand), SlaveError> {
+        let slave = Slave::new(hand, config, master.capabilities())?;
+        let (end, linked, watched) = exchange(hand);
+        let device = Self {
+            capabilities: config.capabilities(master.capabilities()),
+            master,
+            filter: config.tremor_cutoff_hz.map(TremorFilter::new),
+            slave,
+            end,
+            history: PoseHistory::default(),
+            read_at: None,
+            report: SlaveReport {
+                at: SimTime::ZERO,
+                master_in_device: Isometry3::identity(),
+                slave_in_device: None,
+                state: SlaveState::Waiting,
+                applied: None,
+                errors: (0, 0.0, 0.0),
+                limited: 0,
+            },
+        };
+        Ok((device, linked, watched))
+    }
+
+    /// Brings the master's pose on its way.
+    fn send(&mut self, now: SimTime, mut state: DeviceState) {
+        let secs = self.read_at.map_or(0.0, |before| now.since(before).as_secs_f64());
+        if let Some(filter) = &mut self.filter {
+            state.pose_in_device = filter.step(&state.pose_in_device, secs);
+        }
+        if !state.is_valid() {
+            return;
+        }
+        self.history.push(now, state.pose_in_device);
+        self.report.master_in_device = state.pose_in_device;
+        self.end.masters.write(Some(MasterSample { sampled_at: now, state }));
+    }
+
+    /// Compares the slave with the master's pose whose time stamp it applies.
+    fn compare(&mut self, slave: &DeviceState) {
+        let Some(applied) = self.slave.applied() else { return };
+        let Some(wanted) = self.history.at(applied).and_then(|master| self.slave.wanted(master)) else {
+            return;
+        };
+        let error = (slave.pose_in_device.translation.vector - wanted.translation.vector).norm();
+        let (count, squares, largest) = &mut self.report.errors;
+        *count += 1;
+        *squares += error * error;
+        *largest = largest.max(error);
+    }
+}
+
+impl HapticDevice for ReflectedHand {
+    fn capabilities(&self) -> &Capabilities {
+        &self.capabilities
+    }
+
+    fn open(&mut self, now_ns: u64) -> Result<(), DeviceError> {
+        self.master.open(now_ns)
+    }
+
+    fn read(&mut self, now_ns: u64) -> Result<DeviceState, DeviceError> {
+        let now = SimTime(now_ns);
+        let master = self.master.read(now_ns);
+        if let Ok(state) = master
+            && self.read_at != Some(now)
+        {
+            self.send(now, state);
+        }
+        self.read_at = Some(now);
+        self.slave.set_stop(now, self.end.control.is_stopped());
+        if self.end.arrivals.update()
+            && let Some(arrival) = *self.end.arrivals.output_buffer()
+        {
+            self.slave.admit(now, &arrival);
+        }
+        let state = self.slave.step(now);
+        self.compare(&state);
+        self.report.at = now;
+        self.report.state = self.slave.state(now);
+        self.report.applied = self.slave.applied();
+        self.report.slave_in_device = self.slave.applied().map(|_| state.pose_in_device);
+        self.report.limited = self.slave.limited();
+        self.end.reports.write(Some(self.report));
+        // Whoever unplugs the master's device is told at once; the slave stands.
+        master.map(|_| state)
+    }
+
+    fn write(&mut self, now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError> {
+        self.slave.feel(&wrench.force);
+        self.master.write(now_ns, &Wrench::ZERO)
+    }
+
+    fn set_intent(&mut self, now_ns: u64, intent: &HandIntent) {
+        self.master.set_intent(now_ns, intent);
+    }
+
+    fn close(&mut self) {
+        self.slave.feel(&Wrench::ZERO.force);
+        self.master.close();
+    }
+}
+
+#[cfg(test)]
+#[path = "reflected_hand_tests.rs"]
+mod tests;

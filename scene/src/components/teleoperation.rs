@@ -1,0 +1,129 @@
+//! Tele-surgery: a hand whose instrument follows poses that have come over a network.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::components::graph::Pose;
+use crate::time::SimTime;
+use crate::{Component, ComponentError, RecordPolicy};
+
+/// What a slave does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SlaveState {
+    /// Nothing has come from the master yet.
+    #[default]
+    Waiting,
+    /// It follows the master.
+    Following,
+    /// The pedal is up: the master moves freely, the slave stands.
+    PedalUp,
+    /// The path is silent: the slave stands.
+    Silent,
+    /// After a silence or a stop it stands until the pedal is released.
+    ReleasePedal,
+    /// Emergency stop.
+    Stopped,
+    /// The master's device is unplugged.
+    Unplugged,
+}
+
+impl SlaveState {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Following => "following",
+            Self::PedalUp => "pedal up",
+            Self::Silent => "silent",
+            Self::ReleasePedal => "release the pedal",
+            Self::Stopped => "stopped",
+            Self::Unplugged => "unplugged",
+        }
+    }
+}
+
+/// How well a slave has followed, and what its path did, since the session's start. What is unknown is `None`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TeleoperationFigures {
+    /// Packets that were sent.
+    pub sent: u64,
+    /// Packets that came back, each once.
+    pub received: u64,
+    /// Packets that a newer one had overtaken: they came, and were not applied.
+    pub late: u64,
+    /// Packets that were refused: damaged, forged, or come twice.
+    pub refused: u64,
+    /// Mean round trip \[s\].
+    pub round_trip_mean: Option<f64>,
+    /// Shortest round trip \[s\].
+    pub round_trip_min: Option<f64>,
+    /// Round trip that 99 % of the packets do not exceed \[s\].
+    pub round_trip_p99: Option<f64>,
+    /// Longest round trip \[s\].
+    pub round_trip_max: Option<f64>,
+    /// How far a packet's round trip is from the trace's delay at its sending, of 99 % of the packets \[s\]; known for a
+    /// reflector of the session's own.
+    pub delay_error_p99: Option<f64>,
+    /// The same of the worst packet \[s\].
+    pub delay_error_max: Option<f64>,
+    /// Distance of the slave's tip from the master's at the same time, root mean square \[m\].
+    pub rms: Option<f64>,
+    /// The same from where the master's tip was a constant time before, for the time that makes it least \[m\].
+    pub constant_lag_rms: Option<f64>,
+    /// That time \[s\].
+    pub constant_lag: Option<f64>,
+    /// Largest distance of the slave from the master's pose whose time stamp was applied \[m\].
+    pub applied_error_max: Option<f64>,
+    /// The same, root mean square \[m\].
+    pub applied_error_rms: Option<f64>,
+    /// Range of the slave's tip along the world's x axis \[m\].
+    pub x_range: f64,
+    /// Largest speed of the master's tip [m/s].
+    pub speed_max: f64,
+    /// Share of the time since the first pose was applied in which the instrument felt a contact, 0 to 1.
+    pub contact_share: f64,
+    /// Steps in which a limit of speed, workspace or force held the slave back.
+    pub limited: u64,
+}
+
+/// A hand that is a master, and the instrument that is its slave; on the hand. The network's actor writes it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "teleoperation", record = RecordPolicy::sampled(50.0, 1e-7), check = Self::validate, schema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Teleoperation {
+    /// What the slave does.
+    pub state: SlaveState,
+    /// `world_from_tip` of the master: where the instrument would be without the path.
+    pub master_in_world: Pose,
+    /// `world_from_tip` of the slave's command, at the same time.
+    pub slave_in_world: Pose,
+    /// That time.
+    pub at: SimTime,
+    /// Time stamp of the master's pose that the slave applies.
+    pub applied: SimTime,
+    /// Round trip of the newest packet \[s\].
+    pub round_trip: f64,
+    /// Whether strangers can neither read nor forge the packets.
+    pub protected: bool,
+    /// All of it in numbers.
+    pub figures: TeleoperationFigures,
+}
+
+impl Teleoperation {
+    fn validate(&self) -> Result<(), ComponentError> {
+        super::graph::check_rotation(&self.master_in_world.rotation)?;
+        super::graph::check_rotation(&self.slave_in_world.rotation)?;
+        ComponentError::range("round_trip", self.round_trip, 0.0..=1e6, "0 to 1e6 s")
+    }
+}
+
+/// What somebody asks of a slave; on the hand. Anybody may write it: a controller, a program, an instructor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "slave_order", schema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SlaveOrder {
+    /// Emergency stop: the slave stands until this is false again and the pedal was released and pressed.
+    pub stop: bool,
+}
