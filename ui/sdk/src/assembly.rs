@@ -19,8 +19,8 @@ use crate::hands::{HandPort, OpenedHand};
 use crate::kind::{Blueprint, KindContext};
 use crate::kinds::{MANUAL, plain};
 use crate::network::{
-    self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, STATION_WRITER,
-    StationHands, TakingPart,
+    self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, REFLECTOR,
+    REFLECTOR_HZ, ReflectedHands, ReflectedPart, STATION_WRITER, StationHands, TakingPart,
 };
 use crate::options::RunOptions;
 use crate::play;
@@ -37,8 +37,8 @@ pub struct Assembly {
     pub spec: SessionSpec,
     /// The opened hands.
     pub hands: Vec<OpenedHand>,
-    /// What moves the hands' datagrams, if others share the session.
-    pub network: Option<NetworkPart>,
+    /// What moves the hands' datagrams: those of other stations, and those that a packet reflector returns.
+    pub network: Vec<NetworkPart>,
     /// What is said to the others at the end.
     pub(crate) last_word: Option<LastWord>,
     /// The plan for branches and resets. Changes to `spec` hold for this session only.
@@ -58,7 +58,7 @@ impl Assembly {
         let station = options.network.station();
         let own_part = station.map(|_| own_part(scenario, options));
         let scenario = own_part.as_ref().unwrap_or(scenario);
-        let mut network_hands = WrappedHands::new(&options.network);
+        let mut network_hands = WrappedHands::new(&options.network, ReflectedHands::of(scenario, options)?);
         let hands = open_hands(app, scenario, options, &mut network_hands)?;
         let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
         let mut store = match (station, &options.resume) {
@@ -79,12 +79,13 @@ impl Assembly {
             commands.put(hand.port().entity, hand.info());
         }
         let mut roles = Vec::with_capacity(scenario.controllers.len() + 1);
-        let (mut network, mut last) = (None, None);
+        let (mut network, mut last) = (Vec::new(), None);
         if let Some(station) = station {
             let TakingPart { actor, part, last_word } =
                 network::stationed(station, network_hands.take_station())?;
             roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, network_actor(actor)));
-            (network, last) = (Some(part), Some(last_word));
+            network.push(part);
+            last = Some(last_word);
             if !ports.is_empty() {
                 let touch = station_touch(&station.scene, &ports);
                 roles.push(Role::new(TOUCH, roles.len() as u16 + 1, TOUCH_HZ, touch));
@@ -114,7 +115,12 @@ impl Assembly {
             network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
         if let Some(TakingPart { actor, part, last_word }) = hosted {
             roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, network_actor(actor)));
-            (network, last) = (Some(part), Some(last_word));
+            network.push(part);
+            last = Some(last_word);
+        }
+        if let Some(ReflectedPart { actor, part }) = network_hands.take_reflected().part(options)? {
+            roles.push(Role::new(REFLECTOR, roles.len() as u16 + 1, REFLECTOR_HZ, actor));
+            network.push(part);
         }
 
         let plan = SessionPlan {
@@ -197,16 +203,18 @@ fn own_part(scenario: &Scenario, options: &RunOptions) -> Scenario {
     own
 }
 
-/// The hands of a session that others share: its network stands between their devices and their drivers.
+/// The hands of a session: a packet reflector, and the network of a session that others share, stand between their devices
+/// and their drivers.
 struct WrappedHands<'a> {
     network: &'a Network,
+    reflected: ReflectedHands,
     host: NetworkHands,
     station: StationHands,
 }
 
 impl<'a> WrappedHands<'a> {
-    fn new(network: &'a Network) -> Self {
-        Self { network, host: NetworkHands::default(), station: StationHands::default() }
+    fn new(network: &'a Network, reflected: ReflectedHands) -> Self {
+        Self { network, reflected, host: NetworkHands::default(), station: StationHands::default() }
     }
 
     fn wrap(
@@ -215,11 +223,16 @@ impl<'a> WrappedHands<'a> {
         entity: Entity,
         device: Box<dyn HapticDevice>,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
+        let device = self.reflected.wrap(name, entity, device)?;
         match self.network {
             Network::None => Ok(device),
             Network::Host(_) | Network::LockstepHost(_) => self.host.wrap(name, entity, device),
             Network::Station(station) => self.station.wrap(station, name, device),
         }
+    }
+
+    fn take_reflected(&mut self) -> ReflectedHands {
+        std::mem::take(&mut self.reflected)
     }
 
     fn take_host(&mut self) -> NetworkHands {

@@ -22,14 +22,13 @@ use trocar_kernel::runtime::sched;
 use trocar_kernel::runtime::{Clock, ControllerReport, PausableClock, TickStats};
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::{GroupSpec, RuntimeClass};
-use trocar_network::live::hands_thread::HandsThread;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
 use crate::branching::Origin;
 use crate::error::RunError;
 use crate::hands::{HandPort, OpenedHand};
-use crate::network::{LastWord, NetworkPart};
+use crate::network::{LastWord, NetworkPart, RunningPart};
 
 /// First writer number of guests: above those of any scenario's controllers, below the operator's.
 const GUESTS_FROM: u16 = 0x8000;
@@ -47,8 +46,8 @@ pub struct Session {
     pub(crate) hands: Vec<HandPort>,
     drivers: Vec<DriverThread>,
     actors: Vec<HostedActor>,
-    /// What moves the hands' datagrams, if others share the session.
-    network: Option<HandsThread>,
+    /// What moves the hands' datagrams.
+    network: Vec<RunningPart>,
     last_word: Option<LastWord>,
     next_guest: u16,
     pub(crate) fences_raised: bool,
@@ -113,7 +112,7 @@ impl Session {
         let last_word = assembly.last_word;
         let mut spec = assembly.spec;
         spec.peers.extend(assembly.hands.into_iter().map(OpenedHand::into_peer));
-        spec.peers.extend(assembly.network.and_then(NetworkPart::into_peer));
+        spec.peers.extend(assembly.network.into_iter().filter_map(NetworkPart::into_peer));
         let running = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
         let mut session = Self::new(running, hands, Vec::new(), Some(origin));
         session.last_word = last_word;
@@ -135,8 +134,10 @@ impl Session {
             drivers.push(hand.into_thread(start, pause::device_time(&clock, begin), priority)?);
         }
         let clock = Clock::pausable(start, clock).beginning_at(begin);
-        let network = assembly.network.map(|part| part.start(clock.clone())).transpose();
-        let network = network.map_err(RunError::Network)?.flatten();
+        let mut network = Vec::new();
+        for part in assembly.network {
+            network.extend(part.start(clock.clone()).map_err(RunError::Network)?);
+        }
         let last_word = assembly.last_word;
         let live = LiveSession::start_on(assembly.spec, clock)?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
@@ -157,7 +158,7 @@ impl Session {
         origin: Option<Origin>,
     ) -> Self {
         let (actors, next_guest) = (Vec::new(), GUESTS_FROM);
-        let (network, last_word) = (None, None);
+        let (network, last_word) = (Vec::new(), None);
         Self { running, hands, drivers, actors, network, last_word, next_guest, fences_raised: false, origin }
     }
 

@@ -34,6 +34,7 @@ use trocar_scene::scenario::Scenario;
 use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Snapshot};
 
 use super::part::NetworkPart;
+use super::reflected::ReflectorSettings;
 use super::{HANDS_PEER, LastWord, Network, NetworkError, TakingPart};
 
 /// How long a ticket lets in, if nothing else is said \[s\].
@@ -47,6 +48,8 @@ pub(super) struct NetworkSettings {
     pub columns: ColumnRates,
     /// Most bytes of positions a second for each station.
     pub bytes_per_sec: Option<f64>,
+    /// Hands whose devices are behind a packet reflector.
+    pub reflector: Option<ReflectorSettings>,
 }
 
 impl NetworkSettings {

@@ -19,6 +19,7 @@
 
 mod host;
 mod part;
+mod reflected;
 mod station;
 
 use std::fmt;
@@ -33,6 +34,8 @@ use trocar_network::ticket::StoreError;
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
 pub use part::NetworkPart;
+pub(crate) use part::RunningPart;
+pub(crate) use reflected::{REFLECTOR, REFLECTOR_HZ, ReflectedHands, ReflectedPart};
 pub use station::{JoinOptions, JoinProgress, Joining, Station, join};
 pub(crate) use station::{STATION_WRITER, StationHands, stationed};
 

@@ -2,6 +2,7 @@
 
 mod resume;
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -58,6 +59,8 @@ pub struct RunOptions {
     pub play: bool,
     /// Whether others share the session over a network, and how.
     pub network: Network,
+    /// The packet reflector that hands of the scenario go through live, in place of one that the session starts.
+    pub reflector: Option<SocketAddr>,
     /// Set from outside to end the run early.
     pub stop: Arc<AtomicBool>,
 }
@@ -79,6 +82,7 @@ impl Default for RunOptions {
             left_handed: false,
             play: false,
             network: Network::None,
+            reflector: None,
             stop: Arc::default(),
         }
     }
