@@ -13,7 +13,7 @@ use trocar_tests::golden::{Golden, GoldenRun, LOOK_EVERY, MotionDigest, arithmet
 use trocar_tests::{app, edited, lockstep};
 
 /// The recorded runs: scenario, seed, seconds. Each is long enough for the purpose of its scene.
-const RUNS: [(&str, u64, f64); 17] = [
+const RUNS: [(&str, u64, f64); 18] = [
     ("peg-transfer", 1, 12.0),
     ("peg-transfer", 2, 12.0),
     ("peg-transfer", 3, 12.0),
@@ -31,6 +31,7 @@ const RUNS: [(&str, u64, f64); 17] = [
     ("omentum", 1, 2.0),
     ("band", 1, 2.0),
     ("two-rates", 1, 3.0),
+    ("tele-liver", 1, 2.0),
 ];
 
 fn file() -> PathBuf {

@@ -20,6 +20,7 @@ mod scenarios;
 mod sessions;
 mod soak;
 mod soft_scenes;
+mod tele_surgery;
 mod touch;
 mod wall;
 

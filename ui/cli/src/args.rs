@@ -186,6 +186,10 @@ pub struct RunArgs {
     /// or a TOML file
     #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath, help_heading = "Session")]
     pub faults: Option<String>,
+    /// A packet reflector that hands of the scenario go through, as ADDRESS:PORT (see `trocar reflect`), in place of one that
+    /// the session starts: for scenarios such as `tele-liver`
+    #[arg(long, value_name = "REFLECTOR", conflicts_with = "lockstep", help_heading = "Session")]
+    pub reflector: Option<String>,
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,

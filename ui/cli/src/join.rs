@@ -65,6 +65,7 @@ fn take_part(
         bindings: None,
         faults: None,
         resume: None,
+        reflector: None,
         pictures: view.pictures.clone(),
         record: view.record.clone(),
         record_exact: false,

@@ -77,7 +77,7 @@ pub struct ReflectArgs {
 /// Reflects until the time is up or a signal comes, and tells what became of the datagrams.
 pub fn reflect(args: &ReflectArgs) -> Result<Exit, Failure> {
     let path = path(args)?;
-    let host = args.to.as_deref().map(address).transpose()?;
+    let host = args.to.as_deref().map(|to| address("--to", to)).transpose()?;
     let signals = signals::catch()?;
     let server = ReflectorServer::bind(args.port, host, path, args.seed).map_err(Failure::invalid)?;
     let port = server.port();
@@ -164,13 +164,13 @@ fn trace(file: &str) -> Result<DelayTrace, Failure> {
 }
 
 /// The first address of a name or number with a port.
-fn address(text: &str) -> Result<SocketAddr, Failure> {
+pub fn address(option: &str, text: &str) -> Result<SocketAddr, Failure> {
     let found = text.to_socket_addrs().map_err(|error| {
         Failure::usage(format!(
-            "--to {text}: {error}; ADDRESS:PORT is expected, such as 192.0.2.7:{PORT} or [2001:db8::7]:{PORT}"
+            "{option} {text}: {error}; ADDRESS:PORT is expected, such as 192.0.2.7:{PORT} or [2001:db8::7]:{PORT}"
         ))
     });
-    found?.next().ok_or_else(|| Failure::usage(format!("--to {text}: the name has no address")))
+    found?.next().ok_or_else(|| Failure::usage(format!("{option} {text}: the name has no address")))
 }
 
 fn share(text: &str) -> Result<f64, String> {

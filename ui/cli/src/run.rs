@@ -25,6 +25,7 @@ use crate::failure::{Failure, did_you_mean};
 use crate::live_table::{Display, waiting};
 use crate::output::{self, file_stem};
 use crate::pictures::Photographer;
+use crate::reflect;
 use crate::report::{self, Report, short};
 use crate::run_files::RunFiles;
 use crate::run_text::{text, verdict};
@@ -164,6 +165,8 @@ fn attempt(
     options.recorder.exact = args.record_exact;
     options.play = args.play;
     options.network = network.clone();
+    let address = |text: &String| reflect::address("--reflector", text);
+    options.reflector = args.reflector.as_ref().map(address).transpose()?;
     options.begin = network.station().map_or(options.begin, |station| station.now());
     options.resume = resumed(app, args, number)?;
     options.seed = options.resume.as_ref().map_or(options.seed, Resumed::seed);

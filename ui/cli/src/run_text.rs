@@ -1,6 +1,6 @@
 //! The result of a run for people: as text on the terminal, and as a card in the window.
 
-use trocar::summary::{Mode, RunSummary, TaskSummary};
+use trocar::summary::{Mode, RunSummary, TaskSummary, TeleoperationFigures};
 use trocar_viewer::window::subject::Verdict;
 
 use crate::escape::printable;
@@ -122,6 +122,7 @@ pub fn text(summary: &RunSummary) -> String {
         lines.extend(summary.unkept_contacts.iter().take(UNKEPT_SHOWN).map(|contact| format!("  {contact}")));
     }
     lines.extend(frozen_bodies(summary));
+    lines.extend(summary.teleoperation.iter().map(|(hand, figures)| teleoperation(hand, figures)));
     if !summary.faults.is_empty() {
         lines.push(format!(
             "no force was held for longer than {} ms after its last fresh command; {} commands of zombies were refused",
@@ -162,6 +163,24 @@ pub fn text(summary: &RunSummary) -> String {
         lines.push(console::style(crate::escape::printable(error)).red().to_string());
     }
     lines.join("\n")
+}
+
+/// How well a slave followed its master, in a line.
+fn teleoperation(hand: &str, figures: &TeleoperationFigures) -> String {
+    let told = |value: Option<f64>, unit: &str| value.map_or("–".to_owned(), |value| short(value * 1e3) + unit);
+    format!(
+        "slave of {}: {} behind its master in the mean ({} of 99 %), {} packets of {}; {} at most from the pose whose time \
+         stamp it applies; RMS {}, with a constant lag of {} {}",
+        printable(hand),
+        told(figures.round_trip_mean, " ms"),
+        told(figures.round_trip_p99, " ms"),
+        figures.received,
+        figures.sent,
+        told(figures.applied_error_max, " mm"),
+        told(figures.rms, " mm"),
+        told(figures.constant_lag, " ms"),
+        told(figures.constant_lag_rms, " mm"),
+    )
 }
 
 /// The table of rates.

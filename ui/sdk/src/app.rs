@@ -24,7 +24,7 @@ pub use crate::kind::{Arrange, Blueprint, ForHands, Kind, KindContext, KindInfo}
 use crate::kinds;
 
 /// Built-in scenarios: (name, text).
-pub const SCENARIOS: [(&str, &str); 15] = [
+pub const SCENARIOS: [(&str, &str); 16] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
@@ -40,6 +40,7 @@ pub const SCENARIOS: [(&str, &str); 15] = [
     ("omentum", include_str!("../../../scenarios/omentum.toml")),
     ("band", include_str!("../../../scenarios/band.toml")),
     ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
+    ("tele-liver", include_str!("../../../scenarios/tele-liver.toml")),
 ];
 
 /// A name that an [`App`] cannot register. The `App` keeps the error until a scenario is loaded.

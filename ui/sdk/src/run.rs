@@ -10,8 +10,8 @@ use trocar_kernel::live::LiveError;
 use trocar_kernel::recorder::{self, Recorder, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
-use trocar_scene::scenario::Scenario;
-use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState, output_file};
+use trocar_scene::scenario::{HandEntry, Scenario};
+use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState, Teleoperation, output_file};
 
 use crate::app::App;
 use crate::assembly::{Assembly, AssemblyError};
@@ -257,6 +257,11 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
             }
         })
         .collect();
+    let figures = |hand: &HandEntry| {
+        let row = scene.get::<Teleoperation>(hand.entity)?;
+        Some((hand.name.clone(), row.figures))
+    };
+    summary.teleoperation = scenario.hands.iter().filter_map(figures).collect();
     summary.force_newtons_max = finished.force_newtons_max;
     summary.force_age_max_us = finished.force_age_max().as_nanos() as f64 * 1e-3;
     summary.commands_refused = finished.commands_refused;

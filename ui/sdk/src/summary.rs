@@ -10,7 +10,7 @@ pub use trocar_kernel::bench::{Better, Row as BenchResult};
 pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Hits, Quantiles};
 use trocar_kernel::spec::FaultKind;
 use trocar_network::control::ExitClass;
-pub use trocar_scene::components::ScoreKind;
+pub use trocar_scene::components::{ScoreKind, TeleoperationFigures};
 
 /// Version of the objects in this file; it rises when a field changes its meaning or is removed.
 pub const SCHEMA: u32 = 1;
@@ -115,6 +115,8 @@ pub struct RunSummary {
     pub slow_actors: Vec<SlowActor>,
     /// Values that were not as in the scenario at the end, by the names of their fields.
     pub tuned: BTreeMap<String, serde_json::Value>,
+    /// How well slaves followed their masters, and what the path did, by the names of the hands.
+    pub teleoperation: BTreeMap<String, TeleoperationFigures>,
     /// What became of each injected fault.
     pub faults: Vec<FaultSummary>,
     /// Largest force at any driver, after its clamp \[N\].
@@ -176,6 +178,7 @@ impl RunSummary {
             controllers: Vec::new(),
             slow_actors: Vec::new(),
             tuned: BTreeMap::new(),
+            teleoperation: BTreeMap::new(),
             faults: Vec::new(),
             force_newtons_max: 0.0,
             force_age_max_us: 0.0,

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, Snapshot,
-    Station, TaskState,
+    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, SimTime, Snapshot,
+    Station, TaskState, Teleoperation,
 };
 
 use crate::decimate::{Series, Track};
@@ -19,6 +19,8 @@ const TRACK_BUCKETS: usize = 4096;
 const INTERVAL_SECS: f64 = 0.005;
 /// Most seconds of a link that are kept: three hours.
 pub const LINK_SECONDS_MAX: usize = 10_800;
+/// Buckets of a master and its slave over time: the path's delay has to be seen.
+const TELEOPERATION_BUCKETS: usize = 4096;
 /// Most links that are kept.
 const LINKS_MAX: usize = 64;
 /// Most phases, marks and events that are kept; further ones are counted.
@@ -73,6 +75,37 @@ pub struct LinkTrace {
     pub seconds: Vec<LinkSecond>,
 }
 
+/// A master and its slave over time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TeleoperationTrace {
+    /// The master's tip along the world's x axis \[m\].
+    pub master_x: Series,
+    /// The slave's tip along it \[m\].
+    pub slave_x: Series,
+    /// Round trip of the newest packet \[s\].
+    pub round_trip: Series,
+}
+
+impl Default for TeleoperationTrace {
+    fn default() -> Self {
+        let series = || Series::new(INTERVAL_SECS, TELEOPERATION_BUCKETS);
+        Self { master_x: series(), slave_x: series(), round_trip: series() }
+    }
+}
+
+impl TeleoperationTrace {
+    fn sample(&mut self, row: &Teleoperation) {
+        let secs = row.at.as_secs_f64();
+        self.master_x.push(secs, row.master_in_world.translation.x.into());
+        if row.applied > SimTime::ZERO {
+            self.slave_x.push(secs, row.slave_in_world.translation.x.into());
+        }
+        if row.round_trip > 0.0 {
+            self.round_trip.push(secs, row.round_trip.into());
+        }
+    }
+}
+
 /// An event at an instant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mark {
@@ -95,6 +128,8 @@ pub struct RunTrace {
     pub hands: BTreeMap<String, HandTrace>,
     /// Links of a session over a network, by the names of their stations.
     pub links: BTreeMap<String, LinkTrace>,
+    /// Masters and their slaves, by the sides of their hands.
+    pub teleoperations: BTreeMap<String, TeleoperationTrace>,
     /// Phases of the exercise: when each began.
     pub phases: Vec<Mark>,
     /// Steps done over time.
@@ -139,6 +174,9 @@ impl RunTrace {
         for (entity, hand) in scene.iter::<Hand>() {
             let trace = self.hands.entry(hand.side.as_str().to_owned()).or_default();
             trace.sample(secs, scene, entity, hand.instrument);
+            if let Some(row) = scene.get::<Teleoperation>(entity) {
+                self.teleoperations.entry(hand.side.as_str().to_owned()).or_default().sample(row);
+            }
         }
         if let Some((_, task)) = scene.iter::<TaskState>().next() {
             self.sample_task(secs, scene, task);
@@ -245,7 +283,7 @@ fn either<T: Component>(scene: &Snapshot, first: Entity, second: Entity) -> Opti
 mod tests {
     use super::*;
     use trocar_scene::{
-        Commands, EntityAllocator, Instrument, Name, Pose, Registry, Side, SimTime, Store, TaskError,
+        Commands, EntityAllocator, Instrument, Name, Pose, Registry, Side, Store, TaskError,
     };
 
     fn scene() -> (Store, Commands, Entity, Entity) {

@@ -82,10 +82,10 @@ impl ReflectedThread {
     pub fn spawn(
         socket: UdpSocket,
         link: Box<dyn HandsLink<SocketAddr>>,
-        own: Option<OwnReflector>,
+        own: Option<Box<OwnReflector>>,
         clock: Clock,
     ) -> io::Result<Self> {
-        let reflector = own.map(OwnReflector::spawn).transpose()?;
+        let reflector = own.map(|own| own.spawn()).transpose()?;
         Ok(Self { _link: HandsThread::spawn(socket, link, clock)?, _reflector: reflector })
     }
 }

@@ -30,6 +30,8 @@ use crate::remote_hand::{Door, DoorLimits, LimitError, STEP_MAX_SECS, Standing};
 
 /// Buttons that a sample carries.
 const BUTTONS: u8 = 16;
+/// Period of a driver. A step that follows a late one comes early after it, and has as much time as any other.
+const PERIOD: SimTime = SimTime::from_millis(1);
 
 /// A slave, and what is done to its master's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -149,7 +151,8 @@ pub struct Slave {
     heard: Option<SimTime>,
     /// Time stamp of the pose that is applied.
     applied: Option<SimTime>,
-    stepped: Option<SimTime>,
+    /// When it stepped last, by a clock that goes on by no less than a period at each step.
+    paced: Option<SimTime>,
     shown: Option<DeviceState>,
     limited: u64,
 }
@@ -170,7 +173,7 @@ impl Slave {
             release_first: false,
             heard: None,
             applied: None,
-            stepped: None,
+            paced: None,
             shown: None,
             limited: 0,
             config,
@@ -219,13 +222,14 @@ impl Slave {
     /// One step to time `now`, which must not decrease: the state that the slave has.
     pub fn step(&mut self, now: SimTime) -> DeviceState {
         let before = self.door.statistics().speed_limited + self.door.statistics().clamped_workspace;
-        let mut state = self.door.step(now);
+        let paced = self.paced.map_or(now, |before| now.max((before + PERIOD).min(now + PERIOD)));
+        let mut state = self.door.step(paced);
         let after = self.door.statistics().speed_limited + self.door.statistics().clamped_workspace;
         if self.door.standing() == Standing::Silent {
             self.release_first = true;
         }
-        let secs = self.stepped.map_or(0.0, |before| now.since(before).as_secs_f64()).min(STEP_MAX_SECS);
-        self.stepped = Some(now);
+        let secs = self.paced.map_or(0.0, |before| paced.since(before).as_secs_f64()).min(STEP_MAX_SECS);
+        self.paced = Some(paced);
         if !state.is_valid() || self.applied.is_none() {
             // It has no place yet.
             return state;

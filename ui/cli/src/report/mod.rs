@@ -9,6 +9,7 @@ mod series;
 mod stages;
 mod svg;
 mod tables;
+mod teleoperation;
 mod timeline;
 
 use std::collections::BTreeMap;

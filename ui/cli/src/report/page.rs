@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use trocar::summary::Mode;
 
 use super::scale::short;
-use super::{Report, histogram, network, paths, series, stages, tables, timeline};
+use super::{Report, histogram, network, paths, series, stages, tables, teleoperation, timeline};
 use crate::escape::{escape, escape_json};
 
 const STYLE: &str = include_str!("style.css");
@@ -51,6 +51,9 @@ pub fn html(report: &Report) -> String {
     rates(&mut out, report);
     if !report.trace.links.is_empty() {
         section(&mut out, "Network", "", &network::network(report));
+    }
+    if !report.trace.teleoperations.is_empty() {
+        section(&mut out, "Tele-surgery", teleoperation::KEY, &teleoperation::teleoperation(report));
     }
     if !report.summary.tuned.is_empty() {
         section(&mut out, "Tuned: what was not as in the scenario at the end", "", &tables::tuned(report));

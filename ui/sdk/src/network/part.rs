@@ -25,7 +25,7 @@ pub enum NetworkPart {
         /// The link.
         link: Box<dyn HandsLink<SocketAddr>>,
         /// The reflector, if it is the session's own.
-        own: Option<OwnReflector>,
+        own: Option<Box<OwnReflector>>,
     },
     /// Stepped in virtual time.
     Lockstep(Box<dyn Peer>),

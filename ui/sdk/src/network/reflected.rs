@@ -216,7 +216,7 @@ impl ReflectedHands {
                 Some(address) => (address, None, None),
                 None => {
                     let own = OwnReflector::bind(path, settings.seed)?;
-                    (own.address(), Some(own), Some(expected))
+                    (own.address(), Some(Box::new(own)), Some(expected))
                 }
             };
             let (link, watch) = link(address, self.linked, expected)?;
