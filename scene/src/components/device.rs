@@ -87,6 +87,13 @@ pub struct DeviceInfo {
     pub output_dofs: u8,
 }
 
+impl DeviceInfo {
+    /// Whether strangers may move the device: what it says of itself ends with this word in brackets.
+    pub fn is_unprotected(&self) -> bool {
+        self.model.ends_with("(unprotected)")
+    }
+}
+
 /// The latest state of a haptic device, as its driver measured it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(name = "device_state", check = Self::validate, schema)]

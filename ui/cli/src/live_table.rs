@@ -10,7 +10,7 @@ use trocar::run::{Progress, RunOptions};
 use trocar::session::{doubts, frozen_now};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{DeviceState, Hand, LinkState, Measured, Snapshot, Station, TaskState};
+use trocar_scene::{DeviceState, Hand, LinkState, Measured, Snapshot, Station, TaskState, Teleoperation};
 
 use crate::escape::printable;
 use crate::output::columns;
@@ -154,6 +154,7 @@ fn table(
         Some(format!("{:<5} {:>5.2} N {}", hand.side.as_str(), force, gauge(force)))
     }));
     lines.extend(stations(progress.scene));
+    lines.extend(slaves(progress.scene));
     lines.extend(waiting(progress.scene).map(|(body, share)| {
         format!(
             "{}: its inverse is being computed  {} {:>3.0} %",
@@ -220,6 +221,22 @@ fn stations(scene: &Snapshot) -> Vec<String> {
         )
     };
     rows.map(line).collect()
+}
+
+/// What the slaves of a tele-operation do.
+fn slaves(scene: &Snapshot) -> Vec<String> {
+    let line = |(hand, row): (_, &Teleoperation)| {
+        let seal = if row.protected { "" } else { "  unprotected" };
+        format!(
+            "slave of {}: {}  {:.1} ms behind  {} packets of {}{seal}",
+            printable(&scene.name(hand)),
+            row.state.words(),
+            row.round_trip * 1e3,
+            row.figures.received,
+            row.figures.sent,
+        )
+    };
+    scene.iter::<Teleoperation>().map(line).collect()
 }
 
 /// Bodies that wait for a precomputation, and the share of it that is done.

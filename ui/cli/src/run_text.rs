@@ -167,7 +167,8 @@ pub fn text(summary: &RunSummary) -> String {
 
 /// How well a slave followed its master, in a line.
 fn teleoperation(hand: &str, figures: &TeleoperationFigures) -> String {
-    let told = |value: Option<f64>, unit: &str| value.map_or("–".to_owned(), |value| short(value * 1e3) + unit);
+    let told =
+        |value: Option<f64>, unit: &str| value.map_or("–".to_owned(), |value| short(value * 1e3) + unit);
     format!(
         "slave of {}: {} behind its master in the mean ({} of 99 %), {} packets of {}; {} at most from the pose whose time \
          stamp it applies; RMS {}, with a constant lag of {} {}",

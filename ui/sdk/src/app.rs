@@ -22,6 +22,7 @@ use crate::device_kinds::DeviceKind;
 use crate::kind::joining;
 pub use crate::kind::{Arrange, Blueprint, ForHands, Kind, KindContext, KindInfo};
 use crate::kinds;
+use crate::network::{ITP_ABOUT, ITP_USAGE, ItpRobots};
 
 /// Built-in scenarios: (name, text).
 pub const SCENARIOS: [(&str, &str); 16] = [
@@ -142,6 +143,7 @@ impl App {
             trocar_input::register,
         ];
         let wrong = standard.into_iter().find_map(|register| register(&mut components).err());
+        let robots = ItpRobots::default();
         let (mut kinds, mut about) = (BTreeMap::new(), BTreeMap::new());
         for (name, info, kind) in kinds::standard() {
             kinds.insert(name.to_owned(), kind);
@@ -158,6 +160,7 @@ impl App {
             wrong: wrong.map(SetupError::Registry),
             assets: Assets::default(),
         }
+        .device_with(ITP_USAGE, ITP_ABOUT, move |text| robots.device(text))
     }
 
     /// Adds a component; scenario files and recordings refer to it by its NAME.

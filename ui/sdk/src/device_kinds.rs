@@ -170,7 +170,7 @@ mod tests {
         assert!(error.contains("hand right") && error.contains("light:KILOGRAMS"), "{error}");
         assert!(error.contains("valid: kilograms"), "{error}");
         let error = started(&app(), "lihgt:0.02").expect_err("refused");
-        let all = "virtual, replay:FILE, jigsaws:FILE, recording:FILE, light:KILOGRAMS";
+        let all = "virtual, replay:FILE, jigsaws:FILE, recording:FILE, itp:PORT, light:KILOGRAMS";
         assert!(error.contains("'lihgt'") && error.contains(all), "{error}");
     }
 

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, SimTime, Snapshot,
-    Station, TaskState, Teleoperation,
+    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, SimTime,
+    Snapshot, Station, TaskState, Teleoperation,
 };
 
 use crate::decimate::{Series, Track};
@@ -282,9 +282,7 @@ fn either<T: Component>(scene: &Snapshot, first: Entity, second: Entity) -> Opti
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trocar_scene::{
-        Commands, EntityAllocator, Instrument, Name, Pose, Registry, Side, Store, TaskError,
-    };
+    use trocar_scene::{Commands, EntityAllocator, Instrument, Name, Pose, Registry, Side, Store, TaskError};
 
     fn scene() -> (Store, Commands, Entity, Entity) {
         let registry = Registry::standard();

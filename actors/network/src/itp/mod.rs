@@ -49,15 +49,19 @@ pub mod console;
 mod cycle;
 pub mod packet;
 pub mod robot;
+mod robot_link;
 
 pub use console::{Console, ConsoleConfig, ConsoleHand, RobotReport};
 pub use packet::{ConsolePacket, PacketError, RobotPacket, Rotations};
 pub use robot::{Condition, Refusal, Robot, RobotConfig, RobotCounts, Verdict};
+pub use robot_link::{ArmEnd, ArmPost, CONSOLE_LEAVES_AFTER, RobotLink};
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 
 /// Arms of a robot, and hands at a console: 0 left, 1 right.
 pub const ARMS: usize = 2;
+/// Name of a device that a console of ITP moves: it says what `DeviceInfo::is_unprotected` looks for.
+pub const UNPROTECTED_MODEL: &str = "console of ITP (unprotected)";
 /// UDP port at which a robot listens.
 pub const ROBOT_PORT: u16 = 36_000;
 /// UDP port to which a robot replies.

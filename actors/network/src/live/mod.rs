@@ -7,6 +7,7 @@
 mod dial;
 pub mod hands_thread;
 pub mod interfaces;
+pub mod itp;
 mod leaving;
 mod lookup;
 pub mod reflected;

@@ -104,6 +104,14 @@ pub fn station(address: &SocketAddr) -> Result<UdpSocket, SocketError> {
     bind(Some(any), 0, Type::DGRAM).map(UdpSocket::from)
 }
 
+/// A socket for datagrams at one address of the machine; port 0 is any.
+///
+/// # Errors
+/// [`SocketError`].
+pub fn datagrams(address: IpAddr, port: u16) -> Result<UdpSocket, SocketError> {
+    bind(Some(address), port, Type::DGRAM).map(UdpSocket::from)
+}
+
 fn bind(address: Option<IpAddr>, port: u16, kind: Type) -> Result<Socket, SocketError> {
     if let Some(address) = address {
         return bind_to(address, port, kind, false);

@@ -6,9 +6,8 @@ use std::sync::{Arc, Mutex, TryLockError};
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, Commands, Controller, ControllerError, Entity, EntitySet, Hand, Instrument,
-    InstrumentForce, Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation,
-    TeleoperationFigures, Tick,
+    Access, Commands, Controller, ControllerError, Entity, EntitySet, Hand, Instrument, InstrumentForce,
+    Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation, TeleoperationFigures, Tick,
 };
 
 use super::exchange::{LinkReport, SlaveReport, WatchedHand};

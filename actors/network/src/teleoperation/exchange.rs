@@ -114,7 +114,6 @@ pub(super) fn exchange(hand: u8) -> (DeviceEnd, LinkedHand, WatchedHand) {
     let (arrivals_in, arrivals) = triple_buffer(&None);
     let (reports_in, reports) = triple_buffer(&None);
     let control = SlaveControl::default();
-    let device =
-        DeviceEnd { masters: masters_in, arrivals, reports: reports_in, control: control.clone() };
+    let device = DeviceEnd { masters: masters_in, arrivals, reports: reports_in, control: control.clone() };
     (device, LinkedHand { hand, masters, arrivals: arrivals_in }, WatchedHand { reports, control })
 }

@@ -66,7 +66,8 @@ mod tests {
 
     #[test]
     fn a_trace_has_its_mean_to_the_nanosecond_and_lets_no_packet_overtake() {
-        for (mean, seed) in [(MEAN, 1), (MEAN, 2), (SimTime::from_millis(10), 1), (SimTime::from_millis(900), 7)]
+        for (mean, seed) in
+            [(MEAN, 1), (MEAN, 2), (SimTime::from_millis(10), 1), (SimTime::from_millis(900), 7)]
         {
             let trace = trace(mean, seed);
             assert_eq!(trace.mean(), mean);

@@ -11,7 +11,7 @@
 //! [`ReflectedHand`] is a device like any other, below its driver; [`ReflectedLink`] is a [`HandsLink`] with the drivers of
 //! all of them, over sockets or in virtual time; [`ReflectedController`] is the actor that shows and measures. [`Slave`] is
 //! the robot: speed, workspace, force, pedal, emergency stop, scaling and clutch. [`internet_path`] makes a trace of round
-//! trips.
+//! trips. [`ItpHand`] is a hand that a console of another make moves.
 //!
 //! [`HandsLink`]: crate::hands_link::HandsLink
 
@@ -20,6 +20,7 @@ mod delay_histogram;
 mod exchange;
 mod force_limit;
 pub mod internet_path;
+mod itp_hand;
 mod pose_history;
 mod reflected_hand;
 mod reflected_link;
@@ -29,10 +30,9 @@ mod tremor_filter;
 
 pub use controller::{ReflectedController, ReflectedWatch};
 pub use delay_histogram::DelayHistogram;
-pub use exchange::{
-    Arrival, LinkReport, LinkedHand, MasterSample, SlaveControl, SlaveReport, WatchedHand,
-};
+pub use exchange::{Arrival, LinkReport, LinkedHand, MasterSample, SlaveControl, SlaveReport, WatchedHand};
 pub use force_limit::{ForceLimit, GIVES_WAY_MAX, MOBILITY};
+pub use itp_hand::ItpHand;
 pub use pose_history::PoseHistory;
 pub use reflected_hand::ReflectedHand;
 pub use reflected_link::{LinkError, ReflectedLink, WatchedLink};

@@ -35,7 +35,8 @@ impl PoseHistory {
     /// The pose of this time, within a microsecond; `None` when there is none, or not any more.
     pub fn at(&self, at: SimTime) -> Option<&Isometry3<f64>> {
         let next = self.0.partition_point(|(time, _)| *time < at);
-        let near = [Some(next), next.checked_sub(1)].into_iter().flatten().filter_map(|place| self.0.get(place));
+        let near =
+            [Some(next), next.checked_sub(1)].into_iter().flatten().filter_map(|place| self.0.get(place));
         let distance = |time: SimTime| time.since(at).max(at.since(time));
         let (time, pose) = near.min_by_key(|(time, _)| distance(*time))?;
         (distance(*time) <= ROUNDED).then_some(pose)

@@ -81,8 +81,10 @@ fn the_tremor_of_the_master_does_not_reach_the_slave() {
         let late = shown[1_000..].iter().map(|state| state.pose_in_device.translation.x);
         late.clone().fold(0.0, f64::max) - late.fold(0.0, f64::min)
     };
-    let (open, filtered) =
-        (swing_of(SlaveConfig::default()), swing_of(SlaveConfig { tremor_cutoff_hz: Some(2.5), ..SlaveConfig::default() }));
+    let (open, filtered) = (
+        swing_of(SlaveConfig::default()),
+        swing_of(SlaveConfig { tremor_cutoff_hz: Some(2.5), ..SlaveConfig::default() }),
+    );
     assert!(filtered < 0.1 * open && open > 1e-5, "{filtered} of {open}");
 }
 

@@ -10,7 +10,12 @@ use crate::reflector::{Parcel, Reflector};
 
 /// A link over a path, run for so long with a master that moves along x at 0.1 m/s. Calls `look` at every arrival that the
 /// device sees, and returns the last report.
-fn over(path: &Impairments, trace: Option<DelayTrace>, ms: u64, mut look: impl FnMut(&Arrival)) -> LinkReport {
+fn over(
+    path: &Impairments,
+    trace: Option<DelayTrace>,
+    ms: u64,
+    mut look: impl FnMut(&Arrival),
+) -> LinkReport {
     let (mut device, linked, _) = exchange(0);
     let (mut link, mut watched) = ReflectedLink::new((), vec![linked], trace).expect("a key");
     let mut reflector = Reflector::new(path, 3);

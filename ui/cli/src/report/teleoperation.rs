@@ -118,7 +118,8 @@ fn round_trips(trace: &TeleoperationTrace, (from, to): (f64, f64), mean: Option<
 fn told(hand: &str, figures: &TeleoperationFigures) -> String {
     let ms = |value: Option<f64>| value.map(|value| format!("{} ms", short(value * MS)));
     // Less than a nanometre is what single precision makes of a pose.
-    let mm = |value: Option<f64>| value.map(|value| format!("{} mm", short((value * MM * 1e5).round() * 1e-5)));
+    let mm =
+        |value: Option<f64>| value.map(|value| format!("{} mm", short((value * MM * 1e5).round() * 1e-5)));
     let rows: [(&str, Option<String>); 16] = [
         ("round trip, mean", figures.round_trip_mean.map(|trip| format!("{:.2} ms", trip * MS))),
         ("round trip, shortest", ms(figures.round_trip_min)),
@@ -136,16 +137,13 @@ fn told(hand: &str, figures: &TeleoperationFigures) -> String {
         ("in contact", Some(format!("{:.0} % of the time", 100.0 * figures.contact_share))),
         (
             "packets sent, received, overtaken, refused",
-            Some(format!(
-                "{}, {}, {}, {}",
-                figures.sent, figures.received, figures.late, figures.refused
-            )),
+            Some(format!("{}, {}, {}, {}", figures.sent, figures.received, figures.late, figures.refused)),
         ),
         ("steps in which a limit held the slave back", Some(figures.limited.to_string())),
     ];
-    let rows = rows.into_iter().map(|(what, value)| {
-        vec![Cell::text(what), Cell::plain(value.unwrap_or_else(|| "–".to_owned()))]
-    });
+    let rows = rows
+        .into_iter()
+        .map(|(what, value)| vec![Cell::text(what), Cell::plain(value.unwrap_or_else(|| "–".to_owned()))]);
     format!("<h3>{}: in numbers</h3>{}", escape(hand), table(&["", ""], rows, ""))
 }
 

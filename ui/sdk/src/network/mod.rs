@@ -18,6 +18,7 @@
 //! network on them.
 
 mod host;
+mod itp_device;
 mod part;
 mod reflected;
 mod station;
@@ -33,6 +34,7 @@ use trocar_network::ticket::StoreError;
 
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
+pub(crate) use itp_device::{ITP_ABOUT, ITP_USAGE, ItpRobots};
 pub use part::NetworkPart;
 pub(crate) use part::RunningPart;
 pub(crate) use reflected::{REFLECTOR, REFLECTOR_HZ, ReflectedHands, ReflectedPart};

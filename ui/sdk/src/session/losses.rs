@@ -1,7 +1,7 @@
 //! Losses of a session: what the system refused, what was revoked, and which solvers gave up.
 
 use trocar_devices::Scheduling;
-use trocar_scene::{Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Snapshot};
+use trocar_scene::{DeviceInfo, Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Snapshot};
 
 use super::{Running, Session};
 
@@ -20,7 +20,7 @@ pub fn frozen_now(scene: &Snapshot) -> Vec<String> {
 }
 
 /// One sentence for each body that moves outside its method's range of validity, or whose mesh had to be repaired or gives
-/// reason to doubt.
+/// reason to doubt; and for each hand whose device strangers may move.
 #[must_use]
 pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let doubtful = scene.iter::<OutOfValidity>().map(|(body, doubtful)| {
@@ -33,7 +33,11 @@ pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let remarks = scene.iter::<MeshRemarks>().flat_map(|(body, told)| {
         told.remarks.iter().map(move |remark| format!("{}: its mesh: {remark}", scene.name(body)))
     });
-    doubtful.chain(repaired).chain(remarks).collect()
+    let open =
+        scene.iter::<DeviceInfo>().filter(|(_, device)| device.is_unprotected()).map(|(hand, device)| {
+            format!("{}: {}: whoever reaches its port moves it", scene.name(hand), device.model)
+        });
+    doubtful.chain(repaired).chain(remarks).chain(open).collect()
 }
 
 impl Session {

@@ -1,7 +1,7 @@
 //! The links of a session over a network: who is there, and how far and how sure each station is.
 
 use egui::{RichText, Ui};
-use trocar_scene::{LinkState, Snapshot, Station};
+use trocar_scene::{DeviceInfo, LinkState, SlaveState, Snapshot, Station, Teleoperation};
 
 use super::{BAD, GOOD, POOR};
 
@@ -15,11 +15,18 @@ const LOSSY_FROM: f64 = 0.05;
 pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
     let mut stations = stations(scene);
     stations.sort_by_key(|station| station.number);
-    if stations.is_empty() {
+    let (slaves, open) = (slaves(scene), open_devices(scene));
+    if stations.is_empty() && slaves.is_empty() && open.is_empty() {
         return;
     }
     ui.separator();
     ui.label(RichText::new("network").strong());
+    for (slave, follows) in slaves {
+        ui.label(RichText::new(slave).color(if follows { GOOD } else { POOR }));
+    }
+    for device in open {
+        ui.label(RichText::new(device).color(BAD));
+    }
     for station in stations {
         let link = &station.link;
         let colour = match link {
@@ -38,6 +45,26 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
             );
         }
     }
+}
+
+/// What the slaves of a tele-operation do, and whether they follow.
+fn slaves(scene: &Snapshot) -> Vec<(String, bool)> {
+    let line = |(hand, row): (_, &Teleoperation)| {
+        let text = format!(
+            "slave of {}: {}, {:.0} ms behind",
+            scene.name(hand),
+            row.state.words(),
+            row.round_trip * 1e3
+        );
+        (text, row.state == SlaveState::Following)
+    };
+    scene.iter::<Teleoperation>().map(line).collect()
+}
+
+/// Hands that strangers may move.
+fn open_devices(scene: &Snapshot) -> Vec<String> {
+    let open = scene.iter::<DeviceInfo>().filter(|(_, device)| device.is_unprotected());
+    open.map(|(hand, device)| format!("{}: {}", scene.name(hand), device.model)).collect()
 }
 
 /// The stations as this one sees them: the host sees all, another one its own link.
