@@ -46,12 +46,14 @@
 //! count in that one frame, named `robot`, and whoever owns the arms rotates.
 
 pub mod console;
+mod console_link;
 mod cycle;
 pub mod packet;
 pub mod robot;
 mod robot_link;
 
 pub use console::{Console, ConsoleConfig, ConsoleHand, RobotReport};
+pub use console_link::{ConsoleEnd, ConsoleLink, Surgeon};
 pub use packet::{ConsolePacket, PacketError, RobotPacket, Rotations};
 pub use robot::{Condition, Refusal, Robot, RobotConfig, RobotCounts, Verdict};
 pub use robot_link::{ArmEnd, ArmPost, CONSOLE_LEAVES_AFTER, RobotLink};

@@ -4,7 +4,7 @@
 //! named: then only datagrams from the other end's address are looked at.
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::{Mutex, PoisonError};
 
 use thiserror::Error;
@@ -12,7 +12,7 @@ use trocar_kernel::runtime::Clock;
 
 use super::hands_thread::HandsThread;
 use super::sockets::{SocketError, datagrams};
-use crate::itp::{ARMS, ArmEnd, ConfigError, RobotConfig, RobotLink};
+use crate::itp::{ARMS, ArmEnd, ConfigError, ConsoleConfig, ConsoleEnd, ConsoleLink, RobotConfig, RobotLink};
 
 /// Where a robot listens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -50,7 +50,11 @@ pub enum ItpPortError {
 impl ItpAddress {
     /// The own address, if it may be used.
     fn own(&self) -> Result<IpAddr, ItpPortError> {
-        let own = self.bind.unwrap_or(IpAddr::V4(Ipv4Addr::LOCALHOST));
+        let near: IpAddr = match self.peer {
+            Some(IpAddr::V6(_)) => Ipv6Addr::LOCALHOST.into(),
+            _ => Ipv4Addr::LOCALHOST.into(),
+        };
+        let own = self.bind.unwrap_or(near);
         let is_far = |address: IpAddr| !address.is_loopback();
         let both_named = self.bind.is_some() && self.peer.is_some();
         if (is_far(own) || self.peer.is_some_and(is_far)) && !both_named {
@@ -95,6 +99,36 @@ impl RobotPort {
     /// An arm (0 left, 1 right), once.
     pub fn take(&self, arm: usize) -> Option<ArmEnd> {
         self.arms.lock().unwrap_or_else(PoisonError::into_inner).get_mut(arm)?.take()
+    }
+}
+
+/// A console of a robot somewhere, with a thread of its own that sends a packet a millisecond; dropping it ends both.
+pub struct ConsolePort {
+    end: ConsoleEnd,
+    _thread: HandsThread,
+}
+
+impl ConsolePort {
+    /// Begins to send. A robot beyond the loopback needs an own address to `bind`: nothing is protected.
+    ///
+    /// # Errors
+    /// [`ItpPortError`].
+    pub fn open(
+        robot: SocketAddr,
+        bind: Option<IpAddr>,
+        config: ConsoleConfig,
+    ) -> Result<Self, ItpPortError> {
+        let peer = robot.ip().to_canonical();
+        let own = ItpAddress { port: 0, bind, peer: Some(peer), reply_port: None }.own()?;
+        let admits = move |from: &SocketAddr| from.ip().to_canonical() == peer;
+        let (link, end) = ConsoleLink::new(config, robot, admits)?;
+        let thread = HandsThread::spawn(datagrams(own, 0)?, Box::new(link), Clock::start())?;
+        Ok(Self { end, _thread: thread })
+    }
+
+    /// What the surgeon does, and what the robot replies.
+    pub fn end(&mut self) -> &mut ConsoleEnd {
+        &mut self.end
     }
 }
 

@@ -1,5 +1,6 @@
 //! Tests of ITP over sockets, against the independent console in Python.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -7,6 +8,7 @@ use std::time::{Duration, Instant};
 use trocar_devices::{HapticDevice, Wrench};
 
 use super::*;
+use crate::itp::{Runlevel, Surgeon};
 use crate::teleoperation::{ItpHand, SlaveConfig};
 
 fn loopback() -> ItpAddress {
@@ -63,6 +65,39 @@ fn a_console_in_python_moves_our_robot_over_a_real_socket_and_hears_its_forces()
 }
 
 #[test]
+fn our_console_moves_a_robot_in_python_over_a_real_socket_and_hears_its_forces() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/peers/itp_peer.py");
+    let mut command = Command::new("python3");
+    command.arg(script).args(["robot", "--udp", "0", "--packets", "2500"]).stdout(Stdio::piped());
+    let mut child = command.spawn().expect("python3 is there");
+    let mut lines = BufReader::new(child.stdout.take().expect("it prints")).lines();
+    let first = lines.next().expect("its port").expect("text");
+    let digits: String = first.chars().filter(char::is_ascii_digit).collect();
+    let robot = SocketAddr::from((Ipv4Addr::LOCALHOST, digits.parse().expect("a port")));
+    let mut port = ConsolePort::open(robot, None, ConsoleConfig::default()).expect("the loopback");
+    // With the pedal up until the robot is heard; down where the hands are until it follows; then 10 mm along x.
+    let printed = std::thread::spawn(move || lines.map(|line| line.expect("text")).last());
+    let mut surgeon = Surgeon::at_rest();
+    let mut farthest = 0.0_f64;
+    while !printed.is_finished() {
+        port.end().lead(&surgeon);
+        if let Some(report) = port.end().report() {
+            farthest = farthest.min(report.forces_in_robot[0].x);
+            surgeon.pedal_down = true;
+            if report.runlevel == Some(Runlevel::PedalDown) {
+                surgeon.hands[0].pose_in_console.translation.x = 0.010;
+            }
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.wait().expect("it ends");
+    let last = printed.join().expect("it did not panic").expect("it heard packets");
+    assert_eq!(numbers(&last, "position_um"), [10_000, 0, 0, 0, 0, 0], "{last}");
+    // Its spring of 100 N/m.
+    assert!((farthest + 1.0).abs() < 1e-9, "{farthest} N");
+}
+
+#[test]
 fn the_port_stays_on_the_loopback_unless_both_ends_are_named() {
     let far: IpAddr = Ipv4Addr::new(192, 0, 2, 7).into();
     for (bind, peer) in [(Some(far), None), (None, Some(far)), (Some(Ipv4Addr::UNSPECIFIED.into()), None)] {
@@ -71,6 +106,9 @@ fn the_port_stays_on_the_loopback_unless_both_ends_are_named() {
         assert!(matches!(error, ItpPortError::Unprotected), "{error}");
         assert!(error.to_string().contains("bind=") && error.to_string().contains("peer="));
     }
+    let robot = SocketAddr::new(far, 36_000);
+    let console = ConsolePort::open(robot, None, ConsoleConfig::default()).err();
+    assert!(matches!(console, Some(ItpPortError::Unprotected)), "a console beyond the loopback");
     let any = Some(Ipv4Addr::UNSPECIFIED.into());
     let named = ItpAddress { bind: any, peer: Some(far), ..loopback() };
     let port = RobotPort::open(&named, RobotConfig::default()).expect("both ends are named");
