@@ -186,7 +186,7 @@ fn a_step_that_follows_a_late_one_has_as_much_time_as_any_other() {
 #[test]
 fn figures_out_of_range_are_named_with_what_is_valid() {
     let refused =
-        |config: SlaveConfig| Slave::new(0, config, &device()).err().expect("it is refused").to_string();
+        |config: SlaveConfig| Slave::new(0, config, &device()).expect_err("it is refused").to_string();
     let default = SlaveConfig::default();
     assert_eq!(
         refused(SlaveConfig { scale: f64::NAN, ..default }),

@@ -68,11 +68,6 @@ impl ItpRobots {
             let side = if spec.arm == 0 { "left" } else { "right" };
             format!("the {side} arm of the robot on port {} has a hand already", robot.local().port())
         })?;
-        tracing::warn!(
-            "ITP is unprotected: whoever reaches {} over UDP moves the {} arm",
-            robot.local(),
-            if spec.arm == 0 { "left" } else { "right" }
-        );
         let hand = ItpHand::new(arm, spec.slave).map_err(|error| error.to_string())?;
         Ok(ItpDevice { hand, _robot: robot })
     }
