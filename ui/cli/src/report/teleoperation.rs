@@ -88,7 +88,7 @@ fn positions(trace: &TeleoperationTrace, (from, to): (f64, f64), describe: &str)
     let x = Scale::linear((from, to.max(from + 0.1)), MARGINS.left, WIDTH - MARGINS.right);
     let y = Scale::linear((low, high.max(low + 1.0)), HEIGHT - MARGINS.bottom, MARGINS.top).nice();
     let mut chart = Chart::new(WIDTH, HEIGHT, describe, x, y);
-    chart.axes("session time [s]", "x [mm]", 12, 5);
+    chart.axes("session time [s]", "x [mm]", 12, 9);
     chart.line(MASTER, master).line(SLAVE, slave);
     chart.finish()
 }
@@ -117,9 +117,7 @@ fn round_trips(trace: &TeleoperationTrace, (from, to): (f64, f64), mean: Option<
 /// The figures of a hand.
 fn told(hand: &str, figures: &TeleoperationFigures) -> String {
     let ms = |value: Option<f64>| value.map(|value| format!("{} ms", short(value * MS)));
-    // Less than a nanometre is what single precision makes of a pose.
-    let mm =
-        |value: Option<f64>| value.map(|value| format!("{} mm", short((value * MM * 1e5).round() * 1e-5)));
+    let mm = |value: Option<f64>| value.map(|value| format!("{} mm", short(value * MM)));
     let rows: [(&str, Option<String>); 16] = [
         ("round trip, mean", figures.round_trip_mean.map(|trip| format!("{:.2} ms", trip * MS))),
         ("round trip, shortest", ms(figures.round_trip_min)),
