@@ -363,6 +363,7 @@ fn stations(formats: &mut Formats) {
         rate: 249.0,
         bytes_received: 3.1e5,
         bytes_sent: 4.2e4,
+        over_tcp: true,
     };
     let hands = vec!["left".into(), "right".into()];
     let role = StationRole::Mentor;

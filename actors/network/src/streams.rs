@@ -54,6 +54,8 @@ pub trait HostStreams: Send + 'static {
     fn keys(&mut self, stream: StreamId, connection: u32, phase: u32) -> Option<Keys>;
     /// Ends a stream. Bytes that were taken still go out if the system takes them at once.
     fn close(&mut self, stream: StreamId);
+    /// The stream is that of a station which was let in, and whose datagrams have this number.
+    fn admitted(&mut self, _stream: StreamId, _connection: u32, _station: u16, _name: &str) {}
 }
 
 /// The one stream of a station; `A` is an address of datagrams.

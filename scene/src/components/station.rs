@@ -40,6 +40,8 @@ pub struct LinkState {
     pub bytes_received: f64,
     /// Bytes that are sent [B/s].
     pub bytes_sent: f64,
+    /// Whether datagrams do not arrive by themselves, in one direction or both, and are carried over TCP.
+    pub over_tcp: bool,
 }
 
 /// A station of a session over a network; the host writes one for each, and a station one for its own link.
@@ -69,7 +71,8 @@ impl Station {
     fn validate(&self) -> Result<(), ComponentError> {
         let longest = self.hands.iter().chain([&self.name]).map(String::len).max().unwrap_or(0);
         ComponentError::range("name", longest as f64, 0.0..=TEXT_MAX as f64, "0 to 256 bytes")?;
-        let LinkState { round_trip, jitter, loss, age, rate, bytes_received, bytes_sent } = self.link;
+        let LinkState { round_trip, jitter, loss, age, rate, bytes_received, bytes_sent, over_tcp: _ } =
+            self.link;
         ComponentError::range("loss", loss, 0.0..=1.0, "0 to 1")?;
         for (name, value) in [
             ("round_trip", round_trip),

@@ -207,11 +207,13 @@ fn stations(scene: &Snapshot) -> Vec<String> {
         if !station.here {
             return style(format!("{name}: away{hands}")).yellow().for_stderr().to_string();
         }
-        let LinkState { round_trip, jitter, loss, age, rate, bytes_received, bytes_sent } = station.link;
+        let LinkState { round_trip, jitter, loss, age, rate, bytes_received, bytes_sent, over_tcp } =
+            station.link;
         let seal = if station.protected { "" } else { "  unprotected" };
+        let way = if over_tcp { "  over TCP: datagrams do not arrive" } else { "" };
         format!(
             "{name}:{hands}  {:.1} ms round trip ± {:.1}  {:.1} % lost  {:.0} ms old  {rate:.0} Hz  {:.0} kB/s in  \
-             {:.0} kB/s out{seal}",
+             {:.0} kB/s out{way}{seal}",
             round_trip * 1e3,
             jitter * 1e3,
             loss * 100.0,

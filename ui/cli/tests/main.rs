@@ -2,6 +2,7 @@
 //!
 //! All of these tests run beside each other.
 
+mod blocked_datagrams;
 mod cli;
 mod docs_commands;
 #[cfg(target_os = "linux")]

@@ -26,7 +26,7 @@ use super::host::SendError;
 use super::keep_alive::ClockSample;
 use super::manifest::{HeldScene, SceneCounts, SceneManifest};
 use super::message::{
-    ClientMessage, DELTA_MAX, PEER_TICKET_MAX, Request, RequestKind, StationInfo, Welcome, Wish,
+    Carried, ClientMessage, DELTA_MAX, PEER_TICKET_MAX, Request, RequestKind, StationInfo, Welcome, Wish,
 };
 use super::message_error::MessageError;
 use super::note::Note;
@@ -100,6 +100,15 @@ pub enum ClientEvent<'a> {
     },
     /// A ping came back.
     Clock(ClockSample),
+    /// What the host's hands link has to tell, and a datagram unless it is empty.
+    Carried {
+        /// Whether the host hears the station's datagrams by themselves.
+        hears: bool,
+        /// How many carried datagrams of hands it has taken.
+        taken: u32,
+        /// The sealed datagram.
+        datagram: &'a [u8],
+    },
     /// The keys of this phase are to be used; the station then calls [`ClientControl::rekeyed`].
     Rekey(u32),
 }
@@ -290,6 +299,24 @@ impl ClientControl {
     pub fn write(&mut self, bytes: &[u8], now: SimTime) -> Result<(), SendError> {
         MessageError::limit("bytes of rows", bytes.len(), DELTA_MAX)?;
         self.end.send(&ClientMessage::Write(Blob::from(bytes)), now)
+    }
+
+    /// Sends what the hands link has to tell; urgently, if it is about hands: then it returns false while an earlier one waits.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send_carried(
+        &mut self,
+        carried: Carried<'_>,
+        is_urgent: bool,
+        now: SimTime,
+    ) -> Result<bool, SendError> {
+        self.end.send_carried(carried, is_urgent, now)
+    }
+
+    /// Whether an urgent message waits of which nothing has gone.
+    pub fn has_urgent(&self) -> bool {
+        self.end.outbox.has_urgent()
     }
 
     /// The station uses the keys that [`ClientEvent::Rekey`] asked for.

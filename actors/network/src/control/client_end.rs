@@ -15,7 +15,7 @@ use super::host_end::outbox_error;
 use super::keep_alive::KeepAlive;
 use super::keep_alive::Pong;
 use super::manifest::{HeldScene, SceneCounts, SceneKind, SceneManifest};
-use super::message::{ClientMessage, Hello, HostMessage, STATION_HANDS_MAX, Welcome, Wish};
+use super::message::{Carried, ClientMessage, Hello, HostMessage, STATION_HANDS_MAX, Welcome, Wish};
 use super::message_error::MessageError;
 use super::outbox::{Outbox, STALLED_MAX};
 use super::plain_text::PlainText;
@@ -175,6 +175,9 @@ impl ClientEnd {
                 hear(ClientEvent::Rekey(phase));
             }
             HostMessage::Goodbye(goodbye) => return Err(ControlError::Goodbye(goodbye)),
+            HostMessage::Carried(Carried { hears, taken, datagram }) => {
+                hear(ClientEvent::Carried { hears, taken, datagram: datagram.as_slice() });
+            }
             _ => return Err(ControlError::Unexpected { message: name, state }),
         }
         Ok(())
@@ -280,6 +283,26 @@ impl ClientEnd {
             return Err(SendError::NotNow);
         }
         self.push(message, now).map_err(|error| {
+            self.fail(error.clone(), now);
+            SendError::Ended(error)
+        })
+    }
+
+    pub(super) fn send_carried(
+        &mut self,
+        carried: Carried<'_>,
+        is_urgent: bool,
+        now: SimTime,
+    ) -> Result<bool, SendError> {
+        let message = ClientMessage::Carried(carried);
+        if !is_urgent {
+            return self.send(&message, now).map(|()| true);
+        }
+        if self.state != ClientState::Running {
+            return Err(SendError::NotNow);
+        }
+        self.outbox.push_urgent(&message, now).map_err(|error| {
+            let error = outbox_error(error);
             self.fail(error.clone(), now);
             SendError::Ended(error)
         })

@@ -19,7 +19,7 @@ use super::error::{ControlError, Goodbye};
 use super::frame::{FrameDecoder, OPENING_MAX};
 use super::host_end::HostEnd;
 use super::host_session::{Admitted, HostFacts, HostSession};
-use super::message::{DELTA_MAX, HostMessage, PEER_TICKET_MAX, StationInfo, check_stations};
+use super::message::{Carried, DELTA_MAX, HostMessage, PEER_TICKET_MAX, StationInfo, check_stations};
 use super::message_error::MessageError;
 use super::note::Note;
 use super::outbox::STALLED_MAX;
@@ -197,6 +197,24 @@ impl HostControl {
     pub fn send_peer_ticket(&mut self, from: u16, ticket: Vec<u8>, now: SimTime) -> Result<(), SendError> {
         MessageError::limit("bytes of a ticket", ticket.len(), PEER_TICKET_MAX)?;
         self.end.send(HostState::Running, &HostMessage::PeerTicket { from, ticket }, now)
+    }
+
+    /// Sends what the hands link has to tell; urgently, if it is about hands: then it returns false while an earlier one waits.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send_carried(
+        &mut self,
+        carried: Carried<'_>,
+        is_urgent: bool,
+        now: SimTime,
+    ) -> Result<bool, SendError> {
+        self.end.send_carried(carried, is_urgent, now)
+    }
+
+    /// Whether an urgent message waits of which nothing has gone.
+    pub fn has_urgent(&self) -> bool {
+        self.end.outbox.has_urgent()
     }
 
     /// Asks the station to use the keys of the next phase, and returns its number. Only when it uses those of the present

@@ -15,7 +15,7 @@ use super::host::{
 use super::host_session::{Admitted, HostEvent, HostFacts, HostSession, SceneOffer};
 use super::keep_alive::KeepAlive;
 use super::keep_alive::Pong;
-use super::message::{ClientMessage, Hello, HostMessage, Request, SCENE_PART_MAX, Welcome};
+use super::message::{Carried, ClientMessage, Hello, HostMessage, Request, SCENE_PART_MAX, Welcome};
 use super::message_error::MessageError;
 use super::outbox::{Outbox, OutboxError, STALLED_MAX};
 use super::plain_text::PlainText;
@@ -93,6 +93,11 @@ impl HostEnd {
                 Ok(())
             }
             ClientMessage::Goodbye(goodbye) => Err(ControlError::Goodbye(goodbye)),
+            ClientMessage::Carried(Carried { hears, taken, datagram }) => {
+                let datagram = datagram.as_slice();
+                session.hear(admitted.station, HostEvent::Carried { hears, taken, datagram });
+                Ok(())
+            }
             ClientMessage::Joined { revision, digest } if state == HostState::Awaiting => {
                 self.joined(revision, digest, admitted.station, session)
             }
@@ -296,6 +301,26 @@ impl HostEnd {
             return Err(SendError::NotNow);
         }
         self.push(message, now).map_err(|error| {
+            self.finish(error.clone(), now);
+            SendError::Ended(error)
+        })
+    }
+
+    pub(super) fn send_carried(
+        &mut self,
+        carried: Carried<'_>,
+        is_urgent: bool,
+        now: SimTime,
+    ) -> Result<bool, SendError> {
+        let message = HostMessage::Carried(carried);
+        if !is_urgent {
+            return self.send(HostState::Running, &message, now).map(|()| true);
+        }
+        if self.state != HostState::Running {
+            return Err(SendError::NotNow);
+        }
+        self.outbox.push_urgent(&message, now).map_err(|error| {
+            let error = outbox_error(error);
             self.finish(error.clone(), now);
             SendError::Ended(error)
         })

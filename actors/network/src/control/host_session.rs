@@ -61,6 +61,15 @@ pub enum HostEvent<'a> {
     Forbidden(Refusal),
     /// A ping came back.
     Clock(ClockSample),
+    /// What its hands link has to tell, and a datagram unless it is empty.
+    Carried {
+        /// Whether it hears the host's datagrams by themselves.
+        hears: bool,
+        /// How many carried datagrams of hands it has taken.
+        taken: u32,
+        /// The sealed datagram.
+        datagram: &'a [u8],
+    },
     /// It uses the keys of this phase.
     Rekeyed(u32),
 }

@@ -15,6 +15,7 @@ use super::manifest::{HeldScene, SceneManifest};
 use super::message_error::MessageError;
 use super::note::{Note, NoteKind};
 use super::plain_text::PlainText;
+use crate::datagram::DATAGRAM_MAX;
 use crate::ticket::{PlainName, Role};
 
 /// Most stations of a session.
@@ -204,6 +205,24 @@ impl RequestKind {
     }
 }
 
+/// A datagram for which the other way is blocked, and what its sender knows of the other end's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Carried<'a> {
+    /// Whether the sender hears the other end's datagrams by themselves.
+    pub hears: bool,
+    /// How many carried datagrams of hands the sender has taken over this connection, modulo 2³².
+    pub taken: u32,
+    /// The sealed datagram; empty when there is only something to tell.
+    #[serde(borrow)]
+    pub datagram: Blob<'a>,
+}
+
+impl Carried<'_> {
+    fn check(&self) -> Result<(), MessageError> {
+        MessageError::limit("bytes of a datagram", self.datagram.as_slice().len(), DATAGRAM_MAX)
+    }
+}
+
 /// From a station to its host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ClientMessage<'a> {
@@ -232,6 +251,9 @@ pub enum ClientMessage<'a> {
     },
     /// The end.
     Goodbye(Goodbye),
+    /// For the hands link.
+    #[serde(borrow)]
+    Carried(Carried<'a>),
 }
 
 /// From a host to a station.
@@ -290,6 +312,9 @@ pub enum HostMessage<'a> {
     },
     /// The end.
     Goodbye(Goodbye),
+    /// For the hands link.
+    #[serde(borrow)]
+    Carried(Carried<'a>),
 }
 
 fn decode<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, usize), MessageError> {
@@ -320,6 +345,7 @@ impl<'a> ClientMessage<'a> {
                 let Wish { hands, devices, .. } = &hello.wish;
                 MessageError::limit("hands of a station", hands.len().max(devices.len()), STATION_HANDS_MAX)
             }
+            Self::Carried(carried) => carried.check(),
             Self::Write(bytes) => MessageError::limit("bytes of rows", bytes.as_slice().len(), DELTA_MAX),
             Self::Request(Request { what: RequestKind::Note(note), .. }) => note.check(),
             Self::Request(Request { what: RequestKind::PeerTicket { ticket, .. }, .. }) => {
@@ -340,6 +366,7 @@ impl<'a> ClientMessage<'a> {
             Self::Pong(_) => "pong",
             Self::Rekeyed { .. } => "rekeyed",
             Self::Goodbye(_) => "goodbye",
+            Self::Carried(_) => "carried datagram",
         }
     }
 }
@@ -371,6 +398,7 @@ impl<'a> HostMessage<'a> {
             Self::ScenePart { bytes, .. } => {
                 MessageError::limit("bytes of the scene", bytes.as_slice().len(), SCENE_PART_MAX)
             }
+            Self::Carried(carried) => carried.check(),
             Self::Delta(bytes) => MessageError::limit("bytes of changes", bytes.as_slice().len(), DELTA_MAX),
             Self::Roster(stations) => check_stations(stations),
             Self::Note(note) => note.what.check(),
@@ -397,6 +425,7 @@ impl<'a> HostMessage<'a> {
             Self::Pong(_) => "pong",
             Self::Rekey { .. } => "rekey",
             Self::Goodbye(_) => "goodbye",
+            Self::Carried(_) => "carried datagram",
         }
     }
 }

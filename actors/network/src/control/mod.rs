@@ -12,6 +12,7 @@
 //!   hash                                 ◀───   parts of the scene, paced
 //!   builds, counts, digest: joined       ───▶   same digest
 //!   requests, writes                     ◀──▶   changes, roster, hands, notes, keys; pings both ways
+//!   datagrams, where UDP is blocked      ◀──▶   datagrams, where UDP is blocked
 //! ```
 //!
 //! Everything is bounded:
@@ -26,6 +27,7 @@
 //! | scene, part of it, message of replication | [`SCENE_BYTES_MAX`] 512 MiB, [`SCENE_PART_MAX`] 64 KiB, [`DELTA_MAX`] 512 KiB |
 //! | stations, hands, hands of a station | [`STATIONS_MAX`] 64, [`SESSION_HANDS_MAX`] 64, [`STATION_HANDS_MAX`] 11 |
 //! | place and hands kept after a break | [`AWAY_TIME_MAX`] 60 s |
+//! | datagrams of hands that are carried and wait, others | 1, the newest; 32 |
 //! | requests beyond the role before a station is cut off | [`FORBIDDEN_MAX`] 256 |
 
 mod blob;
@@ -76,9 +78,9 @@ pub use host_session::{Admitted, HostEvent, HostFacts, HostSession, SceneOffer};
 pub use keep_alive::{ClockSample, KeepAlive, PING_EVERY, Ping, Pong, SILENCE_MAX};
 pub use manifest::{CountsDiffer, HeldScene, SCENE_BYTES_MAX, SceneCounts, SceneKind, SceneManifest};
 pub use message::{
-    Architecture, ClientMessage, DELTA_MAX, HandInfo, Hello, HostMessage, LinkFigures, PEER_TICKET_MAX,
-    Request, RequestKind, SCENARIO_TEXT_MAX, SCENE_PART_MAX, SESSION_HANDS_MAX, STATION_HANDS_MAX,
-    STATIONS_MAX, SessionInfo, StationInfo, Welcome, Wish,
+    Architecture, Carried, ClientMessage, DELTA_MAX, HandInfo, Hello, HostMessage, LinkFigures,
+    PEER_TICKET_MAX, Request, RequestKind, SCENARIO_TEXT_MAX, SCENE_PART_MAX, SESSION_HANDS_MAX,
+    STATION_HANDS_MAX, STATIONS_MAX, SessionInfo, StationInfo, Welcome, Wish,
 };
 pub use message_error::MessageError;
 pub use note::{Note, NoteKind, NoteRefusal, STROKE_PLACES_MAX, TakeOver};

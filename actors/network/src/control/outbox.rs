@@ -38,6 +38,8 @@ pub struct Outbox {
     sent: usize,
     /// Where the frame begins of which the byte at `sent` is a part, or which comes next.
     frame_begins: usize,
+    /// Where the newest urgent frame begins.
+    urgent_begins: Option<usize>,
     /// When the stream last took something, or when it had nothing to take.
     moved_at: SimTime,
 }
@@ -81,6 +83,30 @@ impl Outbox {
         result
     }
 
+    /// Puts a message ahead of all that waits, behind the frame that is under way: for what is worth nothing when it is
+    /// late. It returns false, and does nothing, while an earlier one waits.
+    ///
+    /// # Errors
+    /// As [`Self::push`].
+    pub fn push_urgent(&mut self, message: &impl Serialize, now: SimTime) -> Result<bool, OutboxError> {
+        if self.has_urgent() {
+            return Ok(false);
+        }
+        let end = self.bytes.len();
+        self.push(message, false, now)?;
+        let is_within_frame = self.sent > self.frame_begins;
+        let begin = if is_within_frame { self.frame_ends().unwrap_or(end) } else { self.sent };
+        let length = self.bytes.len() - end;
+        self.bytes[begin..].rotate_right(length);
+        self.urgent_begins = Some(begin);
+        Ok(true)
+    }
+
+    /// Whether an urgent message waits of which nothing has gone.
+    pub fn has_urgent(&self) -> bool {
+        self.urgent_begins.is_some_and(|begin| begin >= self.sent && begin < self.bytes.len())
+    }
+
     /// Appends an opening with nothing behind its preamble: it tells a program of another version what this one is.
     pub fn push_bare_opening(&mut self, now: SimTime) {
         if self.is_empty() {
@@ -116,6 +142,7 @@ impl Outbox {
             // Every byte is moved at most once for each byte that has gone.
             self.bytes.drain(..self.frame_begins);
             self.sent -= self.frame_begins;
+            self.urgent_begins = self.urgent_begins.and_then(|begin| begin.checked_sub(self.frame_begins));
             self.frame_begins = 0;
         }
     }
@@ -131,13 +158,14 @@ impl Outbox {
         let is_within_frame = self.sent > self.frame_begins;
         let keep = if is_within_frame { self.frame_ends().unwrap_or(self.sent) } else { self.sent };
         self.bytes.truncate(keep);
+        self.urgent_begins = self.urgent_begins.filter(|begin| *begin < keep);
     }
 
     /// Forgets what waits.
     pub fn clear(&mut self) {
         self.bytes.clear();
         self.bytes.shrink_to(KEPT_BYTES);
-        (self.sent, self.frame_begins) = (0, 0);
+        (self.sent, self.frame_begins, self.urgent_begins) = (0, 0, None);
     }
 
     /// When the stream will have taken nothing for too long; `None` when nothing waits.
@@ -193,6 +221,35 @@ mod tests {
             outbox.advance(count, NOW);
         }
         assert!(outbox.is_empty() && seen == next && seen > 500, "{seen} of {next}");
+    }
+
+    #[test]
+    fn an_urgent_message_overtakes_what_waits_and_leaves_every_frame_whole() {
+        let frame = LENGTH_BYTES + 2 + 200;
+        for taken in 0..3 * frame {
+            let (mut outbox, mut decoder) = (Outbox::default(), FrameDecoder::new(FRAME_MAX));
+            for byte in 1..=3 {
+                outbox.push(&Blob::from(vec![byte; 200]), false, NOW).expect("room");
+            }
+            let mut stream = outbox.waiting()[..taken].to_vec();
+            outbox.advance(taken, NOW);
+            assert_eq!(outbox.push_urgent(&Blob::from(vec![9; 30]), NOW), Ok(true));
+            assert_eq!(outbox.push_urgent(&Blob::from(vec![8; 30]), NOW), Ok(false), "one waits");
+            // Whatever the stream takes at once.
+            while !outbox.is_empty() {
+                let count = outbox.waiting().len().min(17);
+                stream.extend_from_slice(&outbox.waiting()[..count]);
+                outbox.advance(count, NOW);
+            }
+            assert!(!outbox.has_urgent());
+            let (mut input, mut seen) = (stream.as_slice(), Vec::new());
+            while let Some(frame) = decoder.next_frame(&mut input).expect("frames") {
+                seen.push(*frame.last().expect("a byte"));
+            }
+            let before = taken.div_ceil(frame) as u8;
+            let expected: Vec<u8> = (1..=before).chain([9]).chain(before + 1..=3).collect();
+            assert_eq!(seen, expected, "after {taken} bytes");
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use thiserror::Error;
 use trocar_scene::SimTime;
 
 use super::path::{CHALLENGE_BYTES, Path, PathNews};
+use super::way::Way;
 use crate::datagram::{
     DATAGRAM_MAX, Hands, Header, Keys, Kind, Opener, ReceiveKey, Refused, RekeyError, Sealer, SendKey, Side,
 };
@@ -67,6 +68,7 @@ pub struct Connection<A> {
     sender: HapticSender,
     meter: LinkMeter,
     path: Path<A>,
+    way: Way,
     hands: Hands,
     heard_at: Option<SimTime>,
     counts: ConnectionCounts,
@@ -94,6 +96,7 @@ impl<A: Copy + PartialEq> Connection<A> {
             sender: HapticSender::new(config),
             meter: LinkMeter::default(),
             path: Path::new(secret),
+            way: Way::new(side),
             hands: Hands::default(),
             heard_at: None,
             counts: ConnectionCounts::default(),
@@ -141,13 +144,37 @@ impl<A: Copy + PartialEq> Connection<A> {
         from: A,
         datagram: &'a mut [u8],
     ) -> Result<(Arrived<'a>, Option<Reply>), ConnectionError> {
+        self.take(now, Some(from), datagram)
+    }
+
+    /// A datagram arrived that the control channel carried. It is decrypted in place, and tells nothing of paths.
+    ///
+    /// # Errors
+    /// [`ConnectionError`].
+    pub fn receive_carried<'a>(
+        &mut self,
+        now: SimTime,
+        datagram: &'a mut [u8],
+    ) -> Result<Arrived<'a>, ConnectionError> {
+        self.take(now, None, datagram).map(|(arrived, _)| arrived)
+    }
+
+    fn take<'a>(
+        &mut self,
+        now: SimTime,
+        from: Option<A>,
+        datagram: &'a mut [u8],
+    ) -> Result<(Arrived<'a>, Option<Reply>), ConnectionError> {
         let bytes = datagram.len();
         let (header, payload) = self.opener.open(now, datagram)?;
         self.heard_at = Some(now);
-        let mut reply = match self.path.arrived(from, header.sequence, now) {
-            PathNews::Challenge(payload) => Some(Reply { kind: Kind::PathChallenge, payload }),
-            PathNews::Known | PathNews::First => None,
-        };
+        let mut reply = None;
+        if let Some(from) = from {
+            self.way.came(now);
+            if let PathNews::Challenge(payload) = self.path.arrived(from, header.sequence, now) {
+                reply = Some(Reply { kind: Kind::PathChallenge, payload });
+            }
+        }
         let arrived = if header.kind == Kind::Hands {
             self.take_hands(&header, payload, bytes, now)
         } else {
@@ -186,7 +213,7 @@ impl<A: Copy + PartialEq> Connection<A> {
     fn take_other<'a>(
         &mut self,
         kind: Kind,
-        from: A,
+        from: Option<A>,
         payload: &'a [u8],
         now: SimTime,
         reply: &mut Option<Reply>,
@@ -200,11 +227,16 @@ impl<A: Copy + PartialEq> Connection<A> {
                 *reply = Some(Reply { kind: Kind::PathResponse, payload });
             }
             Kind::PathResponse => {
-                self.path.answered(from, payload);
+                if let Some(from) = from {
+                    self.path.answered(from, payload);
+                }
             }
             Kind::Report => {
                 let report = LinkReport::decode(payload).map_err(|_| malformed)?;
-                self.sender.report(&report, self.receiver.clock(), now);
+                // Tries that are lost say nothing of the rate.
+                if !self.way.carries() {
+                    self.sender.report(&report, self.receiver.clock(), now);
+                }
             }
             Kind::Hands => return Err(malformed),
         }
@@ -253,6 +285,60 @@ impl<A: Copy + PartialEq> Connection<A> {
         }
     }
 
+    /// Makes the datagram of hands that the control channel is to carry now, with these samples.
+    pub fn carry(
+        &mut self,
+        samples: &[HandSample],
+        now: SimTime,
+        out: &mut [u8; DATAGRAM_MAX],
+    ) -> Option<usize> {
+        if !self.way.carry(now) {
+            return None;
+        }
+        let length = self.seal_now(samples, now, out)?;
+        self.sender.carried(samples, now);
+        Some(length)
+    }
+
+    /// Makes the datagram of hands that is to be tried by itself now, although they are carried.
+    pub fn try_again(
+        &mut self,
+        samples: &[HandSample],
+        now: SimTime,
+        out: &mut [u8; DATAGRAM_MAX],
+    ) -> Option<usize> {
+        if self.way.try_again(now) { self.seal_now(samples, now, out) } else { None }
+    }
+
+    fn seal_now(
+        &mut self,
+        samples: &[HandSample],
+        now: SimTime,
+        out: &mut [u8; DATAGRAM_MAX],
+    ) -> Option<usize> {
+        let echo = self.receiver.clock().echo(now);
+        let length = self.sealer.seal_hands(now, echo, samples, out).ok()?;
+        self.meter.sent(length);
+        Some(length)
+    }
+
+    /// The way of its datagrams.
+    pub fn way(&self) -> &Way {
+        &self.way
+    }
+
+    /// The way of its datagrams, for what time and the control channel bring.
+    pub fn way_mut(&mut self) -> &mut Way {
+        &mut self.way
+    }
+
+    /// The other end says whether it hears this one's datagrams by themselves.
+    pub fn heard(&mut self, is_heard: bool) {
+        if self.way.heard(is_heard) {
+            self.sender.restart();
+        }
+    }
+
     /// Makes the report that is due now for the other side's sender.
     pub fn report(&mut self, now: SimTime, out: &mut [u8; DATAGRAM_MAX]) -> Option<usize> {
         let report = self.receiver.report(now)?;
@@ -283,7 +369,11 @@ impl<A: Copy + PartialEq> Connection<A> {
 
     /// Ends the second of the meter when it is over.
     pub fn point(&mut self, now: SimTime) -> Option<LinkPoint> {
-        self.meter.tick(&self.receiver.counts(), self.receiver.clock().jitter(), now)
+        let point = self.meter.tick(&self.receiver.counts(), self.receiver.clock().jitter(), now)?;
+        let is_carried = self.way.carries() || !self.way.hears();
+        // What is lost where datagrams are blocked are tries; a stream loses nothing.
+        let loss = if self.way.hears() { point.loss } else { 0.0 };
+        Some(LinkPoint { is_carried, loss, ..point })
     }
 
     /// Where datagrams go; `None` before one has come.

@@ -3,7 +3,7 @@
 use trocar_scene::SimTime;
 
 use super::connection::{Arrived, Connection, ConnectionError, Reply};
-use super::order::{HandsNews, LinkEnd, Parcel};
+use super::order::{HandsNews, LinkEnd, Parcel, Sealed};
 use crate::datagram::{DATAGRAM_MAX, Kind};
 use crate::hand_sample::HandSample;
 
@@ -17,19 +17,22 @@ pub(super) struct Ways<'a, A> {
     pub out: &'a mut [u8; DATAGRAM_MAX],
 }
 
-/// Takes a datagram: rows go to the controller, a reply goes back. Whether new samples of hands are in the connection.
+/// Takes a datagram, which came from an address or was carried: rows go to the controller, a reply goes back. Whether new samples of hands are in the connection.
 ///
 /// # Errors
 /// [`ConnectionError`]; nothing is answered.
 pub(super) fn take<A: Copy + PartialEq>(
     connection: &mut Connection<A>,
     now: SimTime,
-    from: A,
+    from: Option<A>,
     datagram: &mut [u8],
     ways: Ways<'_, A>,
 ) -> Result<bool, ConnectionError> {
     let id = connection.id();
-    let (arrived, reply) = connection.receive(now, from, datagram)?;
+    let (arrived, reply) = match from {
+        Some(from) => connection.receive(now, from, datagram)?,
+        None => (connection.receive_carried(now, datagram)?, None),
+    };
     let has_hands = arrived == Arrived::Hands;
     let payload = match arrived {
         Arrived::Rows(payload) => Some((Kind::Rows, payload)),
@@ -40,7 +43,7 @@ pub(super) fn take<A: Copy + PartialEq>(
         // What does not fit is lost, as on a path.
         ways.controller.tell(HandsNews::Arrived { connection: id, parcel });
     }
-    if let Some(Reply { kind, payload }) = reply
+    if let (Some(Reply { kind, payload }), Some(from)) = (reply, from)
         && let Some(length) = connection.seal(kind, &payload, now, ways.out)
     {
         (ways.send)(from, &ways.out[..length]);
@@ -48,7 +51,40 @@ pub(super) fn take<A: Copy + PartialEq>(
     Ok(has_hands)
 }
 
-/// Sends what is due to `to`, if it is known where that is: hands and a report; and tells the controller what it has to
+/// Sends a payload to `to`, or has it carried. Without a way it is lost.
+pub(super) fn send_parcel<A: Copy + PartialEq>(
+    connection: &mut Connection<A>,
+    to: Option<A>,
+    parcel: &Parcel,
+    now: SimTime,
+    ways: Ways<'_, A>,
+) {
+    let Ways { controller, send, out } = ways;
+    if !connection.way().carries() && to.is_none() {
+        return;
+    }
+    if let Some(length) = connection.seal(parcel.kind(), parcel.payload(), now, out) {
+        dispatch(connection, to, &out[..length], controller, send);
+    }
+}
+
+/// Sends a sealed datagram by itself, or has it carried.
+fn dispatch<A: Copy + PartialEq>(
+    connection: &Connection<A>,
+    to: Option<A>,
+    datagram: &[u8],
+    controller: &mut LinkEnd<A>,
+    send: &mut dyn FnMut(A, &[u8]) -> bool,
+) {
+    if !connection.way().carries() {
+        to.map(|to| send(to, datagram));
+    } else if let Some(datagram) = Sealed::new(datagram) {
+        // What does not fit is lost, as on a path.
+        controller.tell(HandsNews::Carry { connection: connection.id(), datagram });
+    }
+}
+
+/// Sends what is due to `to`, if it is known where that is, or has it carried: hands and a report; and tells the controller what it has to
 /// know of the connection.
 pub(super) fn send_due<A: Copy + PartialEq>(
     connection: &mut Connection<A>,
@@ -60,14 +96,31 @@ pub(super) fn send_due<A: Copy + PartialEq>(
 ) {
     let Ways { controller, send, out } = ways;
     let id = connection.id();
-    if let Some(to) = to {
-        if let Some(length) = connection.tick(samples, now, out) {
-            let is_sent = send(to, &out[..length]);
-            connection.sent(samples, length, is_sent, now);
+    connection.way_mut().tick(now);
+    if connection.way().carries() {
+        if let Some(length) = connection.carry(samples, now, out) {
+            dispatch(connection, to, &out[..length], controller, send);
         }
-        if let Some(length) = connection.report(now, out) {
+        if let Some(to) = to
+            && let Some(length) = connection.try_again(samples, now, out)
+        {
             send(to, &out[..length]);
         }
+    } else if let Some(to) = to
+        && let Some(length) = connection.tick(samples, now, out)
+    {
+        let is_sent = send(to, &out[..length]);
+        connection.sent(samples, length, is_sent, now);
+    }
+    if (to.is_some() || connection.way().carries())
+        && let Some(length) = connection.report(now, out)
+    {
+        dispatch(connection, to, &out[..length], controller, send);
+    }
+    if let Some(hears) = connection.way().news()
+        && controller.tell(HandsNews::Hears { connection: id, hears })
+    {
+        connection.way_mut().told(hears);
     }
     if let Some(point) = connection.point(now) {
         controller.tell(HandsNews::Second { connection: id, point, rate: connection.rate() });

@@ -75,9 +75,10 @@ impl<A: Copy + PartialEq> HandsHost<A> {
 
     fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         match order {
-            HandsOrder::Open { station, connection, peer: _ } => {
+            HandsOrder::Open { station, mut connection, peer: _ } => {
                 let of_station = |link: &Link<A>| link.station == station;
                 if let Some(at) = self.links.iter().position(of_station) {
+                    *connection.way_mut() = self.links[at].connection.way().again();
                     self.close(at);
                 }
                 if self.links.len() < STATIONS_MAX {
@@ -97,13 +98,21 @@ impl<A: Copy + PartialEq> HandsHost<A> {
             // A host's own pedals are in its scene already.
             HandsOrder::Press { .. } => {}
             HandsOrder::Send { connection, parcel } => {
-                let Self { links, out, .. } = self;
+                let Self { links, controller, out, .. } = self;
                 let link = links.iter_mut().find(|link| link.connection.id() == connection);
-                if let Some(link) = link
-                    && let Some(address) = link.connection.address()
-                    && let Some(length) = link.connection.seal(parcel.kind(), parcel.payload(), now, out)
-                {
-                    send(address, &out[..length]);
+                if let Some(Link { connection, .. }) = link {
+                    let (to, ways) = (connection.address(), Ways { controller, send, out });
+                    exchange::send_parcel(connection, to, &parcel, now, ways);
+                }
+            }
+            HandsOrder::Carried { connection, mut datagram } => {
+                if let Some(at) = self.links.iter().position(|link| link.connection.id() == connection) {
+                    self.take(at, now, None, datagram.bytes_mut(), send);
+                }
+            }
+            HandsOrder::Heard { connection, is_heard } => {
+                if let Some(link) = self.link(connection) {
+                    link.connection.heard(is_heard);
                 }
             }
             HandsOrder::RekeyOpener { connection, key } => {
@@ -134,6 +143,33 @@ impl<A: Copy + PartialEq> HandsHost<A> {
         self.links.iter_mut().find(|link| link.connection.id() == connection)
     }
 
+    /// Takes a datagram of a link, which came from an address or was carried.
+    fn take(
+        &mut self,
+        at: usize,
+        now: SimTime,
+        from: Option<A>,
+        datagram: &mut [u8],
+        send: &mut dyn FnMut(A, &[u8]) -> bool,
+    ) {
+        let Self { hands, links, controller, out, strangers, .. } = self;
+        let Link { station, connection, serves, .. } = &mut links[at];
+        match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
+            Ok(true) => {
+                for sample in connection.samples() {
+                    if serves.as_slice().contains(&sample.hand)
+                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
+                    {
+                        hand.end.control().take_again(*station);
+                        hand.end.post(*station, now, sample);
+                    }
+                }
+            }
+            Ok(false) => {}
+            Err(_) => strangers.refused += 1,
+        }
+    }
+
     fn close(&mut self, at: usize) {
         let link = self.links.swap_remove(at);
         self.controller.tell(HandsNews::Closed(link.connection));
@@ -148,26 +184,10 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
         datagram: &mut [u8],
         send: &mut dyn FnMut(A, &[u8]) -> bool,
     ) {
-        let Self { hands, links, controller, out, strangers, .. } = self;
         let id = Header::decode(datagram).map(|header| header.connection);
-        let link = id.ok().and_then(|id| links.iter_mut().find(|link| link.connection.id() == id));
-        let Some(link) = link else {
-            strangers.unknown += 1;
-            return;
-        };
-        let Link { station, connection, serves, .. } = link;
-        match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
-            Ok(true) => {
-                for sample in connection.samples() {
-                    if serves.as_slice().contains(&sample.hand)
-                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
-                    {
-                        hand.end.post(*station, now, sample);
-                    }
-                }
-            }
-            Ok(false) => {}
-            Err(_) => strangers.refused += 1,
+        match id.ok().and_then(|id| self.links.iter().position(|link| link.connection.id() == id)) {
+            Some(at) => self.take(at, now, Some(from), datagram, send),
+            None => self.strangers.unknown += 1,
         }
     }
 

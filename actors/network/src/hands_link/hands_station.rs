@@ -33,7 +33,8 @@ const PLACE_TOLERANCE: (f64, f64) = (1e-5, 1e-4);
 pub struct StationHand {
     number: u8,
     end: StationEnd,
-    /// Since when it is being brought to the host's place.
+    /// Whether it is to be brought to the host's place, and since when that has been known.
+    is_placing: bool,
     placing_since: Option<SimTime>,
     /// Since when it has been there.
     there_since: Option<SimTime>,
@@ -54,6 +55,7 @@ impl StationHand {
         Self {
             number,
             end,
+            is_placing: false,
             placing_since: None,
             there_since: None,
             clutch: None,
@@ -64,28 +66,31 @@ impl StationHand {
     }
 
     /// The hand goes to where the host has it.
-    fn place(&mut self, now: SimTime) {
+    fn place(&mut self) {
         self.end.control().take(HOST);
-        (self.placing_since, self.there_since, self.clutch) = (Some(now), None, None);
+        (self.is_placing, self.placing_since, self.there_since, self.clutch) = (true, None, None, None);
     }
 
     /// Nobody here moves it any more.
     fn leave(&mut self) {
         self.end.control().take(HOST);
-        (self.placing_since, self.there_since, self.clutch) = (None, None, None);
+        (self.is_placing, self.placing_since, self.there_since, self.clutch) = (false, None, None, None);
     }
 
     /// The host tells where it has the hand.
     fn hear(&mut self, now: SimTime, sample: &HandSample) {
-        let Some(since) = self.placing_since else {
+        if !self.is_placing {
             match self.clutch {
-                Some(clutch) if clutch != sample.clutch => self.place(now),
+                Some(clutch) if clutch != sample.clutch => self.place(),
                 None if sample.clutch != self.clutch_before => self.clutch = Some(sample.clutch),
                 _ => {}
             }
             return;
-        };
+        }
+        let since = *self.placing_since.get_or_insert(now);
         if sample.state.connected {
+            // The host may have been silent for so long that it has lost the hand.
+            self.end.control().take_again(HOST);
             // The host's pedals are this person's own, as they came there.
             let mut place = *sample;
             place.state.buttons &= !Pedals::MASK;
@@ -101,7 +106,7 @@ impl StationHand {
         let is_placed = self.there_since.is_some_and(|there| now.since(there) >= PLACED_FOR);
         if is_placed || now.since(since) >= PLACING_MAX {
             self.clutch_before = sample.clutch;
-            (self.placing_since, self.there_since) = (None, None);
+            (self.is_placing, self.placing_since, self.there_since) = (false, None, None);
             self.end.control().give_back();
         }
     }
@@ -129,7 +134,7 @@ impl StationHand {
 
     /// Whether its own device moves it.
     fn is_own(&self) -> bool {
-        self.end.control().station().is_none()
+        !self.is_placing && self.end.control().station().is_none()
     }
 }
 
@@ -174,8 +179,11 @@ impl<A: Copy + PartialEq> HandsStation<A> {
 
     fn obey(&mut self, order: HandsOrder<A>, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         match order {
-            HandsOrder::Open { connection, peer, .. } => {
+            HandsOrder::Open { mut connection, peer, .. } => {
                 self.host = peer.or(self.host);
+                if let Some(before) = &self.connection {
+                    *connection.way_mut() = before.way().again();
+                }
                 self.close();
                 self.is_worn = false;
                 // The hands that it serves are told anew, and placed anew.
@@ -184,7 +192,7 @@ impl<A: Copy + PartialEq> HandsStation<A> {
             }
             HandsOrder::Serve { connection, hands } => {
                 if self.open(connection).is_some_and(|open| open.expect_hands(hands.as_slice()).is_ok()) {
-                    self.serve(hands, now);
+                    self.serve(hands);
                 }
             }
             HandsOrder::Press { hand, pedals } => {
@@ -193,11 +201,19 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                 }
             }
             HandsOrder::Send { connection, parcel } => {
-                let Self { host, connection: open, out, .. } = self;
-                if let (Some(host), Some(open)) = (host, open.as_mut().filter(|open| open.id() == connection))
-                    && let Some(length) = open.seal(parcel.kind(), parcel.payload(), now, out)
-                {
-                    send(*host, &out[..length]);
+                let Self { host, connection: open, controller, out, .. } = self;
+                if let Some(open) = open.as_deref_mut().filter(|open| open.id() == connection) {
+                    exchange::send_parcel(open, *host, &parcel, now, Ways { controller, send, out });
+                }
+            }
+            HandsOrder::Carried { connection, mut datagram } => {
+                if self.open(connection).is_some() {
+                    self.take(now, None, datagram.bytes_mut(), send);
+                }
+            }
+            HandsOrder::Heard { connection, is_heard } => {
+                if let Some(open) = self.open(connection) {
+                    open.heard(is_heard);
                 }
             }
             HandsOrder::RekeyOpener { connection, key } => {
@@ -223,11 +239,38 @@ impl<A: Copy + PartialEq> HandsStation<A> {
         self.connection.as_deref_mut().filter(|connection| connection.id() == id)
     }
 
-    fn serve(&mut self, hands: HandNumbers, now: SimTime) {
+    /// Takes a datagram, which came from an address or was carried.
+    fn take(
+        &mut self,
+        now: SimTime,
+        from: Option<A>,
+        datagram: &mut [u8],
+        send: &mut dyn FnMut(A, &[u8]) -> bool,
+    ) {
+        let Self { hands, connection: Some(connection), controller, out, serves, .. } = self else {
+            self.refused += 1;
+            return;
+        };
+        match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
+            Ok(true) => {
+                for sample in connection.samples() {
+                    if serves.as_slice().contains(&sample.hand)
+                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
+                    {
+                        hand.hear(now, sample);
+                    }
+                }
+            }
+            Ok(false) => {}
+            Err(_) => self.refused += 1,
+        }
+    }
+
+    fn serve(&mut self, hands: HandNumbers) {
         for hand in &mut self.hands {
             let served = |numbers: &HandNumbers| numbers.as_slice().contains(&hand.number);
             match (served(&self.serves), served(&hands)) {
-                (false, true) => hand.place(now),
+                (false, true) => hand.place(),
                 (true, false) => hand.leave(),
                 _ => {}
             }
@@ -250,23 +293,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
         datagram: &mut [u8],
         send: &mut dyn FnMut(A, &[u8]) -> bool,
     ) {
-        let Self { hands, connection: Some(connection), controller, out, serves, .. } = self else {
-            self.refused += 1;
-            return;
-        };
-        match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
-            Ok(true) => {
-                for sample in connection.samples() {
-                    if serves.as_slice().contains(&sample.hand)
-                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
-                    {
-                        hand.hear(now, sample);
-                    }
-                }
-            }
-            Ok(false) => {}
-            Err(_) => self.refused += 1,
-        }
+        self.take(now, Some(from), datagram, send);
     }
 
     fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {

@@ -12,6 +12,8 @@
 //!                             samples answers      (triple buffers of each hand)
 //! ```
 //!
+//! Where datagrams do not arrive, the controller carries the newest of them ([`Way`]).
+//!
 //! [`Connection`] is one end of one connection's datagrams. [`HandsHost`] has all connections of a host, and
 //! [`HandsStation`] the one of a station. All are sans-IO: a driver brings datagrams with the address that they came from.
 
@@ -23,6 +25,7 @@ mod hands_host;
 mod hands_station;
 mod order;
 mod path;
+mod way;
 
 use trocar_scene::SimTime;
 
@@ -30,9 +33,11 @@ pub use connection::{Arrived, Connection, ConnectionCounts, ConnectionError, Rep
 pub use hands_host::{HandsHost, HostHand, StrangerCounts};
 pub use hands_station::{HOST, HandsStation, StationHand};
 pub use order::{
-    ControllerEnd, HandNumbers, HandsNews, HandsOrder, LinkEnd, NEWS_MAX, ORDERS_MAX, Parcel, hands_channel,
+    ControllerEnd, HandNumbers, HandsNews, HandsOrder, LinkEnd, NEWS_MAX, ORDERS_MAX, Parcel, Sealed,
+    hands_channel,
 };
 pub use path::{CHALLENGE_BYTES, CHALLENGE_EVERY, Path, PathNews};
+pub use way::{CARRY_EVERY, FIRST_MAX, LOST_AFTER, TRY_EVERY, Way};
 
 /// The hands link of a host or a station, as its driver sees it.
 pub trait HandsLink<A>: Send + 'static {

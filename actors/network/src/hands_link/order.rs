@@ -6,7 +6,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_devices::Pedals;
 
 use super::connection::Connection;
-use crate::datagram::{HANDS_MAX, Kind, PAYLOAD_MAX, ReceiveKey, SendKey};
+use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header, Kind, PAYLOAD_MAX, ReceiveKey, SendKey};
 use crate::haptic::{LinkPoint, Rate};
 
 /// Most orders that wait for the hands link.
@@ -42,6 +42,37 @@ impl Parcel {
     }
 }
 
+/// A sealed datagram that the control channel carries, in place.
+#[derive(Clone, Debug)]
+pub struct Sealed {
+    length: u16,
+    bytes: [u8; DATAGRAM_MAX],
+}
+
+impl Sealed {
+    /// A copy of a datagram; `None` if it is longer than one can be.
+    pub fn new(datagram: &[u8]) -> Option<Self> {
+        let mut bytes = [0; DATAGRAM_MAX];
+        bytes.get_mut(..datagram.len())?.copy_from_slice(datagram);
+        Some(Self { length: datagram.len() as u16, bytes })
+    }
+
+    /// The datagram.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.length)]
+    }
+
+    /// The datagram, to be decrypted in place.
+    pub fn bytes_mut(&mut self) -> &mut [u8] {
+        &mut self.bytes[..usize::from(self.length)]
+    }
+
+    /// Whether it says that it has hands, of which only the newest count.
+    pub fn has_hands(&self) -> bool {
+        Header::decode(self.bytes()).is_ok_and(|header| header.kind == Kind::Hands)
+    }
+}
+
 /// Numbers of hands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HandNumbers {
@@ -66,11 +97,7 @@ impl HandNumbers {
     }
 }
 
-/// From the controller. What owns memory is made there, and comes back there to be freed.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "payloads lie in the ring, since the hands link allocates nothing"
-)]
+/// From the controller. What owns memory is made there, and comes back there to be freed; payloads lie in the ring.
 pub enum HandsOrder<A> {
     /// A connection begins; one of the same station ends. A host has the station's number.
     Open {
@@ -102,6 +129,20 @@ pub enum HandsOrder<A> {
         /// Its payload.
         parcel: Parcel,
     },
+    /// The control channel brought a datagram.
+    Carried {
+        /// The connection.
+        connection: u32,
+        /// The datagram.
+        datagram: Sealed,
+    },
+    /// Whether the other end hears this one's datagrams by themselves.
+    Heard {
+        /// The connection.
+        connection: u32,
+        /// Whether it does.
+        is_heard: bool,
+    },
     /// The next phase's key of the other side.
     RekeyOpener {
         /// The connection.
@@ -125,11 +166,7 @@ pub enum HandsOrder<A> {
     CloseAll,
 }
 
-/// From the hands link.
-#[expect(
-    clippy::large_enum_variant,
-    reason = "payloads lie in the ring, since the hands link allocates nothing"
-)]
+/// From the hands link. Payloads lie in the ring, since the link allocates nothing.
 pub enum HandsNews<A> {
     /// A datagram came.
     Arrived {
@@ -137,6 +174,20 @@ pub enum HandsNews<A> {
         connection: u32,
         /// Its payload.
         parcel: Parcel,
+    },
+    /// The control channel is to carry a datagram, since the other end does not hear them by themselves.
+    Carry {
+        /// The connection.
+        connection: u32,
+        /// The datagram.
+        datagram: Sealed,
+    },
+    /// Whether this end hears the other one's datagrams by themselves, which the other end is to be told.
+    Hears {
+        /// The connection.
+        connection: u32,
+        /// Whether it does.
+        hears: bool,
     },
     /// A second of a connection is over.
     Second {

@@ -38,6 +38,8 @@ pub struct LinkPoint {
     pub bytes_received: f64,
     /// Bytes that were sent.
     pub bytes_sent: f64,
+    /// Whether the control channel carries datagrams of one direction or both, since they do not arrive by themselves.
+    pub is_carried: bool,
 }
 
 /// What is counted at every measurement, for meter and reader together \[ns\].
@@ -127,6 +129,7 @@ impl LinkMeter {
             rate: received as f64 / secs,
             bytes_received: *bytes_received as f64 / secs,
             bytes_sent: *bytes_sent as f64 / secs,
+            is_carried: false,
         }
     }
 }

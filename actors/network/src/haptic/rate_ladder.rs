@@ -180,6 +180,11 @@ impl RateLadder {
         }
     }
 
+    /// Begins again at the top: the path is another one.
+    pub fn restart(&mut self) {
+        *self = Self { downs: self.downs, newest: self.newest, ..Self::new(self.top) };
+    }
+
     /// The rate now.
     pub fn rate(&self) -> Rate {
         self.rate

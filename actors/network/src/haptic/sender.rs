@@ -184,6 +184,18 @@ impl HapticSender {
         self.earliest = (self.earliest.max(now.since(missed)) + period).min(now + EARLY + period);
     }
 
+    /// A datagram with these samples went another way, which has its own rate.
+    pub fn carried(&mut self, samples: &[HandSample], now: SimTime) {
+        self.counts.period += 1;
+        self.belief.sent(now, samples);
+        self.last = Some(now);
+    }
+
+    /// The path is another one, or was lost and is found again: its rate is to be found anew.
+    pub fn restart(&mut self) {
+        self.ladder.restart();
+    }
+
     /// The datagram did not go: there was no room below. The next tick tries again with newer samples.
     pub fn blocked(&mut self) {
         self.counts.blocked += u64::from(self.reason.take().is_some());

@@ -1,25 +1,18 @@
 //! A link between two stations inside the process: datagrams, and a stream that repairs what is lost.
 //!
-//! Both suffer the same faults. Datagrams arrive or do not. The stream behaves as TCP does: it delivers everything once and
-//! in order, and what the link loses comes a retransmission timeout later, with all that was sent behind it.
+//! Both suffer the same faults. Datagrams arrive or do not. The stream behaves as TCP does ([`StreamPath`]).
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use trocar_kernel::faults::{LinkCounts, LinkFaults, Message};
+use trocar_kernel::faults::{LinkCounts, LinkFaults};
 use trocar_kernel::spec::{FaultOrder, FaultSink};
 use trocar_scene::SimTime;
 
 use crate::impairments::Impairments;
 use crate::reflector::Parcel;
+use crate::stream_path::StreamPath;
 
-/// Bytes of a stream that travel as one segment.
-const SEGMENT: usize = 1_400;
-/// Segments of one direction under way; the sender waits for room, as behind a full window.
-const WINDOW: usize = 4_096;
-/// Time after which a lost segment is sent again (RFC 6298 begins with a second, and takes 200 ms in practice), besides
-/// the path's own delay.
-const RETRANSMIT_AFTER: SimTime = SimTime::from_millis(200);
 /// Datagrams that arrived and wait to be taken, as in the buffer of a socket; further ones are lost.
 const ARRIVED_MAX: usize = 16_384;
 
@@ -47,59 +40,21 @@ struct Inner {
     now: SimTime,
 }
 
-#[derive(Debug)]
-struct Segment {
-    number: u64,
-    bytes: Vec<u8>,
-}
-
-impl Message for Segment {
-    fn bytes(&self) -> usize {
-        self.bytes.len() + 40
-    }
-    fn duplicate(&self) -> Option<Self> {
-        None
-    }
-    fn through(self, _: &mut dyn FnMut(&mut [u8])) -> Option<Self> {
-        // TCP's checksum refuses it, and it is sent again.
-        None
-    }
-}
-
 #[derive(Default)]
 struct OneWay {
     datagrams: LinkFaults<Parcel<()>>,
+    /// Whether a firewall lets the stream pass and no datagram.
+    is_blocked: bool,
+    blocked: u64,
     arrived: VecDeque<Vec<u8>>,
     overflown: u64,
-    segments: LinkFaults<Segment>,
-    /// Segments that the link lost, by the time at which they are sent again.
-    again: BTreeMap<(SimTime, u64), Vec<u8>>,
-    /// Segments that overtook a lost one.
-    early: BTreeMap<u64, Vec<u8>>,
-    next_number: u64,
-    next_expected: u64,
-    received: Vec<u8>,
-    /// The sender sends no more; the receiver learns of it behind the last byte.
-    is_finished: bool,
+    stream: StreamPath,
 }
 
 impl OneWay {
     fn new(path: &Impairments, seed: u64) -> Self {
-        Self { datagrams: path.link(seed), segments: path.link(seed ^ 0x5DEE_CE66), ..Self::default() }
-    }
-
-    fn under_way(&self) -> usize {
-        (self.next_number - self.next_expected) as usize
-    }
-
-    fn send_segment(&mut self, now: SimTime, number: u64, bytes: Vec<u8>) {
-        let lost = |counts: &LinkCounts| counts.lost + counts.corrupted;
-        let before = lost(self.segments.counts());
-        let copy = bytes.clone();
-        self.segments.send(now, Segment { number, bytes });
-        if lost(self.segments.counts()) > before {
-            self.again.insert((now + RETRANSMIT_AFTER, number), copy);
-        }
+        let stream = StreamPath::new(path, seed ^ 0x5DEE_CE66);
+        Self { datagrams: path.link(seed), stream, ..Self::default() }
     }
 
     fn carry(&mut self, now: SimTime) {
@@ -110,26 +65,6 @@ impl OneWay {
                 self.overflown += 1;
             }
         }
-        while let Some(entry) = self.again.first_entry().filter(|entry| entry.key().0 <= now) {
-            let ((_, number), bytes) = entry.remove_entry();
-            self.send_segment(now, number, bytes);
-        }
-        while let Some(Segment { number, bytes }) = self.segments.due(now) {
-            self.early.insert(number, bytes);
-        }
-        while let Some(bytes) = self.early.remove(&self.next_expected) {
-            self.received.extend_from_slice(&bytes);
-            self.next_expected += 1;
-        }
-    }
-
-    fn break_stream(&mut self, path: LinkFaults<Segment>) {
-        self.segments = path;
-        self.again.clear();
-        self.early.clear();
-        self.received.clear();
-        self.next_expected = self.next_number;
-        self.is_finished = false;
     }
 }
 
@@ -150,8 +85,19 @@ impl Wire {
         for (index, way) in self.lock().ways.iter_mut().enumerate() {
             let order = FaultOrder { seed: order.seed.wrapping_add(index as u64), ..order.clone() };
             way.datagrams.apply(&order);
-            way.segments.apply(&order);
+            way.stream.apply(&order);
         }
+    }
+
+    /// Lets no datagram of this end pass, as a firewall does, or lets them pass again. The stream goes on.
+    pub fn block_datagrams(&self, from: End, is_blocked: bool) {
+        self.lock().ways[from as usize].is_blocked = is_blocked;
+    }
+
+    /// Datagrams that were blocked, of the host and of the station.
+    pub fn blocked(&self) -> [u64; 2] {
+        let inner = self.lock();
+        [0, 1].map(|way: usize| inner.ways[way].blocked)
     }
 
     /// What the link did to datagrams, sent by the host and by the station.
@@ -173,23 +119,17 @@ impl Wire {
     pub fn disconnect(&self) {
         let mut inner = self.lock();
         inner.is_connected = false;
-        for way in &mut inner.ways {
-            let path = way.segments.fork(|_| None);
-            way.break_stream(path);
-        }
+        inner.ways.iter_mut().for_each(|way| way.stream.reset());
     }
 
     /// This end sends no more: the other one learns of it behind the last byte, as of a closed connection.
     pub fn finish(&self, from: End) {
-        self.lock().ways[from as usize].is_finished = true;
+        self.lock().ways[from as usize].stream.finish();
     }
 
     /// Whether the other end has finished, and everything of it was taken.
     pub fn is_finished(&self, at: End, now: SimTime) -> bool {
-        let mut inner = self.lock();
-        let way = &mut inner.ways[1 - at as usize];
-        way.carry(now);
-        way.is_finished && way.under_way() == 0 && way.received.is_empty()
+        self.lock().ways[1 - at as usize].stream.is_finished(now)
     }
 
     /// The number of the connection, if the stream is connected.
@@ -203,7 +143,12 @@ impl Wire {
         let mut inner = self.lock();
         inner.now = inner.now.max(now);
         let now = inner.now;
-        inner.ways[from as usize].datagrams.send(now, Parcel { to: (), bytes: bytes.to_vec() });
+        let way = &mut inner.ways[from as usize];
+        if way.is_blocked {
+            way.blocked += 1;
+        } else {
+            way.datagrams.send(now, Parcel { to: (), bytes: bytes.to_vec() });
+        }
     }
 
     /// The next datagram that has arrived at this end by `now`.
@@ -222,26 +167,12 @@ impl Wire {
         }
         inner.now = inner.now.max(now);
         let now = inner.now;
-        let way = &mut inner.ways[from as usize];
-        let mut sent = 0;
-        for segment in bytes.chunks(SEGMENT) {
-            if way.under_way() >= WINDOW {
-                break;
-            }
-            let number = way.next_number;
-            way.next_number += 1;
-            way.send_segment(now, number, segment.to_vec());
-            sent += segment.len();
-        }
-        sent
+        inner.ways[from as usize].stream.send(now, bytes)
     }
 
     /// Appends the bytes of the stream that have arrived at this end by `now`.
     pub fn receive_stream(&self, at: End, now: SimTime, into: &mut Vec<u8>) {
-        let mut inner = self.lock();
-        let way = &mut inner.ways[1 - at as usize];
-        way.carry(now);
-        into.append(&mut way.received);
+        self.lock().ways[1 - at as usize].stream.receive(now, into);
     }
 }
 

@@ -89,6 +89,10 @@ impl Owner {
         u16::try_from((self.0 & 0xffff_ffff).checked_sub(1)?).ok()
     }
 
+    fn number(self) -> u64 {
+        self.0 >> 32
+    }
+
     fn next(self, station: Option<u16>) -> Self {
         let number = (self.0 >> 32).wrapping_add(1) & 0xffff_ffff;
         Self((number << 32) | station.map_or(0, |station| u64::from(station) + 1))
@@ -98,6 +102,8 @@ impl Owner {
 #[derive(Debug, Default)]
 struct Shared {
     owner: AtomicU64,
+    /// Whom the hand was taken from for silence, as an [`Owner`] with the number of that change; 0 if from nobody.
+    lost: AtomicU64,
     holding: AtomicBool,
     mirroring: AtomicBool,
 }
@@ -117,12 +123,27 @@ impl HandControl {
 
     /// Takes the hand from whatever station has it: the local device takes over, or nobody.
     pub fn give_back(&self) {
+        self.shared.lost.store(0, Ordering::Release);
         self.change(|owner| owner.station().map(|_| None));
     }
 
     /// Takes the hand from this station, if it has it: for a station that left or died.
     pub fn give_back_from(&self, station: u16) {
+        // Whoever left does not come back out of a silence.
+        if Owner(self.shared.lost.load(Ordering::Acquire)).station() == Some(station) {
+            self.shared.lost.store(0, Ordering::Release);
+        }
         self.change(|owner| (owner.station() == Some(station)).then_some(None));
+    }
+
+    /// Gives the hand back to a station that it was taken from because it was silent for too long; nothing happens if
+    /// anybody else has decided meanwhile.
+    pub fn take_again(&self, station: u16) {
+        let (owner, lost) = (self.owner(), Owner(self.shared.lost.load(Ordering::Acquire)));
+        if owner.station().is_none() && lost.station() == Some(station) && lost.number() == owner.number() {
+            let next = owner.next(Some(station)).0;
+            let _ = self.shared.owner.compare_exchange(owner.0, next, Ordering::AcqRel, Ordering::Acquire);
+        }
     }
 
     /// The station that has the hand.
@@ -156,9 +177,13 @@ impl HandControl {
 
     /// Takes the hand from a station that was lost, unless somebody else has taken it meanwhile.
     pub(super) fn lose(&self, owner: Owner) {
-        let next = owner.next(None).0;
+        let next = owner.next(None);
+        let order = (Ordering::AcqRel, Ordering::Acquire);
         // A failure means that somebody else has decided, which is as good.
-        let _ = self.shared.owner.compare_exchange(owner.0, next, Ordering::AcqRel, Ordering::Acquire);
+        if self.shared.owner.compare_exchange(owner.0, next.0, order.0, order.1).is_ok() {
+            let lost = next.0 | (owner.0 & 0xffff_ffff);
+            self.shared.lost.store(lost, Ordering::Release);
+        }
     }
 
     fn change(&self, to: impl Fn(Owner) -> Option<Option<u16>>) {
@@ -215,6 +240,36 @@ mod tests {
         assert_ne!(control.owner(), first);
         control.take(u16::MAX);
         assert_eq!(control.station(), Some(u16::MAX));
+    }
+
+    #[test]
+    fn a_hand_that_was_lost_in_a_silence_returns_to_its_station_unless_somebody_has_decided() {
+        let control = HandControl::default();
+        control.take_again(3);
+        assert_eq!(control.station(), None, "it never had it");
+        let lose = || {
+            control.take(3);
+            control.lose(control.owner());
+            assert_eq!(control.station(), None);
+        };
+        lose();
+        control.take_again(4);
+        assert_eq!(control.station(), None, "another's");
+        control.take_again(3);
+        assert_eq!(control.station(), Some(3));
+        lose();
+        control.take(5);
+        control.give_back_from(5);
+        control.take_again(3);
+        assert_eq!(control.station(), None, "it was another's meanwhile");
+        lose();
+        control.give_back();
+        control.take_again(3);
+        assert_eq!(control.station(), None, "it was given back");
+        lose();
+        control.give_back_from(3);
+        control.take_again(3);
+        assert_eq!(control.station(), None, "the station left");
     }
 
     #[test]

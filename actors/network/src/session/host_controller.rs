@@ -88,6 +88,7 @@ pub(super) fn state(point: &LinkPoint) -> LinkState {
         rate: point.rate,
         bytes_received: point.bytes_received,
         bytes_sent: point.bytes_sent,
+        over_tcp: point.is_carried,
     }
 }
 

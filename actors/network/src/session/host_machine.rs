@@ -26,6 +26,8 @@ use crate::ticket::PlainName;
 const TAKEN_MAX: usize = 64 << 10;
 /// Datagrams of rows for one station at a tick.
 const DATAGRAMS_MAX: usize = 32;
+/// The same while the control channel carries them.
+const CARRIED_DATAGRAMS_MAX: usize = 4;
 /// Places of the ring of orders that rows leave free.
 const ORDERS_KEPT: usize = ORDERS_MAX / 4;
 /// Time between two looks at what others changed in the tickets.
@@ -277,6 +279,9 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             let (key, _) = keys.split(Side::Server);
             self.hands.order(HandsOrder::RekeySealer { connection: id, key });
         }
+        if let Some((connection, station)) = opened {
+            self.take_carried(connection, station, now);
+        }
         let superseded = std::mem::take(&mut self.members.superseded);
         for connection in superseded {
             let of_connection = |link: &&mut Link| link.opened.is_some_and(|(id, _)| id == connection);
@@ -284,6 +289,25 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
                 .values_mut()
                 .filter(of_connection)
                 .for_each(|link| link.control.dismiss(Goodbye::Superseded, now));
+        }
+    }
+
+    /// Gives the hands link what a station's control channel carried.
+    fn take_carried(&mut self, connection: u32, station: u16, now: SimTime) {
+        let Some(member) = self.members.members.get_mut(&station) else { return };
+        if member.connection != connection {
+            return;
+        }
+        if let Some(is_heard) = member.carrier.take_heard() {
+            self.hands.order(HandsOrder::Heard { connection, is_heard });
+            let name = self.members.name_of(station);
+            let what = if is_heard { "arrive by themselves again" } else { "are carried over TCP" };
+            self.note_incident(now, format!("{name}: datagrams {what}"));
+        }
+        let Some(member) = self.members.members.get_mut(&station) else { return };
+        while let Some(datagram) = member.carrier.take_arrived() {
+            // Without room it is lost, as on a path.
+            self.hands.order(HandsOrder::Carried { connection, datagram });
         }
     }
 
@@ -305,6 +329,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             return;
         };
         let quality = LinkQuality::new(connection.meter().histograms().clone());
+        let name = self.members.name_of(station);
+        self.streams.admitted(stream, id, station, name.as_str());
         let is_open = self.hands.order(HandsOrder::Open { station, connection, peer: None })
             && self.hands.order(HandsOrder::Serve { connection: id, hands });
         if let Some(member) = self.members.members.get_mut(&station) {
@@ -333,6 +359,16 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
                     }
                     if let Some(station) = station {
                         self.members.roster.set_link(station, figures(&point, rate));
+                    }
+                }
+                HandsNews::Carry { connection, datagram } => {
+                    if let Some(member) = self.member_of(connection) {
+                        member.carrier.carry(datagram);
+                    }
+                }
+                HandsNews::Hears { connection, hears } => {
+                    if let Some(member) = self.member_of(connection) {
+                        member.carrier.hears(hears);
                     }
                 }
                 HandsNews::Worn { connection } => self.rekey(connection, now),
@@ -421,7 +457,11 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
                 let Some(piece) = link.pieces.pop_front() else { break };
                 told(link.control.send_delta(&piece, now));
             }
-            for _ in 0..DATAGRAMS_MAX {
+            let is_carrying = member.carrier.is_carrying();
+            for _ in 0..if is_carrying { CARRIED_DATAGRAMS_MAX } else { DATAGRAMS_MAX } {
+                if is_carrying && !member.carrier.has_room(link.control.outgoing().len()) {
+                    break;
+                }
                 // Rows leave room for orders that must not be lost.
                 if hands.room() <= ORDERS_KEPT || !member.feed.datagram(now, &scene, payload) {
                     break;
@@ -436,6 +476,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     /// Moves what waits into the stream, and lets go of a connection that is over.
     fn flush(&mut self, stream: StreamId, now: SimTime) {
         let Some(link) = self.links.get_mut(&stream) else { return };
+        send_carried(link, &mut self.members, now);
         let mut poll = link.control.poll(now);
         while !link.control.outgoing().is_empty() {
             match self.streams.send(stream, now, link.control.outgoing()) {
@@ -488,6 +529,18 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             self.incidents.pop_front();
         }
         self.incidents.push_back(Incident { at, what });
+    }
+}
+
+/// Puts what a station's control channel is to carry into it.
+fn send_carried(link: &mut Link, members: &mut Members, now: SimTime) {
+    let Link { control, opened: Some((connection, station)), .. } = link else { return };
+    let member = members.members.get_mut(station).filter(|member| member.connection == *connection);
+    let Some(member) = member.filter(|_| control.state() == HostState::Running) else { return };
+    for _ in 0..DATAGRAMS_MAX {
+        let (round_trip, waiting) = (control.round_trip(), control.outgoing().len());
+        let Some(frame) = member.carrier.next(round_trip, control.has_urgent(), waiting, now) else { break };
+        told(control.send_carried(frame.message(), frame.is_urgent, now).map(|_| ()));
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use trocar_scene::{Entity, Grasp, Hand, Revision, SimTime, Snapshot};
 
 use super::admissions::Admissions;
+use super::carrier::Carrier;
 use super::own_rows::own_rows;
 use crate::control::{
     Admitted, ClockSample, Credential, HandInfo, HeldScene, HostEvent, HostSession, LinkFigures, Note,
@@ -44,6 +45,8 @@ pub(super) struct Member {
     pub devices: Vec<PlainName>,
     pub moves: bool,
     pub quality: Option<LinkQuality>,
+    /// What the control channel of its present connection carries.
+    pub carrier: Carrier,
     pub clock: Option<ClockSample>,
     pub forbidden: u64,
     pub writes_refused: u64,
@@ -368,6 +371,7 @@ impl HostSession for Members {
             devices: Vec::new(),
             moves: wish.moves,
             quality: None,
+            carrier: Carrier::default(),
             clock: None,
             forbidden: 0,
             writes_refused: 0,
@@ -375,6 +379,7 @@ impl HostSession for Members {
         });
         (member.role, member.connection, member.moves) = (role, connection, wish.moves);
         (member.is_running, member.devices) = (false, wish.devices.clone());
+        member.carrier = Carrier::default();
         Ok(Admitted { station, connection, role })
     }
 
@@ -422,6 +427,7 @@ impl HostSession for Members {
             HostEvent::Forbidden(_) => member.forbidden += 1,
             HostEvent::Clock(sample) => member.clock = Some(sample),
             HostEvent::Rekeyed(phase) => member.rekeyed = Some(phase),
+            HostEvent::Carried { hears, taken, datagram } => member.carrier.arrived(hears, taken, datagram),
         }
     }
 }

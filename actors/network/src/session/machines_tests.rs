@@ -34,9 +34,9 @@ fn name(text: &str) -> PlainName {
 }
 
 /// A hand with its device, as a driver would step it.
-struct Device {
-    hand: RemoteHand,
-    shown: Option<DeviceState>,
+pub(super) struct Device {
+    pub(super) hand: RemoteHand,
+    pub(super) shown: Option<DeviceState>,
 }
 
 impl Device {
@@ -48,40 +48,40 @@ impl Device {
         self.hand.write(now.as_nanos(), &Wrench::ZERO).expect("it is rendered");
     }
 
-    fn x(&self) -> f64 {
+    pub(super) fn x(&self) -> f64 {
         self.shown.map_or(f64::NAN, |state| state.pose_in_device.translation.vector.x)
     }
 }
 
-struct Host {
+pub(super) struct Host {
     store: Store,
     commands: Commands,
-    scene: Arc<Snapshot>,
-    machine: HostMachine<usize>,
+    pub(super) scene: Arc<Snapshot>,
+    pub(super) machine: HostMachine<usize>,
     hands: HandsPeer,
-    device: Device,
-    moving: Vec<Entity>,
+    pub(super) device: Device,
+    pub(super) moving: Vec<Entity>,
 }
 
-struct Station {
-    store: Store,
+pub(super) struct Station {
+    pub(super) store: Store,
     commands: Commands,
-    machine: StationMachine<usize>,
+    pub(super) machine: StationMachine<usize>,
     hands: HandsPeer,
-    device: Device,
+    pub(super) device: Device,
     columns: Arc<ReplicatedColumns>,
-    news: Vec<StationNews>,
+    pub(super) news: Vec<StationNews>,
     /// What a machine that is made again needs.
     setup: StationSetup,
     controller: ControllerEnd<usize>,
     wire: Wire,
 }
 
-struct Bench {
-    now: SimTime,
-    wire: Wire,
-    host: Host,
-    station: Station,
+pub(super) struct Bench {
+    pub(super) now: SimTime,
+    pub(super) wire: Wire,
+    pub(super) host: Host,
+    pub(super) station: Station,
     credential: Credential,
 }
 
@@ -95,7 +95,7 @@ fn remote_hand(at_x: f64) -> (RemoteHand, crate::remote_hand::StationEnd) {
 }
 
 impl Bench {
-    fn new(path: &Impairments, entities: usize, role: Role, hands: &[&str]) -> Self {
+    pub(super) fn new(path: &Impairments, entities: usize, role: Role, hands: &[&str]) -> Self {
         let registry = Registry::standard();
         let columns = Arc::new(ReplicatedColumns::new(&registry, &ColumnRates::default()).expect("columns"));
         let mut store = Store::new(registry.clone());
@@ -184,18 +184,18 @@ impl Bench {
         Self { now: SimTime::ZERO, wire, host, station, credential }
     }
 
-    fn step(&mut self, intent: Option<HandIntent>) {
+    pub(super) fn step(&mut self, intent: Option<HandIntent>) {
         self.now += SimTime::from_millis(1);
         let now = self.now;
         self.host.step(now);
         self.station.step(now, intent);
     }
 
-    fn run(&mut self, millis: u64) {
+    pub(super) fn run(&mut self, millis: u64) {
         (0..millis).for_each(|_| self.step(None));
     }
 
-    fn run_until(&mut self, millis: u64, is_done: impl Fn(&Self) -> bool) -> u64 {
+    pub(super) fn run_until(&mut self, millis: u64, is_done: impl Fn(&Self) -> bool) -> u64 {
         for millis in 0..millis {
             if is_done(self) {
                 return millis;
@@ -211,7 +211,7 @@ impl Bench {
         );
     }
 
-    fn is_running(&self) -> bool {
+    pub(super) fn is_running(&self) -> bool {
         self.station.machine.state() == ClientState::Running
     }
 }

@@ -11,6 +11,9 @@
 //! back by their resume secrets.
 
 mod admissions;
+#[cfg(test)]
+mod carried_tests;
+mod carrier;
 mod host_controller;
 mod host_machine;
 mod host_members;
@@ -21,7 +24,7 @@ mod own_rows;
 mod station_controller;
 mod station_machine;
 
-pub use admissions::{Admissions, BookAdmissions, UnixClock, examine, no_station};
+pub use admissions::{Admissions, BookAdmissions, SteppedClock, UnixClock, examine, no_station};
 pub use host_controller::HostController;
 pub use host_machine::{HostMachine, HostSetup, Incident};
 pub use host_members::{AcceptedNote, HostHandControl};

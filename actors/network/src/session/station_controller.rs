@@ -34,6 +34,12 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
             for news in machine.take_news() {
                 match news {
                     StationNews::Away(why) => tracing::warn!("away from the host: {why}"),
+                    StationNews::Carried(true) => {
+                        tracing::warn!(
+                            "datagrams do not arrive at the host: hands go over TCP, 100 times a second"
+                        );
+                    }
+                    StationNews::Carried(false) => tracing::info!("datagrams arrive at the host again"),
                     StationNews::Back => tracing::info!("back at the host"),
                     StationNews::Refused(refusal) => tracing::warn!("the host refused: {refusal}"),
                     StationNews::Note(_) => {}

@@ -11,6 +11,7 @@ use trocar_scene::{
     StationRole,
 };
 
+use super::carrier::Carrier;
 use super::host_controller::{role, state};
 use super::host_members::digest_of;
 use super::own_rows::own_rows;
@@ -32,6 +33,8 @@ const TAKEN_MAX: usize = 1 << 20;
 const ACKNOWLEDGE_EVERY: SimTime = SimTime::from_millis(20);
 /// Time between two tellings of what a person does with the pedals.
 const PRESS_EVERY: SimTime = SimTime::from_millis(20);
+/// Datagrams that the control channel is given to carry at a step.
+const CARRIED_MAX: usize = 8;
 /// Deltas that wait to be applied, one a step.
 const DELTAS_MAX: usize = 64;
 /// Notes and refusals that wait for the actor.
@@ -72,6 +75,8 @@ pub enum StationNews {
     Away(String),
     /// The station is back.
     Back,
+    /// The control channel carries its datagrams from now on, or no more.
+    Carried(bool),
 }
 
 /// Why a station cannot go on.
@@ -106,6 +111,8 @@ pub struct StationMachine<A> {
     rows: VecDeque<Parcel>,
     stations: Vec<StationInfo>,
     quality: Option<LinkQuality>,
+    /// What the control channel of the present connection carries.
+    carrier: Carrier,
     news: VecDeque<StationNews>,
     acknowledged_at: SimTime,
     /// The pedals of the hands that it serves, as they were told last, and when.
@@ -149,6 +156,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             rows: VecDeque::new(),
             stations: Vec::new(),
             quality: None,
+            carrier: Carrier::default(),
             news: VecDeque::new(),
             acknowledged_at: SimTime::ZERO,
             pressed: Vec::new(),
@@ -182,6 +190,15 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         (machine.replica, machine.columns, machine.devices) = (Some(replica), Some(columns), devices);
         (machine.is_in_session, machine.has_joined) = (true, true);
         machine
+    }
+
+    /// Puts something between the machine and its stream.
+    pub fn over(
+        mut self: Box<Self>,
+        wrap: impl FnOnce(Box<dyn StationStream<A>>) -> Box<dyn StationStream<A>>,
+    ) -> Box<Self> {
+        self.stream = wrap(self.stream);
+        self
     }
 
     /// What a machine has to know to be made [again](Self::again); `None` before the station is in the session.
@@ -355,12 +372,13 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
 
     fn hear(&mut self, now: SimTime) {
         let mut heard = Heard::default();
-        let Self { control, received, deltas, news, stations, replica, .. } = self;
+        let Self { control, received, deltas, news, stations, replica, carrier, .. } = self;
         let mut failed = None;
         control.receive(received, now, &mut |event| match event {
             ClientEvent::Welcomed(welcome) => {
                 heard.welcomed = Some((welcome.connection, welcome.station));
                 *stations = welcome.session.stations.clone();
+                *carrier = Carrier::default();
                 deltas.clear();
                 heard.hands_changed = true;
             }
@@ -384,6 +402,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             ClientEvent::Answer { refusal: None, .. }
             | ClientEvent::PeerTicket { .. }
             | ClientEvent::Clock(_) => {}
+            ClientEvent::Carried { hears, taken, datagram } => carrier.arrived(hears, taken, datagram),
             ClientEvent::Rekey(phase) => heard.rekey = Some(phase),
         });
         if let Some(why) = failed {
@@ -398,7 +417,35 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         if let Some(phase) = heard.rekey {
             self.rekey(phase, now);
         }
+        self.take_carried();
         self.built = heard.scene.or(self.built.take());
+    }
+
+    /// Gives the hands link what the control channel carried.
+    fn take_carried(&mut self) {
+        let Some(connection) = self.connection else { return };
+        if let Some(is_heard) = self.carrier.take_heard() {
+            self.hands.order(HandsOrder::Heard { connection, is_heard });
+            self.tell(StationNews::Carried(!is_heard));
+        }
+        while let Some(datagram) = self.carrier.take_arrived() {
+            // Without room it is lost, as on a path.
+            self.hands.order(HandsOrder::Carried { connection, datagram });
+        }
+    }
+
+    /// Puts what the control channel is to carry into it.
+    fn send_carried(&mut self, now: SimTime) {
+        let Self { control, carrier, .. } = self;
+        if control.state() != ClientState::Running {
+            return;
+        }
+        for _ in 0..CARRIED_MAX {
+            let (round_trip, waiting) = (control.round_trip(), control.outgoing().len());
+            let Some(frame) = carrier.next(round_trip, control.has_urgent(), waiting, now) else { break };
+            // One that cannot go is lost, or has ended the connection, which the next step sees.
+            let _ = control.send_carried(frame.message(), frame.is_urgent, now);
+        }
     }
 
     /// Gives the datagrams of a new connection their keys.
@@ -466,8 +513,18 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
                         quality.take(&point);
                     }
                 }
+                HandsNews::Carry { connection, datagram } if Some(connection) == self.connection => {
+                    self.carrier.carry(datagram);
+                }
+                HandsNews::Hears { connection, hears } if Some(connection) == self.connection => {
+                    self.carrier.hears(hears);
+                }
                 // The host counts what its own end has sealed, and asks for new keys.
-                HandsNews::Arrived { .. } | HandsNews::Second { .. } | HandsNews::Worn { .. } => {}
+                HandsNews::Arrived { .. }
+                | HandsNews::Carry { .. }
+                | HandsNews::Hears { .. }
+                | HandsNews::Second { .. }
+                | HandsNews::Worn { .. } => {}
                 HandsNews::Closed(connection) => drop(connection),
             }
         }
@@ -593,6 +650,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
 
     /// Moves what waits into the stream.
     fn flush(&mut self, now: SimTime) {
+        self.send_carried(now);
         while !self.control.outgoing().is_empty() {
             match self.stream.send(now, self.control.outgoing()) {
                 Ok(0) => break,

@@ -28,6 +28,7 @@ pub fn network(report: &Report) -> String {
         "datagrams [Hz]",
         "received [kB/s]",
         "sent [kB/s]",
+        "over TCP [s]",
         "protected",
     ];
     let rows = links.iter().map(|(name, link)| row(name, link));
@@ -52,6 +53,8 @@ pub fn network(report: &Report) -> String {
 fn row(name: &str, link: &LinkTrace) -> Vec<Cell> {
     let of = |of: Of, share: f64| quantile(link.seconds.iter().map(of).collect(), share);
     let median = |value: Of| Cell::number(of(value, 0.5));
+    let over_tcp = link.seconds.iter().filter(|second| second.link.over_tcp).count() as u64;
+    let carried = Cell::count(over_tcp);
     let protected = Cell::plain(if link.protected { "yes" } else { "no" }.into());
     vec![
         Cell::text(name),
@@ -65,6 +68,7 @@ fn row(name: &str, link: &LinkTrace) -> Vec<Cell> {
         median(|second| second.link.rate),
         median(|second| second.link.bytes_received * 1e-3),
         median(|second| second.link.bytes_sent * 1e-3),
+        if over_tcp == 0 { carried } else { carried.warn() },
         if link.protected { protected } else { protected.warn() },
     ]
 }

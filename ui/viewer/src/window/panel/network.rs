@@ -11,6 +11,9 @@ const BAD_FROM: f64 = 0.5;
 /// Share of lost datagrams from which a link is poor.
 const LOSSY_FROM: f64 = 0.05;
 
+/// What is said of a link whose datagrams are blocked.
+const OVER_TCP: &str = "over TCP, since datagrams do not arrive: hands move at 100 Hz";
+
 /// Draws the section, if others share the session.
 pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
     let mut stations = stations(scene);
@@ -32,12 +35,16 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
         let colour = match link {
             _ if !station.here => BAD,
             LinkState { round_trip, .. } if *round_trip >= BAD_FROM => BAD,
+            LinkState { over_tcp: true, .. } => POOR,
             LinkState { round_trip, loss, .. } if *round_trip >= POOR_FROM || *loss >= LOSSY_FROM => POOR,
             _ => GOOD,
         };
         ui.label(RichText::new(title(station)).color(colour));
         if station.here {
             ui.label(RichText::new(figures(link)).weak());
+        }
+        if station.here && link.over_tcp {
+            ui.label(RichText::new(OVER_TCP).color(POOR));
         }
         if !station.protected {
             ui.label(
