@@ -110,6 +110,16 @@ pub trait FaultSink: Send + Sync {
     fn is_sound(&self) -> Option<bool> {
         None
     }
+    /// The same of one of the targets of a sink that has [many](takes).
+    fn is_target_sound(&self, _target: &str) -> Option<bool> {
+        self.is_sound()
+    }
+}
+
+/// Whether the sink of this name takes the faults of a target: its own, and one whose name ends with a star those of all
+/// targets that begin as it does, such as the links to stations that come later.
+pub fn takes(sink: &str, target: &str) -> bool {
+    sink == target || sink.strip_suffix('*').is_some_and(|begin| target.starts_with(begin))
 }
 
 /// Stop condition of a session.
@@ -274,6 +284,19 @@ pub const MODEL: &str = "model";
 /// Name of the recorder in the supervisor tree and in fault files.
 pub const RECORDER: &str = "recorder";
 
+/// Name of the wall clock in fault files, where a session asks one.
+pub const CLOCK: &str = "clock";
+
+/// Name of all links of a session at once, of a station's one link, and of a host's links to its stations, in fault files.
+pub const LINKS: &str = "links";
+/// See [`LINKS`].
+pub const LINK: &str = "link";
+/// See [`LINKS`].
+pub const LINK_OF_STATION: &str = "link.*";
+
+/// Name of the programs of a session's stations in fault files, where whoever runs the session runs them, too.
+pub const STATION_PROGRAM: &str = "station.*";
+
 /// Name of a session's windows in fault files, if it has windows.
 pub const VIEWER: &str = "viewer";
 
@@ -311,11 +334,15 @@ pub enum FaultKind {
     DiskFull,
     /// The disk's write rate is limited.
     DiskSlow,
+    /// The wall clock is stepped ahead.
+    ClockAhead,
+    /// The wall clock is stepped back.
+    ClockBack,
 }
 
 impl FaultKind {
     /// All of them, in the order of the design.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::Kill,
         Self::Stall,
         Self::Slow,
@@ -331,6 +358,8 @@ impl FaultKind {
         Self::Nan,
         Self::DiskFull,
         Self::DiskSlow,
+        Self::ClockAhead,
+        Self::ClockBack,
     ];
     /// Its name in files.
     pub const fn name(self) -> &'static str {
@@ -350,6 +379,8 @@ impl FaultKind {
             Self::Nan => "nan",
             Self::DiskFull => "disk_full",
             Self::DiskSlow => "disk_slow",
+            Self::ClockAhead => "clock_ahead",
+            Self::ClockBack => "clock_back",
         }
     }
     /// Whether it affects messages in flight.
@@ -364,9 +395,13 @@ impl FaultKind {
     pub const fn is_of_disk(self) -> bool {
         matches!(self, Self::DiskFull | Self::DiskSlow)
     }
+    /// Whether it steps the wall clock, which goes on at once.
+    pub const fn is_of_clock(self) -> bool {
+        matches!(self, Self::ClockAhead | Self::ClockBack)
+    }
     /// Whether it strikes once, without an end of its own.
     pub const fn is_instant(self) -> bool {
-        matches!(self, Self::Kill | Self::Stall)
+        matches!(self, Self::Kill | Self::Stall | Self::ClockAhead | Self::ClockBack)
     }
 }
 
@@ -387,7 +422,7 @@ pub struct FaultOrder {
     pub kind: FaultKind,
     /// `true` when it begins (or strikes once), `false` when it heals.
     pub begins: bool,
-    /// Length of a stall, extra time per step of `slow`, extra latency of `delay`, longest wait in the queue of
+    /// Length of a stall, extra time per step of `slow`, step of a clock, extra latency of `delay`, longest wait in the queue of
     /// `rate_limit`; ignored by the others.
     pub span: SimTime,
     /// Variation of the extra latency of `delay`, ±.

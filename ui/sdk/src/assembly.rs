@@ -80,9 +80,11 @@ impl Assembly {
         }
         let mut roles = Vec::with_capacity(scenario.controllers.len() + 1);
         let (mut network, mut last) = (Vec::new(), None);
+        let mut fault_targets = options.fault_targets.clone();
         if let Some(station) = station {
-            let TakingPart { actor, part, last_word } =
-                network::stationed(station, network_hands.take_station())?;
+            let TakingPart { actor, part, last_word, fault_sinks } =
+                network::stationed(station, network_hands.take_station(), options.faults.is_some())?;
+            fault_targets.0.extend(fault_sinks);
             roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, network_actor(actor)));
             network.push(part);
             last = Some(last_word);
@@ -111,9 +113,11 @@ impl Assembly {
         commands.seal();
         store.apply(&mut commands, begin);
         let scene = store.snapshot();
+        let (host_hands, has_faults) = (network_hands.take_host(), options.faults.is_some());
         let hosted =
-            network::hosted(&options.network, scenario, options.seed, &scene, network_hands.take_host())?;
-        if let Some(TakingPart { actor, part, last_word }) = hosted {
+            network::hosted(&options.network, scenario, options.seed, &scene, host_hands, has_faults)?;
+        if let Some(TakingPart { actor, part, last_word, fault_sinks }) = hosted {
+            fault_targets.0.extend(fault_sinks);
             roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, network_actor(actor)));
             network.push(part);
             last = Some(last_word);
@@ -130,7 +134,7 @@ impl Assembly {
             roles,
             until: options.seconds.map(|seconds| begin + SimTime::from_secs_f64(seconds)),
             faults: options.faults.clone(),
-            fault_targets: options.fault_targets.clone(),
+            fault_targets,
         };
         let spec = plan.first((options.seed, begin), &ports);
         Ok(Self { spec, hands, network, last_word: last, plan: Arc::new(plan), actors: app.actors.clone() })

@@ -6,8 +6,9 @@ use thiserror::Error;
 use trocar_kernel::faults::{FaultPlan, FaultPlanError};
 
 /// Built-in plans: (name, text).
-pub const PLANS: [(&str, &str); 20] = [
+pub const PLANS: [(&str, &str); 21] = [
     ("bad-day", include_str!("../../../faults/bad-day.toml")),
+    ("bad-network-day", include_str!("../../../faults/bad-network-day.toml")),
     ("device-stalled", include_str!("../../../faults/device-stalled.toml")),
     ("disk-full", include_str!("../../../faults/disk-full.toml")),
     ("dying-hand", include_str!("../../../faults/dying-hand.toml")),
@@ -83,7 +84,7 @@ mod tests {
 
     #[test]
     fn an_unknown_name_lists_the_known_ones_and_a_missing_file_is_named() {
-        assert!(plan("bad-dy").unwrap_err().to_string().contains("bad-day, device-stalled"));
+        assert!(plan("bad-dy").unwrap_err().to_string().contains("bad-day, bad-network-day, device-stalled"));
         assert!(plan("nowhere.toml").unwrap_err().to_string().contains("nowhere.toml"));
     }
 }

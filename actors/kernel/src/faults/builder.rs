@@ -3,7 +3,7 @@
 use trocar_scene::SimTime;
 
 use super::plan::{During, FaultPlan, FaultSpec, seed_of, unit_of};
-use crate::spec::{FaultKind, RECORDER};
+use crate::spec::{CLOCK, FaultKind, RECORDER};
 
 impl FaultPlan {
     /// Begins a fault at a time since the start of the session.
@@ -128,6 +128,14 @@ impl FaultAt {
     /// Blocks all messages of the target.
     pub fn partition(self, target: &str) -> FaultPlan {
         self.fault(FaultKind::Partition, target)
+    }
+    /// Steps the wall clock ahead.
+    pub fn clock_ahead(self, step: SimTime) -> FaultPlan {
+        self.having(FaultKind::ClockAhead, CLOCK, |fault| fault.step = step)
+    }
+    /// Steps the wall clock back.
+    pub fn clock_back(self, step: SimTime) -> FaultPlan {
+        self.having(FaultKind::ClockBack, CLOCK, |fault| fault.step = step)
     }
     fn having(self, kind: FaultKind, target: &str, set: impl FnOnce(&mut FaultSpec)) -> FaultPlan {
         let mut plan = self.fault(kind, target);

@@ -14,6 +14,7 @@ mod schedule;
 pub(crate) use batch_in_flight::{BatchInFlight, second_of};
 pub use builder::{FaultAt, secs};
 pub use link_faults::{LINK_WAITING_MAX, LinkCounts, LinkFaults, Message};
+pub(crate) use outcome::soundness;
 pub use outcome::{FaultLog, FaultRow, Measured};
 pub use plan::{During, Expect, FaultPlan, FaultPlanError, FaultSpec};
 pub use schedule::{FaultSchedule, TargetClass, Targets};

@@ -3,7 +3,7 @@
 use trocar_scene::SimTime;
 
 use super::plan::{Expect, FaultPlan};
-use crate::spec::{FaultKind, FaultRecord, RECORDER};
+use crate::spec::{FaultKind, FaultRecord, FaultSink, RECORDER, takes};
 
 /// The life of one fault, in session time.
 #[derive(Clone, Debug, PartialEq)]
@@ -113,7 +113,12 @@ impl FaultLog {
     pub fn injected(&mut self, index: usize, now: SimTime) {
         if let Some(row) = self.rows.get_mut(index).filter(|row| row.injected.is_none()) {
             row.injected = Some(now);
-            self.open += 1;
+            if row.kind.is_of_clock() {
+                // It goes on at once.
+                (row.healed, row.resumed) = (Some(now), Some(now));
+            } else {
+                self.open += 1;
+            }
         }
     }
 
@@ -122,6 +127,11 @@ impl FaultLog {
         if let Some(row) = self.rows.get_mut(index).filter(|row| row.begun()) {
             row.healed = Some(now);
         }
+    }
+
+    /// Targets with a fault from which they have not yet recovered.
+    pub fn open_targets(&self) -> impl Iterator<Item = &str> {
+        self.rows.iter().filter(|row| row.begun()).map(|row| row.target.as_str())
     }
 
     /// Records that a stall of the target ended before the supervisor replaced it.
@@ -254,6 +264,15 @@ fn recovery_failure(row: &FaultRow, limit: f64, ended: SimTime, failures: &mut V
         None if ended.since(row.healed.unwrap_or(injected)).as_secs_f64() < limit => {}
         None => failures.push(format!("fault '{}': '{}' never resumed", row.id, row.target)),
     }
+}
+
+/// What a sink of many targets says of those that have not yet recovered.
+pub(crate) fn soundness(log: &FaultLog, name: &str, sink: &dyn FaultSink) -> Vec<(String, bool)> {
+    if !log.is_open() || !name.ends_with('*') {
+        return Vec::new();
+    }
+    let targets = log.open_targets().filter(|target| takes(name, target));
+    targets.filter_map(|target| Some((target.to_owned(), sink.is_target_sound(target)?))).collect()
 }
 
 #[cfg(test)]

@@ -42,11 +42,11 @@ pub struct FaultSpec {
     pub during: Option<During>,
     /// Duration; `None`: until the end of the session, or until the supervisor recovers the target.
     pub lasting: Option<SimTime>,
-    /// Name of a controller, a device, `model`, `recorder`, `viewer` or a link.
+    /// Name of a controller, a device, `model`, `recorder`, `viewer`, `clock`, or a link.
     pub target: String,
     /// What goes wrong.
     pub kind: FaultKind,
-    /// [`FaultKind::Slow`]: extra time of each step.
+    /// [`FaultKind::Slow`]: extra time of each step. [`FaultKind::ClockAhead`], [`FaultKind::ClockBack`]: by how much.
     pub step: SimTime,
     /// [`FaultKind::Drop`], [`FaultKind::Duplicate`], [`FaultKind::Reorder`], [`FaultKind::Corrupt`]:
     /// share of messages concerned, 0 to 1.

@@ -22,7 +22,7 @@ const MAX_DELAYS: usize = 100_000;
 
 /// Whether a fault of this kind can heal, and so may have `for_secs`.
 const fn can_heal(kind: FaultKind) -> bool {
-    !matches!(kind, FaultKind::Kill)
+    !matches!(kind, FaultKind::Kill | FaultKind::ClockAhead | FaultKind::ClockBack)
 }
 const fn takes_probability(kind: FaultKind) -> bool {
     matches!(kind, FaultKind::Drop | FaultKind::Duplicate | FaultKind::Reorder | FaultKind::Corrupt)
@@ -147,8 +147,9 @@ impl FileFault {
         };
         let kind = self.kind;
         only("for_secs", self.for_secs.is_some(), can_heal(kind))?;
-        only("step_secs", self.step_secs.is_some(), kind == FaultKind::Slow)?;
-        needed("step_secs", self.step_secs.is_none(), kind == FaultKind::Slow)?;
+        let steps = kind == FaultKind::Slow || kind.is_of_clock();
+        only("step_secs", self.step_secs.is_some(), steps)?;
+        needed("step_secs", self.step_secs.is_none(), steps)?;
         let (is_delay, is_trace) = (kind == FaultKind::Delay, self.delays_secs.is_some());
         let is_rate = matches!(kind, FaultKind::DiskSlow | FaultKind::RateLimit);
         only("delay_secs", self.delay_secs.is_some(), is_delay)?;

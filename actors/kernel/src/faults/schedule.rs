@@ -5,7 +5,10 @@ use std::collections::BTreeMap;
 use trocar_scene::{SimTime, Snapshot};
 
 use super::plan::{During, FaultPlan, FaultPlanError, FaultSpec, seed_of};
-use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER, VIEWER};
+use crate::spec::{
+    CLOCK, FaultKind, FaultOrder, LINK, LINK_OF_STATION, LINKS, MODEL, RECORDER, STATION_PROGRAM, VIEWER,
+    takes,
+};
 
 /// Class of a fault target, which determines the applicable faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +23,12 @@ pub enum TargetClass {
     Recorder,
     /// A network link.
     Link,
+    /// All network links at once, with what serves them.
+    Links,
+    /// The wall clock.
+    Clock,
+    /// A program that is a station of the session.
+    Station,
     /// The windows onto the session.
     Viewer,
 }
@@ -33,15 +42,23 @@ impl TargetClass {
             Self::Model => "model",
             Self::Recorder => "recorder",
             Self::Link => "network link",
+            Self::Links => "set of all network links",
+            Self::Clock => "clock",
+            Self::Station => "station",
             Self::Viewer => "viewer",
         }
     }
 
-    /// Class of a fault sink by its name: `recorder`, `viewer`, `network.…`, or else a device.
+    /// Class of a fault sink by its name: `recorder`, `viewer`, `clock`, `links`, `link`, `link.*`, `network.…`, or else a
+    /// device.
     pub fn of_sink(name: &str) -> Self {
         match name {
             RECORDER => Self::Recorder,
             VIEWER => Self::Viewer,
+            CLOCK => Self::Clock,
+            LINKS => Self::Links,
+            LINK | LINK_OF_STATION => Self::Link,
+            STATION_PROGRAM => Self::Station,
             name if name.starts_with("network.") => Self::Link,
             _ => Self::Device,
         }
@@ -70,9 +87,19 @@ impl TargetClass {
             Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull, K::DiskSlow],
             // For a viewer, `unplug` takes away the graphics device.
             Self::Viewer => &[K::Kill, K::Unplug],
-            Self::Link => {
-                &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition, K::RateLimit]
-            }
+            // A link that is killed is cut, and its ends may connect anew.
+            Self::Link => &[
+                K::Kill,
+                K::Drop,
+                K::Delay,
+                K::Duplicate,
+                K::Reorder,
+                K::Corrupt,
+                K::Partition,
+                K::RateLimit,
+            ],
+            Self::Links | Self::Station => &[K::Kill],
+            Self::Clock => &[K::ClockAhead, K::ClockBack],
         }
     }
 }
@@ -94,7 +121,8 @@ impl Targets {
     }
     /// Class of the target of this name.
     pub fn class(&self, name: &str) -> Option<TargetClass> {
-        self.0.get(name).copied()
+        let one_of_many = || self.0.iter().find(|(sink, _)| takes(sink, name)).map(|(_, class)| *class);
+        self.0.get(name).copied().or_else(one_of_many)
     }
 }
 
@@ -218,7 +246,7 @@ fn place((at, order): &(SimTime, FaultOrder)) -> (SimTime, bool, u32) {
 
 fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
     let span = match fault.kind {
-        FaultKind::Slow => fault.step,
+        FaultKind::Slow | FaultKind::ClockAhead | FaultKind::ClockBack => fault.step,
         FaultKind::Delay => fault.delay,
         FaultKind::RateLimit => fault.queue,
         // A stall without a duration lasts for ever; the supervisor replaces the thread.
@@ -253,6 +281,23 @@ mod tests {
             .with("engine", TargetClass::Controller)
             .with("device.left", TargetClass::Device)
             .with("recorder", TargetClass::Recorder)
+    }
+
+    #[test]
+    fn the_links_of_stations_that_come_later_are_targets_by_their_names() {
+        let targets = targets().with("link.*", TargetClass::Link).with("clock", TargetClass::Clock);
+        assert_eq!(targets.class("link.Ana"), Some(TargetClass::Link));
+        assert_eq!((targets.class("link"), targets.class("linkage")), (None, None));
+        let plan = FaultPlan::new(1).at(secs(1.0)).partition("link.Ana");
+        let plan = plan.at(secs(2.0)).clock_ahead(secs(3_600.0));
+        let mut schedule = FaultSchedule::new(&plan, &targets).expect("valid");
+        let scene = Store::new(trocar_scene::Registry::standard()).snapshot();
+        let orders: Vec<FaultOrder> = std::iter::from_fn(|| schedule.due(secs(9.0), &scene)).collect();
+        assert_eq!(orders.len(), 2);
+        assert_eq!((orders[0].target.as_str(), orders[1].span), ("link.Ana", secs(3_600.0)));
+        let wrong = FaultPlan::new(1).at(secs(1.0)).stall("link.Ana");
+        let error = FaultSchedule::new(&wrong, &targets).expect_err("a link has no steps").to_string();
+        assert!(error.contains("network link") && error.contains("partition"), "{error}");
     }
 
     #[test]

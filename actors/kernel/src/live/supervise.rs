@@ -13,10 +13,10 @@ use trocar_scene::{Access, SimTime};
 use super::host::{self, HostActor};
 use super::model::{self, ModelActor};
 use super::shared::{Life, Report, Shared, Writer, lock};
-use crate::faults::{FaultLog, FaultRow, FaultSchedule};
+use crate::faults::{FaultLog, FaultRow, FaultSchedule, soundness};
 use crate::model_core::ModelCore;
 use crate::runtime::{Permission, guarded, sched};
-use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, StopWhen, ZeroForces};
+use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, StopWhen, ZeroForces, takes};
 use crate::supervision::{Action, Cause, ChildId, Event, Health, Incident, RuntimeClass, Supervisor as Tree};
 
 /// Longest pause between two polls.
@@ -347,7 +347,7 @@ impl SupervisorThread {
             }
         }
         // The recorder is both a controller and the disk behind it.
-        for (_, sink) in self.sinks.iter().filter(|(name, _)| *name == order.target) {
+        for (_, sink) in self.sinks.iter().filter(|(name, _)| takes(name, &order.target)) {
             sink.fault(order);
         }
     }
@@ -403,6 +403,9 @@ impl SupervisorThread {
         for (name, sink) in &self.sinks {
             if let Some(sound) = sink.is_sound() {
                 self.faults.looked_at(name, sound, now);
+            }
+            for (target, sound) in soundness(&self.faults, name, sink.as_ref()) {
+                self.faults.looked_at(&target, sound, now);
             }
         }
     }

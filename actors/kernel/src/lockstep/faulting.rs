@@ -6,8 +6,8 @@ use trocar_scene::{Batch, SimTime};
 
 use super::session::LockstepSession;
 use super::slot::NEVER;
-use crate::faults::{BatchInFlight, FaultLog, TargetClass, Targets};
-use crate::spec::{FaultKind, FaultOrder, MODEL};
+use crate::faults::{BatchInFlight, FaultLog, TargetClass, Targets, soundness};
+use crate::spec::{FaultKind, FaultOrder, MODEL, takes};
 use crate::supervision::Event;
 
 /// A Model that hangs in a step.
@@ -74,7 +74,7 @@ impl LockstepSession {
                 _ => {}
             }
         }
-        let sinks = self.fault_sinks.iter().filter(|(name, _)| *name == order.target);
+        let sinks = self.fault_sinks.iter().filter(|(name, _)| takes(name, &order.target));
         let sinks: Vec<_> = sinks.map(|(_, sink)| Arc::clone(sink)).collect();
         for sink in sinks {
             sink.fault(order);
@@ -167,6 +167,9 @@ impl LockstepSession {
         for (name, sink) in &self.fault_sinks {
             if let Some(sound) = sink.is_sound() {
                 self.fault_log.looked_at(name, sound, self.now);
+            }
+            for (target, sound) in soundness(&self.fault_log, name, sink.as_ref()) {
+                self.fault_log.looked_at(&target, sound, self.now);
             }
         }
     }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::control::{Credential, PlainText, Refusal};
-use crate::session::{Admissions, examine, no_station};
+use crate::session::{Admissions, SteppedClock, examine, no_station};
 use crate::ticket::{Admission, Role, StoreError, TicketId, TicketStore};
 
 /// Tries before a book that another program is changing counts as busy; a change takes milliseconds.
@@ -23,18 +23,26 @@ pub fn wait_for_the_book(tries: u32) -> bool {
 
 /// A host's book of tickets on disk, shared by the session, which lets in, and the program, which gives tickets out.
 #[derive(Clone)]
-pub struct StoreAdmissions(Arc<Mutex<TicketStore>>);
+pub struct StoreAdmissions {
+    store: Arc<Mutex<TicketStore>>,
+    clock: Arc<SteppedClock>,
+}
 
 impl StoreAdmissions {
     /// Of this book.
     pub fn new(store: TicketStore) -> Self {
-        Self(Arc::new(Mutex::new(store)))
+        Self { store: Arc::new(Mutex::new(store)), clock: Arc::default() }
+    }
+
+    /// What faults have done to the wall clock by which tickets expire.
+    pub fn clock(&self) -> &Arc<SteppedClock> {
+        &self.clock
     }
 
     /// The book, for a short time.
     pub fn store(&self) -> MutexGuard<'_, TicketStore> {
         // A panic under way leaves a book that equals its file, or is read again.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.store.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -46,11 +54,11 @@ impl Admissions for StoreAdmissions {
     fn examine(&mut self, credential: &Credential) -> Result<(Option<u16>, Role), Refusal> {
         let mut store = self.store();
         store.refresh().map_err(|error| trouble(&error))?;
-        examine(store.book(), credential, unix_secs()).map_err(Refusal::Ticket)
+        examine(store.book(), credential, self.clock.stepped(unix_secs())).map_err(Refusal::Ticket)
     }
 
     fn admit(&mut self, credential: &Credential) -> Result<Admission, Refusal> {
-        let (mut store, now) = (self.store(), unix_secs());
+        let (mut store, now) = (self.store(), self.clock.stepped(unix_secs()));
         let admitted = match credential {
             Credential::Ticket { token, resume } => {
                 let station = store.book().free_station().ok_or_else(no_station)?;
@@ -70,6 +78,6 @@ impl Admissions for StoreAdmissions {
     }
 
     fn unix_secs(&self) -> u64 {
-        unix_secs()
+        self.clock.stepped(unix_secs())
     }
 }

@@ -1,6 +1,9 @@
 //! Admissions: what a host asks of its tickets.
 
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink};
 
 use crate::control::{Credential, Refusal};
 use crate::ticket::{Admission, Refused, Role, TicketBook, TicketId};
@@ -15,6 +18,30 @@ pub trait UnixClock: Send + 'static {
 impl UnixClock for u64 {
     fn unix_secs(&self) -> u64 {
         *self
+    }
+}
+
+/// Seconds by which a fault has stepped a wall clock.
+#[derive(Debug, Default)]
+pub struct SteppedClock(AtomicI64);
+
+impl SteppedClock {
+    /// What a clock shows that would show `unix_secs`.
+    pub fn stepped(&self, unix_secs: u64) -> u64 {
+        unix_secs.saturating_add_signed(self.0.load(Ordering::Relaxed))
+    }
+}
+
+impl FaultSink for SteppedClock {
+    fn fault(&self, order: &FaultOrder) {
+        let secs = i64::try_from(order.span.as_nanos() / 1_000_000_000).unwrap_or(i64::MAX);
+        let by = match order.kind {
+            FaultKind::ClockAhead => secs,
+            FaultKind::ClockBack => -secs,
+            _ => return,
+        };
+        // A plan has too few steps of too few seconds for more than the type holds.
+        self.0.fetch_add(by, Ordering::Relaxed);
     }
 }
 

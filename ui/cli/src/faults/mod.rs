@@ -9,6 +9,7 @@ mod live;
 mod live_faults;
 mod lockstep;
 mod process;
+mod stations;
 mod zombie;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -77,6 +78,7 @@ fn measure(args: &VerifyArgs) -> Rows {
         lockstep::plan(folder.path(), &mut plan);
         forces::lockstep(&mut plan);
         links::lockstep(&mut plan);
+        stations::lockstep(&mut plan);
         disks::lockstep(folder.path(), &mut plan);
     }
     if both || args.live {

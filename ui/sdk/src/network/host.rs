@@ -6,12 +6,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Deserialize;
 use trocar_devices::HapticDevice;
-use trocar_kernel::spec::Factory;
+use trocar_kernel::spec::{CLOCK, Factory, LINK_OF_STATION, LINKS};
 use trocar_network::control::{
     Architecture, ComponentList, HandInfo, HostFacts, PlainText, SCENARIO_TEXT_MAX, SESSION_HANDS_MAX,
     SessionInfo,
 };
 use trocar_network::datagram::Seal;
+use trocar_network::faulty::LinkBoard;
 use trocar_network::hands_link::{HandsHost, HandsLink, HostHand, hands_channel};
 use trocar_network::haptic::SenderConfig;
 use trocar_network::live::interfaces::own_addresses;
@@ -24,7 +25,8 @@ use trocar_network::remote_hand::{DoorLimits, RemoteHand};
 use trocar_network::replication::choice::{ColumnRates, ReplicatedColumns};
 use trocar_network::replication::scene_feed::FeedLimits;
 use trocar_network::session::{
-    BookAdmissions, HostController, HostHandControl, HostMachine, HostSetup, MachineSlot,
+    BookAdmissions, HostController, HostHandControl, HostMachine, HostSetup, MachineSlot, SteppedClock,
+    UnixClock,
 };
 use trocar_network::streams::HostStreams;
 use trocar_network::ticket::{
@@ -35,7 +37,7 @@ use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Snapshot};
 
 use super::part::NetworkPart;
 use super::reflected::ReflectorSettings;
-use super::{HANDS_PEER, LastWord, Network, NetworkError, TakingPart};
+use super::{Faults, HANDS_PEER, LastWord, Network, NetworkError, TakingPart};
 
 /// How long a ticket lets in, if nothing else is said \[s\].
 pub const TICKET_LIFE_SECS: u64 = 24 * 3_600;
@@ -219,6 +221,17 @@ pub(super) fn plain_name(text: &str) -> Result<PlainName, NetworkError> {
 pub struct LockstepHost {
     wires: Wires,
     book: Arc<Mutex<TicketBook>>,
+    clock: VirtualClock,
+}
+
+/// The wall clock of sessions in virtual time: it stands still, unless a fault steps it.
+#[derive(Clone, Default)]
+struct VirtualClock(Arc<SteppedClock>);
+
+impl UnixClock for VirtualClock {
+    fn unix_secs(&self) -> u64 {
+        self.0.stepped(VIRTUAL_UNIX_SECS)
+    }
 }
 
 /// When sessions in virtual time take place \[s since 1970\].
@@ -232,7 +245,11 @@ impl LockstepHost {
     pub fn new() -> Result<Self, NetworkError> {
         let identity = Identity::create(&plain_name("host")?)
             .map_err(|error| NetworkError::System(error.to_string()))?;
-        Ok(Self { wires: Wires::default(), book: Arc::new(Mutex::new(TicketBook::new(identity))) })
+        Ok(Self {
+            wires: Wires::default(),
+            book: Arc::new(Mutex::new(TicketBook::new(identity))),
+            clock: VirtualClock::default(),
+        })
     }
 
     /// The wires to its stations.
@@ -260,8 +277,8 @@ impl LockstepHost {
         issued.map(|(_, ticket)| ticket).map_err(|error| NetworkError::Usage(error.to_string()))
     }
 
-    fn admissions(&self) -> BookAdmissions<u64> {
-        BookAdmissions { book: self.book.clone(), clock: VIRTUAL_UNIX_SECS }
+    fn admissions(&self) -> BookAdmissions<VirtualClock> {
+        BookAdmissions { book: self.book.clone(), clock: self.clock.clone() }
     }
 }
 
@@ -305,8 +322,11 @@ pub(crate) fn hosted(
     seed: u64,
     scene: &Snapshot,
     hands: NetworkHands,
+    has_faults: bool,
 ) -> Result<Option<TakingPart>, NetworkError> {
     let settings = NetworkSettings::of(scenario)?;
+    let faults = Faults { board: Arc::new(LinkBoard::host()), has_plan: has_faults };
+    let mut fault_sinks = faults.sinks(&[LINK_OF_STATION, LINKS]);
     match network {
         Network::None | Network::Station(_) => Ok(None),
         Network::Host(host) => {
@@ -314,11 +334,13 @@ pub(crate) fn hosted(
             let host = host.clone();
             let setup = setup(scenario, &settings, seed, scene, hands.infos, host.options.is_attended)?;
             let (controller, link) = hands_channel();
-            let link: Box<dyn HandsLink<SocketAddr>> = Box::new(HandsHost::new(hands.ends, link));
+            let link: Box<dyn HandsLink<SocketAddr>> =
+                faults.hands(Box::new(HandsHost::new(hands.ends, link)));
             let admissions = Box::new(host.tickets.clone());
+            fault_sinks.push((CLOCK.to_owned(), host.tickets.clock().clone()));
             let first = HostMachine::new(
                 setup.clone(),
-                streams,
+                faults.host_streams(streams),
                 admissions,
                 controller.clone(),
                 Arc::new(scene.clone()),
@@ -329,19 +351,21 @@ pub(crate) fn hosted(
                     host.streams().map_err(|error| ControllerError::Failed(error.to_string()))?;
                 let admissions = Box::new(host.tickets.clone());
                 let scene = Arc::new(scene.clone());
+                let streams = faults.host_streams(streams);
                 Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
             };
             let (actor, last_word) = blueprint(first, is_protected, again);
-            Ok(Some(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word }))
+            Ok(Some(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word, fault_sinks }))
         }
         Network::LockstepHost(host) => {
             let setup = setup(scenario, &settings, seed, scene, hands.infos, false)?;
             let (controller, link) = hands_channel();
-            let link: Box<dyn HandsLink<usize>> = Box::new(HandsHost::new(hands.ends, link));
+            let link: Box<dyn HandsLink<usize>> = faults.hands(Box::new(HandsHost::new(hands.ends, link)));
+            fault_sinks.push((CLOCK.to_owned(), host.clock.0.clone()));
             let host = host.clone();
             let peer = HandsPeer::new(HANDS_PEER, link, host.wires.clone(), End::Host);
             let make = move |scene: &Snapshot| {
-                let streams = Box::new(WireHostStreams::new(host.wires.clone()));
+                let streams = faults.host_streams(Box::new(WireHostStreams::new(host.wires.clone())));
                 // Every machine gets the book as it is.
                 let admissions = Box::new(host.admissions());
                 let scene = Arc::new(scene.clone());
@@ -350,7 +374,8 @@ pub(crate) fn hosted(
             let first =
                 make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
             let (actor, last_word) = blueprint(first, true, make);
-            Ok(Some(TakingPart { actor, part: NetworkPart::Lockstep(Box::new(peer)), last_word }))
+            let part = NetworkPart::Lockstep(Box::new(peer));
+            Ok(Some(TakingPart { actor, part, last_word, fault_sinks }))
         }
     }
 }

@@ -27,9 +27,12 @@ use std::fmt;
 use std::sync::Arc;
 
 use thiserror::Error;
-use trocar_kernel::spec::Factory;
+use trocar_kernel::spec::{Factory, FaultSink};
 use trocar_network::control::{ControlError, ExitClass};
+use trocar_network::faulty::{FaultyHands, FaultyHostStreams, FaultyStationStream, LinkBoard};
+use trocar_network::hands_link::HandsLink;
 use trocar_network::live::sockets::SocketError;
+use trocar_network::streams::{HostStreams, StationStream};
 use trocar_network::ticket::StoreError;
 
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
@@ -63,6 +66,35 @@ pub(crate) struct TakingPart {
     pub part: NetworkPart,
     /// What is said at the end.
     pub last_word: LastWord,
+    /// Targets for faults.
+    pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
+}
+
+/// The faults of a session's links: the board on which its fault plan puts them. Without a plan nothing is put between the
+/// session and what moves its bytes.
+#[derive(Clone)]
+struct Faults {
+    board: Arc<LinkBoard>,
+    has_plan: bool,
+}
+
+impl Faults {
+    fn hands<A: Copy + Send + 'static>(&self, link: Box<dyn HandsLink<A>>) -> Box<dyn HandsLink<A>> {
+        if self.has_plan { Box::new(FaultyHands::new(link, self.board.clone())) } else { link }
+    }
+
+    fn host_streams(&self, streams: Box<dyn HostStreams>) -> Box<dyn HostStreams> {
+        if self.has_plan { Box::new(FaultyHostStreams::new(streams, self.board.clone())) } else { streams }
+    }
+
+    fn station_stream<A: 'static>(&self, stream: Box<dyn StationStream<A>>) -> Box<dyn StationStream<A>> {
+        if self.has_plan { Box::new(FaultyStationStream::new(stream, self.board.clone())) } else { stream }
+    }
+
+    /// The board under these names.
+    fn sinks(&self, names: &[&str]) -> Vec<(String, Arc<dyn FaultSink>)> {
+        names.iter().map(|name| ((*name).to_owned(), self.board.clone() as Arc<dyn FaultSink>)).collect()
+    }
 }
 
 /// How a session takes part in a network.

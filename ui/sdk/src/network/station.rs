@@ -9,11 +9,12 @@ use std::time::Duration;
 use ring::rand::SystemRandom;
 use trocar_devices::HapticDevice;
 use trocar_kernel::runtime::Clock;
-use trocar_kernel::spec::Factory;
+use trocar_kernel::spec::{Factory, LINK, LINKS};
 use trocar_network::control::{
     ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
 };
 use trocar_network::datagram::Seal;
+use trocar_network::faulty::LinkBoard;
 use trocar_network::hands_link::{
     ControllerEnd, HandsLink, HandsStation, LinkEnd, StationHand, hands_channel,
 };
@@ -33,7 +34,7 @@ use trocar_scene::{
 
 use super::host::{NetworkSettings, plain_name, random_secret};
 use super::part::NetworkPart;
-use super::{HANDS_PEER, LastWord, NetworkError, TakingPart};
+use super::{Faults, HANDS_PEER, LastWord, NetworkError, TakingPart};
 
 /// The writer under which a station's network joins before there is a session: the first of its controllers.
 pub(crate) const STATION_WRITER: u16 = 1;
@@ -105,6 +106,8 @@ pub struct Station {
     pub hands: Vec<HandInfo>,
     /// Whether a person at the station moves its hands.
     pub moves: bool,
+    /// The secret with which the station comes back after its program has ended: [`JoinOptions::resume`].
+    pub resume: ResumeSecret,
     clock: Option<Clock>,
     parts: Mutex<Option<Parts>>,
 }
@@ -227,6 +230,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
         let Self { machine, setup, controller, link, moves, begun, .. } = self;
         let Begun { scenario, store, .. } = begun?;
         let Welcome { station, role, session, .. } = machine.welcome()?.clone();
+        let (Credential::Ticket { resume, .. } | Credential::Resume { resume }) = setup.credential.clone();
         let name = session.stations.iter().find(|info| info.number == station)?.name.as_str().to_owned();
         Some(Station {
             scenario,
@@ -237,6 +241,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             seed: session.seed,
             hands: session.hands,
             moves,
+            resume,
             clock,
             parts: Mutex::new(Some(parts(Joined {
                 machine: Box::new(machine),
@@ -391,30 +396,40 @@ impl StationHands {
 }
 
 /// The actor of a station's session, and its hands link.
-pub(crate) fn stationed(station: &Station, hands: StationHands) -> Result<TakingPart, NetworkError> {
+pub(crate) fn stationed(
+    station: &Station,
+    hands: StationHands,
+    has_faults: bool,
+) -> Result<TakingPart, NetworkError> {
+    let faults = Faults { board: Arc::new(LinkBoard::station()), has_plan: has_faults };
+    let fault_sinks = faults.sinks(&[LINK, LINKS]);
     let parts = station.parts.lock().unwrap_or_else(PoisonError::into_inner).take();
     match parts {
         Some(Parts::Live { joined, peer }) => {
             let socket = sockets::station(&peer)?;
-            let (actor, last_word, link) = blueprint(joined);
-            let link: Box<dyn HandsLink<SocketAddr>> = Box::new(HandsStation::new(hands.0, link));
-            Ok(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word })
+            let (actor, last_word, link) = blueprint(joined, faults.clone());
+            let link = faults.hands(Box::new(HandsStation::new(hands.0, link)));
+            Ok(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word, fault_sinks })
         }
         Some(Parts::Lockstep { joined, wire }) => {
-            let (actor, last_word, link) = blueprint(joined);
-            let link: Box<dyn HandsLink<usize>> = Box::new(HandsStation::new(hands.0, link));
+            let (actor, last_word, link) = blueprint(joined, faults.clone());
+            let link: Box<dyn HandsLink<usize>> = faults.hands(Box::new(HandsStation::new(hands.0, link)));
             let wires = Wires::default();
             wires.add(wire);
             let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station);
-            Ok(TakingPart { actor, part: NetworkPart::Lockstep(Box::new(peer)), last_word })
+            Ok(TakingPart { actor, part: NetworkPart::Lockstep(Box::new(peer)), last_word, fault_sinks })
         }
         None => Err(NetworkError::System("the station's session has ended; join again".to_owned())),
     }
 }
 
 /// The actor of a machine that has joined; one that is lost is made again, and comes back by its secret.
-fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Factory, LastWord, LinkEnd<A>) {
+fn blueprint<A: Copy + PartialEq + Send + 'static>(
+    joined: Joined<A>,
+    faults: Faults,
+) -> (Factory, LastWord, LinkEnd<A>) {
     let Joined { machine, setup, controller, link, redial } = joined;
+    let machine = machine.over(|stream| faults.station_stream(stream));
     let parts = machine.parts();
     let slot = MachineSlot::new(*machine);
     let ended = slot.clone();
@@ -423,7 +438,7 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(joined: Joined<A>) -> (Factor
     let again = move |scene: &Snapshot, now: SimTime| {
         let lost = || ControllerError::Failed("the network died before it was in the session".to_owned());
         let parts = parts.clone().ok_or_else(lost)?;
-        let stream = redial().map_err(ControllerError::Failed)?;
+        let stream = faults.station_stream(redial().map_err(ControllerError::Failed)?);
         Ok::<_, ControllerError>(StationMachine::again(
             setup.clone(),
             stream,
