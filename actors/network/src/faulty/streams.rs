@@ -197,6 +197,8 @@ impl HostStreams for FaultyHostStreams {
             known.connection = Some(connection);
         }
         self.board.admit(connection, station, name);
+        // What is said to it from now on meets its faults.
+        self.look();
         self.inner.admitted(stream, connection, station, name);
     }
 }

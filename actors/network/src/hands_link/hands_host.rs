@@ -11,6 +11,8 @@ use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
 use crate::hand_sample::{CLUTCHES, HandSample};
 use crate::remote_hand::StationEnd;
 
+/// After so long without a datagram a station was silent.
+const SILENCE: SimTime = SimTime::from_millis(100);
 /// Orders that are taken at one tick.
 const ORDERS_AT_ONCE: usize = 64;
 
@@ -154,8 +156,14 @@ impl<A: Copy + PartialEq> HandsHost<A> {
     ) {
         let Self { hands, links, controller, out, strangers, .. } = self;
         let Link { station, connection, serves, .. } = &mut links[at];
+        let before = connection.heard_at();
         match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
             Ok(true) => {
+                // A hand that was lost in a silence is held from the first word of its station on, so that it stands still
+                // while the station brings its own there. One that then does not come is lost again.
+                let is_back = before.is_none_or(|before| now.since(before) >= SILENCE);
+                let served = hands.iter().filter(|hand| serves.as_slice().contains(&hand.number));
+                served.filter(|_| is_back).for_each(|hand| hand.end.control().take_again(*station));
                 for sample in connection.samples() {
                     if serves.as_slice().contains(&sample.hand)
                         && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
