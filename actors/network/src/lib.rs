@@ -9,6 +9,7 @@ pub mod compensation;
 pub mod control;
 pub mod datagram;
 pub mod faulty;
+pub mod diagnosis;
 pub mod hand_sample;
 pub mod hands_link;
 pub mod haptic;

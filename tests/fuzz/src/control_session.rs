@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use trocar_network::control::{
-    Admitted, Architecture, ClientFacts, ComponentList, Credential, HandInfo, HeldScene, HostEvent,
-    HostFacts, HostSession, ListedComponent, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
-    SceneManifest, SceneOffer, SessionInfo, Wish,
+    Admitted, Architecture, ClientFacts, ComponentList, Credential, Diagnosed, HandInfo, HeldScene,
+    HostEvent, HostFacts, HostSession, ListedComponent, PlainText, Refusal, RequestKind, Roster, SceneCounts,
+    SceneKind, SceneManifest, SceneOffer, SessionInfo, TicketVerdict, Wish,
 };
 use trocar_network::ticket::{PlainName, Refused, ResumeSecret, Role, Token};
 use trocar_scene::{Entity, Revision, SimTime};
@@ -142,6 +142,15 @@ impl HostSession for ControlSession {
         self.roster.check(station, &wish.name, &wish.hands)?;
         self.checked = Some(credential.clone());
         Ok(role)
+    }
+
+    fn diagnose(&mut self, credential: &Credential) -> Result<Diagnosed, Refusal> {
+        let ticket = match self.station(credential) {
+            Ok((_, role)) => TicketVerdict::LetsIn(role),
+            Err(Refusal::Ticket(Refused::Spent { at })) => TicketVerdict::Spent { at },
+            Err(refusal) => return Err(refusal),
+        };
+        Ok(Diagnosed { connection: self.roster.next_connection(), ticket, host_unix_secs: 7 })
     }
 
     fn admit(

@@ -3,6 +3,7 @@
 //! ```text
 //! Opening ──hello, let in──▶ Sending ──last part──▶ Awaiting ──joined, same digest──▶ Running
 //!    └───────────────┴───────────────────┴───────────────┴──────error, goodbye──────▶ Ended
+//! Opening ──diagnose, known ticket──▶ Diagnosing ──goodbye, or time over───────────────▶ Ended
 //! ```
 //!
 //! Who is let in, what the scene is and who has which hand is decided by a [`HostSession`]. The machine sees to it that
@@ -15,6 +16,7 @@ use thiserror::Error;
 use trocar_scene::SimTime;
 
 use super::blob::Blob;
+use super::diagnosis::EchoCounts;
 use super::error::{ControlError, Goodbye};
 use super::frame::{FrameDecoder, OPENING_MAX};
 use super::host_end::HostEnd;
@@ -47,6 +49,8 @@ pub enum HostState {
     Awaiting,
     /// The station is in the session.
     Running,
+    /// Somebody with a ticket looks whether datagrams pass, and is not in the session.
+    Diagnosing,
     /// It is over.
     Ended,
 }
@@ -123,7 +127,8 @@ impl HostControl {
             let is_over = end.outbox.is_empty() || end.until.is_none_or(|until| now >= until);
             return HostPoll { deadline: end.until.unwrap_or(now), is_over };
         }
-        let pings = (end.state != HostState::Opening).then(|| end.alive.deadline());
+        let has_pings = !matches!(end.state, HostState::Opening | HostState::Diagnosing);
+        let pings = has_pings.then(|| end.alive.deadline());
         let deadlines = [end.until, end.outbox.stalls_at(), pings];
         let deadline = deadlines.into_iter().flatten().min().unwrap_or(now + STALLED_MAX);
         HostPoll { deadline, is_over: false }
@@ -215,6 +220,19 @@ impl HostControl {
     /// Whether an urgent message waits of which nothing has gone.
     pub fn has_urgent(&self) -> bool {
         self.end.outbox.has_urgent()
+    }
+
+    /// Tells who diagnoses the path what has come of its datagrams.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send_echoed(&mut self, counts: EchoCounts, now: SimTime) -> Result<(), SendError> {
+        self.end.send(HostState::Diagnosing, &HostMessage::Echoed(counts), now)
+    }
+
+    /// Number of the connection whose datagrams are echoed, for who diagnoses the path; also after the end.
+    pub fn diagnosed(&self) -> Option<u32> {
+        self.end.diagnosed
     }
 
     /// Asks the station to use the keys of the next phase, and returns its number. Only when it uses those of the present

@@ -7,7 +7,8 @@ use trocar_scene::{Revision, SimTime};
 use super::blob::Blob;
 use super::component_list::ComponentDifference;
 use super::credential::Credential;
-use super::error::{ControlError, Refusal};
+use super::diagnosis::{DIAGNOSIS_TIME_MAX, Diagnose};
+use super::error::{ControlError, Goodbye, Refusal};
 use super::frame::{FrameError, after_preamble};
 use super::host::{
     FORBIDDEN_MAX, HostState, JOIN_TIME_MAX, LINGER_MAX, OPENING_TIME_MAX, PACE_BYTES, SendError,
@@ -30,6 +31,8 @@ pub(super) struct HostEnd {
     /// By when the present state has to be over, if it must.
     pub(super) until: Option<SimTime>,
     pub(super) admitted: Option<Admitted>,
+    /// Number of the connection of a diagnosis.
+    pub(super) diagnosed: Option<u32>,
     pub(super) alive: KeepAlive,
     scene: Option<SceneOnItsWay>,
     forbidden: u32,
@@ -54,6 +57,7 @@ impl HostEnd {
             state: HostState::Opening,
             until: Some(now + OPENING_TIME_MAX),
             admitted: None,
+            diagnosed: None,
             alive: KeepAlive::new(now),
             scene: None,
             forbidden: 0,
@@ -71,6 +75,12 @@ impl HostEnd {
     ) -> Result<(), ControlError> {
         if self.state == HostState::Opening {
             return self.open(frame, now, session);
+        }
+        if self.state == HostState::Diagnosing {
+            return Err(match ClientMessage::decode(frame)? {
+                ClientMessage::Goodbye(goodbye) => ControlError::Goodbye(goodbye),
+                other => ControlError::Unexpected { message: other.name(), state: "within a diagnosis" },
+            });
         }
         let admitted =
             self.admitted.ok_or(ControlError::Unexpected { message: "frame", state: "without a hello" })?;
@@ -133,10 +143,33 @@ impl HostEnd {
         })?;
         let hello = match ClientMessage::decode(body)? {
             ClientMessage::Hello(hello) => hello,
+            ClientMessage::Diagnose(diagnose) => return self.diagnose(&diagnose, now, session),
             other => return Err(ControlError::Unexpected { message: other.name(), state: "before a hello" }),
         };
         match self.let_in(&hello, now, session) {
             Ok((admitted, offer)) => self.welcome(admitted, offer, now),
+            Err(refusal) => {
+                self.push_opening(&HostMessage::Refused(refusal.clone()), now)?;
+                Err(ControlError::Refused { refusal, difference: ComponentDifference::default() })
+            }
+        }
+    }
+
+    /// Answers who has a ticket and wants to know whether the path carries what a station needs. The token is not spent.
+    fn diagnose(
+        &mut self,
+        diagnose: &Diagnose,
+        now: SimTime,
+        session: &mut dyn HostSession,
+    ) -> Result<(), ControlError> {
+        match session.diagnose(&diagnose.credential) {
+            Ok(diagnosed) => {
+                self.push_opening(&HostMessage::Diagnosed(diagnosed), now)?;
+                self.diagnosed = Some(diagnosed.connection);
+                self.state = HostState::Diagnosing;
+                self.until = Some(now + DIAGNOSIS_TIME_MAX);
+                Ok(())
+            }
             Err(refusal) => {
                 self.push_opening(&HostMessage::Refused(refusal.clone()), now)?;
                 Err(ControlError::Refused { refusal, difference: ComponentDifference::default() })
@@ -249,10 +282,14 @@ impl HostEnd {
         if self.until.is_some_and(|until| now >= until) {
             return Err(match self.state {
                 HostState::Opening => ControlError::SlowOpening(OPENING_TIME_MAX),
+                HostState::Diagnosing => {
+                    let text = format!("a diagnosis takes at most {DIAGNOSIS_TIME_MAX}");
+                    ControlError::Ended(Goodbye::TooSlow(PlainText::new(text)))
+                }
                 _ => ControlError::SlowJoin(JOIN_TIME_MAX),
             });
         }
-        if self.state == HostState::Opening {
+        if matches!(self.state, HostState::Opening | HostState::Diagnosing) {
             return Ok(());
         }
         if self.alive.is_silent(now) {
@@ -294,8 +331,9 @@ impl HostEnd {
     ) -> Result<(), SendError> {
         let is_so_far = match self.state {
             HostState::Opening | HostState::Ended => false,
+            HostState::Diagnosing => from == HostState::Diagnosing,
             HostState::Sending | HostState::Awaiting => from == HostState::Sending,
-            HostState::Running => true,
+            HostState::Running => from != HostState::Diagnosing,
         };
         if !is_so_far {
             return Err(SendError::NotNow);

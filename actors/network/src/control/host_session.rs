@@ -6,6 +6,7 @@ use trocar_scene::{Revision, SimTime};
 
 use super::component_list::ComponentList;
 use super::credential::Credential;
+use super::diagnosis::Diagnosed;
 use super::error::Refusal;
 use super::keep_alive::ClockSample;
 use super::manifest::{HeldScene, SceneManifest};
@@ -94,6 +95,12 @@ pub trait HostSession {
         role: Role,
         now: SimTime,
     ) -> Result<Admitted, Refusal>;
+
+    /// Gives a connection for echoes to somebody whose ticket the host knows. Spends no token, and lets nobody in.
+    ///
+    /// # Errors
+    /// [`Refusal`]: of a ticket that is not known, expired or withdrawn, or when others are at it.
+    fn diagnose(&mut self, credential: &Credential) -> Result<Diagnosed, Refusal>;
 
     /// What a station that was let in gets: the whole scene, or what it missed since `held`.
     ///

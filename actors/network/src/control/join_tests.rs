@@ -9,6 +9,7 @@ use trocar_scene::{Commands, EntityAllocator, Registry, Revision, SimTime, Snaps
 use super::client::{ClientFacts, ClientState};
 use super::component_list::{ComponentList, ListedComponent};
 use super::credential::Credential;
+use super::diagnosis::Diagnosed;
 use super::error::{ControlError, Goodbye, Refusal};
 use super::frame::{FrameDecoder, FrameError, WIRE_VERSION, preamble_of};
 use super::host::{HostControl, HostState, PACE_BYTES};
@@ -321,6 +322,10 @@ impl HostSession for BookSession {
         let admission = redeem(&mut self.book, credential, self.unix_secs)?;
         let arrival = self.inner.roster.arrive(admission.station, wish.name.clone(), role);
         Ok(Admitted { station: admission.station, connection: arrival.connection, role })
+    }
+
+    fn diagnose(&mut self, credential: &Credential) -> Result<Diagnosed, Refusal> {
+        self.inner.diagnose(credential)
     }
 
     fn offer(&mut self, admitted: &Admitted, held: Option<HeldScene>) -> Result<SceneOffer, Refusal> {

@@ -9,6 +9,7 @@ use trocar_scene::{Entity, Revision, SimTime};
 use super::blob::Blob;
 use super::component_list::COMPONENTS_MAX;
 use super::credential::Credential;
+use super::diagnosis::{Diagnose, Diagnosed, EchoCounts};
 use super::error::{Goodbye, Refusal};
 use super::keep_alive::{Ping, Pong};
 use super::manifest::{HeldScene, SceneManifest};
@@ -254,6 +255,8 @@ pub enum ClientMessage<'a> {
     /// For the hands link.
     #[serde(borrow)]
     Carried(Carried<'a>),
+    /// An opening that asks for a diagnosis in place of the session.
+    Diagnose(Box<Diagnose>),
 }
 
 /// From a host to a station.
@@ -315,6 +318,10 @@ pub enum HostMessage<'a> {
     /// For the hands link.
     #[serde(borrow)]
     Carried(Carried<'a>),
+    /// The opening, for who asked for a diagnosis.
+    Diagnosed(Diagnosed),
+    /// What has come of a diagnosis's datagrams so far.
+    Echoed(EchoCounts),
 }
 
 fn decode<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, usize), MessageError> {
@@ -367,6 +374,7 @@ impl<'a> ClientMessage<'a> {
             Self::Rekeyed { .. } => "rekeyed",
             Self::Goodbye(_) => "goodbye",
             Self::Carried(_) => "carried datagram",
+            Self::Diagnose(_) => "diagnose",
         }
     }
 }
@@ -426,6 +434,8 @@ impl<'a> HostMessage<'a> {
             Self::Rekey { .. } => "rekey",
             Self::Goodbye(_) => "goodbye",
             Self::Carried(_) => "carried datagram",
+            Self::Diagnosed(_) => "diagnosed",
+            Self::Echoed(_) => "echoed",
         }
     }
 }

@@ -29,12 +29,19 @@
 //! | place and hands kept after a break | [`AWAY_TIME_MAX`] 60 s |
 //! | datagrams of hands that are carried and wait, others | 1, the newest; 32 |
 //! | requests beyond the role before a station is cut off | [`FORBIDDEN_MAX`] 256 |
+//! | diagnoses at once, time of each | [`DIAGNOSES_MAX`] 4, [`DIAGNOSIS_TIME_MAX`] 15 s |
+//!
+//! Whoever holds a ticket may ask for a diagnosis in place of the session: [`Diagnose`] is the opening then. The token is
+//! not spent, the scene stays untold, and the connection's only use is the keys under which datagrams are echoed.
 
 mod blob;
 mod client;
 mod client_end;
 mod component_list;
 mod credential;
+mod diagnosis;
+#[cfg(test)]
+mod diagnosis_tests;
 mod error;
 mod frame;
 mod host;
@@ -65,6 +72,7 @@ pub use client::{
 };
 pub use component_list::{COMPONENTS_MAX, ComponentDifference, ComponentList, ListedComponent};
 pub use credential::Credential;
+pub use diagnosis::{DIAGNOSES_MAX, DIAGNOSIS_TIME_MAX, Diagnose, Diagnosed, EchoCounts, TicketVerdict};
 pub use error::{ControlError, ExitClass, Goodbye, Refusal};
 pub use frame::{
     FRAME_MAX, FrameDecoder, FrameError, LENGTH_BYTES, OPENING_MAX, PREAMBLE_BYTES, WIRE_VERSION,

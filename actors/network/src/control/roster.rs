@@ -67,13 +67,18 @@ impl Roster {
 
     /// A station comes in or back. [`Self::check`] has found nothing against it.
     pub fn arrive(&mut self, number: u16, name: PlainName, role: Role) -> Arrival {
-        self.last_connection = self.last_connection.wrapping_add(1);
-        let connection = self.last_connection;
+        let connection = self.next_connection();
         let station = Station { name, role, connection, away_since: None, link: LinkFigures::default() };
         let before = self.stations.insert(number, station);
         let superseded =
             before.filter(|station| station.away_since.is_none()).map(|station| station.connection);
         Arrival { connection, superseded }
+    }
+
+    /// A number for a connection, which none has had.
+    pub fn next_connection(&mut self) -> u32 {
+        self.last_connection = self.last_connection.wrapping_add(1);
+        self.last_connection
     }
 
     /// A station takes a hand; returns its number.

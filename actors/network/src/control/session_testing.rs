@@ -8,6 +8,7 @@ use trocar_scene::{Entity, Revision, SimTime};
 use super::client::{ClientControl, ClientEvent, ClientFacts, ClientState, StreamWish};
 use super::component_list::{ComponentList, ListedComponent};
 use super::credential::Credential;
+use super::diagnosis::{Diagnosed, TicketVerdict};
 use super::error::{ControlError, Refusal};
 use super::host::{HostControl, HostState};
 use super::host_session::{Admitted, HostEvent, HostFacts, HostSession, SceneOffer};
@@ -113,6 +114,16 @@ impl HostSession for TestSession {
         let (station, role) = self.station(credential)?;
         self.roster.check(station, &wish.name, &wish.hands)?;
         Ok(role)
+    }
+
+    fn diagnose(&mut self, credential: &Credential) -> Result<Diagnosed, Refusal> {
+        let ticket = match self.station(credential) {
+            Ok((_, role)) => TicketVerdict::LetsIn(role),
+            Err(Refusal::Ticket(Refused::Spent { at })) => TicketVerdict::Spent { at },
+            Err(refusal) => return Err(refusal),
+        };
+        let connection = self.roster.next_connection();
+        Ok(Diagnosed { connection, ticket, host_unix_secs: 7 })
     }
 
     fn admit(

@@ -27,12 +27,21 @@ pub enum Kind {
     PathResponse = 4,
     /// What the receiver of a direction tells its sender, a few times a second.
     Report = 5,
+    /// Comes back as it is: who asks for a diagnosis looks whether datagrams pass.
+    Echo = 6,
 }
 
 impl Kind {
     /// All kinds, in the order of their codes.
-    pub const ALL: [Self; 6] =
-        [Self::Hands, Self::Rows, Self::RowAcks, Self::PathChallenge, Self::PathResponse, Self::Report];
+    pub const ALL: [Self; 7] = [
+        Self::Hands,
+        Self::Rows,
+        Self::RowAcks,
+        Self::PathChallenge,
+        Self::PathResponse,
+        Self::Report,
+        Self::Echo,
+    ];
 
     /// The kind of a code on the wire.
     pub fn from_code(code: u8) -> Option<Self> {
@@ -73,7 +82,7 @@ pub enum HeaderError {
     #[error("the datagram is of wire version {0}; this program reads version {WIRE_VERSION}")]
     Version(u8),
     /// The kind is unknown.
-    #[error("the datagram is of kind {0}; kinds are 0 to 5")]
+    #[error("the datagram is of kind {0}; kinds are 0 to 6")]
     Kind(u8),
     /// It has too many hands.
     #[error(

@@ -238,7 +238,8 @@ impl<A: Copy + PartialEq> Connection<A> {
                     self.sender.report(&report, self.receiver.clock(), now);
                 }
             }
-            Kind::Hands => return Err(malformed),
+            // Echoes belong to a diagnosis, which has no hands.
+            Kind::Hands | Kind::Echo => return Err(malformed),
         }
         Ok(Arrived::Other)
     }

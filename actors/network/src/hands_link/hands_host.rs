@@ -6,8 +6,9 @@ use super::HandsLink;
 use super::connection::Connection;
 use super::exchange::{self, Ways};
 use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
-use crate::control::STATIONS_MAX;
+use crate::control::{DIAGNOSES_MAX, STATIONS_MAX};
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
+use crate::diagnosis::EchoEnd;
 use crate::hand_sample::{CLUTCHES, HandSample};
 use crate::remote_hand::StationEnd;
 
@@ -44,6 +45,12 @@ pub struct StrangerCounts {
 pub struct HandsHost<A> {
     hands: Vec<HostHand>,
     links: Vec<Link<A>>,
+    /// Of those who diagnose the path.
+    #[expect(
+        clippy::vec_box,
+        reason = "a box goes back to the controller as it came: nothing is allocated here"
+    )]
+    echoes: Vec<Box<EchoEnd>>,
     controller: LinkEnd<A>,
     samples: Vec<HandSample>,
     out: [u8; DATAGRAM_MAX],
@@ -56,6 +63,7 @@ impl<A: Copy + PartialEq> HandsHost<A> {
         Self {
             hands,
             links: Vec::with_capacity(STATIONS_MAX),
+            echoes: Vec::with_capacity(DIAGNOSES_MAX),
             controller,
             samples: Vec::with_capacity(HANDS_MAX),
             out: [0; DATAGRAM_MAX],
@@ -132,10 +140,23 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                 while !self.links.is_empty() {
                     self.close(self.links.len() - 1);
                 }
+                while let Some(echo) = self.echoes.pop() {
+                    self.controller.tell(HandsNews::EchoEnded(echo));
+                }
             }
             HandsOrder::Close { connection } => {
                 if let Some(at) = self.links.iter().position(|link| link.connection.id() == connection) {
                     self.close(at);
+                } else if let Some(at) = self.echoes.iter().position(|echo| echo.id() == connection) {
+                    let echo = self.echoes.swap_remove(at);
+                    self.controller.tell(HandsNews::EchoEnded(echo));
+                }
+            }
+            HandsOrder::Echo(echo) => {
+                if self.echoes.len() < DIAGNOSES_MAX {
+                    self.echoes.push(echo);
+                } else {
+                    self.controller.tell(HandsNews::EchoEnded(echo));
                 }
             }
         }
@@ -192,16 +213,30 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
         datagram: &mut [u8],
         send: &mut dyn FnMut(A, &[u8]) -> bool,
     ) {
-        let id = Header::decode(datagram).map(|header| header.connection);
-        match id.ok().and_then(|id| self.links.iter().position(|link| link.connection.id() == id)) {
-            Some(at) => self.take(at, now, Some(from), datagram, send),
-            None => self.strangers.unknown += 1,
+        let Ok(id) = Header::decode(datagram).map(|header| header.connection) else {
+            self.strangers.unknown += 1;
+            return;
+        };
+        if let Some(at) = self.links.iter().position(|link| link.connection.id() == id) {
+            self.take(at, now, Some(from), datagram, send);
+            return;
+        }
+        let Self { echoes, out, strangers, .. } = self;
+        match echoes.iter_mut().find(|echo| echo.id() == id).map(|echo| echo.answer(now, datagram, out)) {
+            Some(Some(length)) => drop(send(from, &out[..length])),
+            Some(None) => strangers.refused += 1,
+            None => strangers.unknown += 1,
         }
     }
 
     fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         self.take_orders(now, send);
-        let Self { hands, links, controller, samples, out, .. } = self;
+        let Self { hands, links, echoes, controller, samples, out, .. } = self;
+        for echo in echoes.iter_mut() {
+            if let Some(counts) = echo.news(now) {
+                controller.tell(HandsNews::Echoed { connection: echo.id(), counts });
+            }
+        }
         for Link { connection, serves, is_worn, .. } in links.iter_mut() {
             samples.clear();
             for number in serves.as_slice() {

@@ -231,6 +231,10 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                 }
             }
             HandsOrder::CloseAll => self.close(),
+            // Nobody diagnoses the path to a station.
+            HandsOrder::Echo(echo) => {
+                self.controller.tell(HandsNews::EchoEnded(echo));
+            }
         }
     }
 

@@ -6,7 +6,9 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_devices::Pedals;
 
 use super::connection::Connection;
+use crate::control::EchoCounts;
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header, Kind, PAYLOAD_MAX, ReceiveKey, SendKey};
+use crate::diagnosis::EchoEnd;
 use crate::haptic::{LinkPoint, Rate};
 
 /// Most orders that wait for the hands link.
@@ -157,11 +159,13 @@ pub enum HandsOrder<A> {
         /// The key.
         key: SendKey,
     },
-    /// A connection is over.
+    /// A connection is over, or a diagnosis.
     Close {
         /// The connection.
         connection: u32,
     },
+    /// Somebody diagnoses the path, and his datagrams are echoed; at a host alone.
+    Echo(Box<EchoEnd>),
     /// All connections are over: whoever gave the earlier orders is gone.
     CloseAll,
 }
@@ -205,6 +209,15 @@ pub enum HandsNews<A> {
     },
     /// A connection that is over, to be freed.
     Closed(Box<Connection<A>>),
+    /// What has come of a diagnosis's datagrams.
+    Echoed {
+        /// Its connection.
+        connection: u32,
+        /// The counts.
+        counts: EchoCounts,
+    },
+    /// A diagnosis that is over, to be freed.
+    EchoEnded(Box<EchoEnd>),
 }
 
 /// The controller's end. Clones share it, so that a machine which is made anew finds it where the last one has left it; no

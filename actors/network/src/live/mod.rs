@@ -11,6 +11,9 @@ pub mod itp;
 mod leaving;
 mod lookup;
 pub mod reflected;
+pub mod reach;
+#[cfg(test)]
+mod reach_tests;
 pub mod reflector;
 pub mod sockets;
 pub mod store_admissions;

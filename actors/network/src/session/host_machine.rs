@@ -12,6 +12,7 @@ use crate::control::{
     Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
 };
 use crate::datagram::{Kind, Side};
+use crate::diagnosis::EchoEnd;
 use crate::hands_link::{
     Connection, ControllerEnd, HOST, HandNumbers, HandsNews, HandsOrder, ORDERS_MAX, Parcel,
 };
@@ -64,6 +65,8 @@ struct Link {
     control: HostControl,
     /// Number and station, once its datagrams have keys.
     opened: Option<(u32, u16)>,
+    /// Whether its datagrams are echoed, as somebody diagnoses the path.
+    is_echoed: bool,
     /// Pieces of a delta that wait for room.
     pieces: VecDeque<Vec<u8>>,
     is_told: bool,
@@ -128,6 +131,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             peer_tickets: Vec::new(),
             roster_changed: false,
             host_trouble: None,
+            diagnoses: 0,
             asked: BTreeMap::new(),
             lent: BTreeMap::new(),
             is_attended: setup.is_attended,
@@ -209,6 +213,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         self.members.expire(now);
         self.accept(now);
         self.take_news(now);
+        let diagnoses = |link: &&Link| link.control.state() == HostState::Diagnosing;
+        self.members.diagnoses = self.links.values().filter(diagnoses).count();
         let streams: Vec<StreamId> = self.links.keys().copied().collect();
         for stream in streams {
             self.serve(stream, now);
@@ -249,7 +255,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         self.streams.work(now, &mut self.opened);
         for stream in self.opened.drain(..) {
             let control = HostControl::new(self.facts.clone(), now);
-            let link = Link { control, opened: None, pieces: VecDeque::new(), is_told: false };
+            let link =
+                Link { control, opened: None, is_echoed: false, pieces: VecDeque::new(), is_told: false };
             self.links.insert(stream, link);
         }
     }
@@ -268,7 +275,12 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         if let Some(admitted) = admitted {
             link.opened = Some((admitted.connection, admitted.station));
         }
+        let diagnosed = link.control.diagnosed().filter(|_| !link.is_echoed);
+        link.is_echoed |= diagnosed.is_some();
         let opened = link.opened;
+        if let Some(id) = diagnosed {
+            self.echo(stream, id, now);
+        }
         if let Some(admitted) = admitted {
             self.open(stream, admitted.connection, admitted.station, now);
         }
@@ -308,6 +320,16 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         while let Some(datagram) = member.carrier.take_arrived() {
             // Without room it is lost, as on a path.
             self.hands.order(HandsOrder::Carried { connection, datagram });
+        }
+    }
+
+    /// Has the datagrams of a diagnosis echoed.
+    fn echo(&mut self, stream: StreamId, id: u32, now: SimTime) {
+        let keys = self.streams.keys(stream, id, 0);
+        let echo = keys.map(|keys| HandsOrder::Echo(Box::new(EchoEnd::new(id, keys))));
+        let is_open = echo.is_some_and(|echo| self.hands.order(echo));
+        if !is_open && let Some(link) = self.links.get_mut(&stream) {
+            link.control.broke("no keys for its datagrams", now);
         }
     }
 
@@ -373,6 +395,13 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
                 }
                 HandsNews::Worn { connection } => self.rekey(connection, now),
                 HandsNews::Closed(connection) => drop(connection),
+                HandsNews::Echoed { connection, counts } => {
+                    let of = |link: &&mut Link| link.control.diagnosed() == Some(connection);
+                    if let Some(link) = self.links.values_mut().find(of) {
+                        told(link.control.send_echoed(counts, now));
+                    }
+                }
+                HandsNews::EchoEnded(echo) => drop(echo),
             }
         }
     }
@@ -506,6 +535,11 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         let Some(link) = self.links.get(&stream) else { return };
         let error = link.control.error().cloned();
         let text = error.as_ref().map_or_else(String::new, ToString::to_string);
+        if let Some(connection) = link.control.diagnosed() {
+            self.hands.order(HandsOrder::Close { connection });
+            self.note_incident(now, "somebody with a ticket has looked at the path".to_owned());
+            return;
+        }
         let Some((connection, station)) = link.opened else {
             self.strangers += 1;
             if matches!(error, Some(ControlError::Refused { .. })) {

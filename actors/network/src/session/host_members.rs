@@ -10,16 +10,16 @@ use super::admissions::Admissions;
 use super::carrier::Carrier;
 use super::own_rows::own_rows;
 use crate::control::{
-    Admitted, ClockSample, Credential, HandInfo, HeldScene, HostEvent, HostSession, LinkFigures, Note,
-    NoteKind, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind, SceneManifest, SceneOffer,
-    SessionInfo, TakeOver, Wish,
+    Admitted, ClockSample, Credential, DIAGNOSES_MAX, Diagnosed, HandInfo, HeldScene, HostEvent, HostSession,
+    LinkFigures, Note, NoteKind, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
+    SceneManifest, SceneOffer, SessionInfo, TakeOver, TicketVerdict, Wish,
 };
 use crate::hands_link::HOST;
 use crate::haptic::{LinkPoint, LinkQuality, Rate};
 use crate::remote_hand::HandControl;
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::scene_feed::{FeedLimits, Resumed, SceneFeed};
-use crate::ticket::{PlainName, Role, TicketId};
+use crate::ticket::{PlainName, Refused, Role, TicketId};
 
 /// Notes that wait for the actor. More of them within a tick are refused.
 pub const NOTES_MAX: usize = 256;
@@ -89,6 +89,8 @@ pub(super) struct Members {
     /// Whether the roster is to be told anew.
     pub roster_changed: bool,
     pub host_trouble: Option<String>,
+    /// How many diagnose their paths.
+    pub diagnoses: usize,
     /// Mentors that have asked for a hand.
     pub asked: BTreeMap<u8, u16>,
     /// Hands that were handed over, and whom they go back to.
@@ -381,6 +383,24 @@ impl HostSession for Members {
         (member.is_running, member.devices) = (false, wish.devices.clone());
         member.carrier = Carrier::default();
         Ok(Admitted { station, connection, role })
+    }
+
+    fn diagnose(&mut self, credential: &Credential) -> Result<Diagnosed, Refusal> {
+        if let Some(why) = &self.host_trouble {
+            return Err(Refusal::HostTrouble(PlainText::new(why.as_str())));
+        }
+        let ticket = match self.admissions.examine(credential) {
+            Ok((_, role)) => TicketVerdict::LetsIn(role),
+            Err(Refusal::Ticket(Refused::Spent { at })) => TicketVerdict::Spent { at },
+            Err(refusal) => return Err(refusal),
+        };
+        if self.diagnoses >= DIAGNOSES_MAX {
+            let text = format!("{DIAGNOSES_MAX} others diagnose their paths; try again in half a minute");
+            return Err(Refusal::HostTrouble(PlainText::new(text)));
+        }
+        self.diagnoses += 1;
+        let connection = self.roster.next_connection();
+        Ok(Diagnosed { connection, ticket, host_unix_secs: self.admissions.unix_secs() })
     }
 
     fn offer(&mut self, admitted: &Admitted, held: Option<HeldScene>) -> Result<SceneOffer, Refusal> {

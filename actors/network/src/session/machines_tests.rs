@@ -1,6 +1,9 @@
 //! Tests of the machines of host and station together: a scene that moves, a hand of the station, and a path that delays
 //! and loses.
 
+#[path = "diagnosis_tests.rs"]
+mod diagnosis_tests;
+
 use std::sync::{Arc, Mutex};
 
 use trocar_devices::{DeviceState, HandIntent, HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
@@ -79,6 +82,7 @@ pub(super) struct Station {
 
 pub(super) struct Bench {
     pub(super) now: SimTime,
+    wires: Wires,
     pub(super) wire: Wire,
     pub(super) host: Host,
     pub(super) station: Station,
@@ -181,7 +185,7 @@ impl Bench {
             moving,
         };
         let station = Station::new(&wires, &wire, credential.clone(), hands, columns);
-        Self { now: SimTime::ZERO, wire, host, station, credential }
+        Self { now: SimTime::ZERO, wires, wire, host, station, credential }
     }
 
     pub(super) fn step(&mut self, intent: Option<HandIntent>) {

@@ -526,6 +526,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
                 | HandsNews::Second { .. }
                 | HandsNews::Worn { .. } => {}
                 HandsNews::Closed(connection) => drop(connection),
+                // A station echoes nobody's datagrams.
+                HandsNews::Echoed { .. } | HandsNews::EchoEnded(_) => {}
             }
         }
     }
