@@ -18,7 +18,8 @@ const EXAMPLES: [&str; 4] = [
     "ui/cli/examples/offscreen.rs",
 ];
 /// Suites of `trocar bench` whose tables are in docs/figures.md.
-const SUITES: [&str; 7] = ["kernel", "session", "viewer", "collision", "simulator", "recording", "build"];
+const SUITES: [&str; 8] =
+    ["kernel", "session", "viewer", "collision", "simulator", "network", "recording", "build"];
 /// Entities that snippets of scenarios refer to.
 const NEIGHBOURS: &str = r#"
 schema = 1

@@ -18,6 +18,7 @@ pub mod itp;
 pub mod live;
 pub mod lockstep;
 pub mod reflector;
+pub mod relay;
 pub mod remote_hand;
 pub mod replication;
 pub mod session;

@@ -91,9 +91,11 @@ pub enum Command {
     Soak(SoakArgs),
     /// Return datagrams, or forward stations to a host, as a bad network would: delay, loss, bursts, reordering
     Reflect(crate::reflect::ReflectArgs),
+    /// Forward sessions of hosts that cannot be dialled: sealed bytes, without any key of them
+    Relay(crate::relay::RelayArgs),
     /// Start a project of your own from a template: a crate with a program, a scenario and tests
     New(NewArgs),
-    /// Look at this machine: what limits the rates, and how to mend it
+    /// Look at this machine, or at the path to a host: what limits it, and how to mend it
     Doctor(DoctorArgs),
     /// Print a JSON schema
     Schema(SchemaArgs),
@@ -457,6 +459,13 @@ pub struct NewArgs {
 /// `trocar doctor`.
 #[derive(Debug, Args)]
 pub struct DoctorArgs {
+    /// Look at the path to the host of this ticket instead: name, connection, certificate, datagrams, their length, clocks;
+    /// `-` is stdin. The ticket lets in afterwards as before
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub ticket_file: Option<PathBuf>,
+    /// Datagrams without protection, as the host was told; on one machine alone
+    #[arg(long, requires = "ticket_file")]
+    pub insecure: bool,
     /// As JSON
     #[arg(long)]
     pub json: bool,

@@ -1,4 +1,7 @@
-//! `trocar doctor`: checks what limits the rates on this machine, and how to fix it.
+//! `trocar doctor`: checks what limits the rates on this machine, or the path to a host, and how to fix it.
+
+mod network;
+mod path_findings;
 
 use std::net::{Ipv4Addr, TcpListener, UdpSocket};
 use std::path::Path;
@@ -32,6 +35,8 @@ enum Status {
     Warn,
     /// It does not work.
     Fail,
+    /// It could not be looked at, because of what failed before.
+    Skip,
 }
 
 /// One check.
@@ -55,23 +60,18 @@ impl Check {
     fn fail(name: &'static str, found: String, mend: &str) -> Self {
         Self { name, status: Status::Fail, found, mend: Some(mend.to_owned()) }
     }
+    fn skip(name: &'static str, found: &str) -> Self {
+        Self { name, status: Status::Skip, found: found.to_owned(), mend: None }
+    }
 }
 
 /// Runs all checks and prints them.
 pub fn doctor(args: &DoctorArgs) -> Result<Exit, Failure> {
     let machine = machine();
-    let checks = [
-        cores(&machine),
-        governor(&machine),
-        timer(),
-        real_time(),
-        locked_memory(),
-        gpu(),
-        port("UDP port", || UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|socket| socket.local_addr())),
-        port("TCP port", || {
-            TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|socket| socket.local_addr())
-        }),
-    ];
+    let checks = match &args.ticket_file {
+        Some(file) => network::path(file, args.insecure, args.json)?,
+        None => of_machine(&machine),
+    };
     if args.json {
         let object = serde_json::json!({ "schema": SCHEMA, "machine": machine, "checks": checks });
         output::print_json(&object)?;
@@ -82,6 +82,21 @@ pub fn doctor(args: &DoctorArgs) -> Result<Exit, Failure> {
     Ok(if failed { Exit::Failed } else { Exit::Ok })
 }
 
+fn of_machine(machine: &Machine) -> Vec<Check> {
+    vec![
+        cores(machine),
+        governor(machine),
+        timer(),
+        real_time(),
+        locked_memory(),
+        gpu(),
+        port("UDP port", || UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|socket| socket.local_addr())),
+        port("TCP port", || {
+            TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|socket| socket.local_addr())
+        }),
+    ]
+}
+
 fn text(checks: &[Check]) -> String {
     let mut lines = Vec::new();
     for check in checks {
@@ -89,6 +104,7 @@ fn text(checks: &[Check]) -> String {
             Status::Ok => console::style("ok  ").green(),
             Status::Warn => console::style("warn").yellow(),
             Status::Fail => console::style("FAIL").red().bold(),
+            Status::Skip => console::style("–   ").dim(),
         };
         lines.push(format!("{mark}  {:<20} {}", check.name, check.found));
         lines.extend(check.mend.iter().map(|mend| format!("      {:<20} → {mend}", "")));

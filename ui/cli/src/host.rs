@@ -1,14 +1,18 @@
 //! `trocar host`: a session that others join, and the tickets with which they do.
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::net::ToSocketAddrs;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde_json::json;
 use trocar::app::App;
+use trocar::network::live::relay_agent::RelayAgent;
+use trocar::network::live::relay_key;
+use trocar::network::live::relay_server::RELAY_PORT;
 use trocar::network::live::store_admissions::{unix_secs, wait_for_the_book};
 use trocar::network::ticket::private_file;
-use trocar::network::ticket::{PlainName, Role, TicketId, TicketStore, Whom, utc};
+use trocar::network::ticket::{HostAddress, PlainName, Role, TicketId, TicketStore, Whom, utc};
 use trocar::network::{
     HostOptions, Network, NetworkError, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue,
 };
@@ -44,7 +48,13 @@ fn host_session(app: &App, args: &HostArgs, session: &RunArgs) -> Result<Exit, F
         insecure: args.insecure,
         is_attended: session.play,
     };
-    let host = Arc::new(NetworkHost::open(&options)?);
+    let mut host = NetworkHost::open(&options)?;
+    // It ends after the session.
+    let _agent = match (&args.relay, &args.relay_key) {
+        (Some(relay), Some(key)) => Some(call_relay(&mut host, relay, key)?),
+        _ => None,
+    };
+    let host = Arc::new(host);
     let wishes = if args.tickets.is_empty() {
         vec![(Role::Operate, "guest".to_owned())]
     } else {
@@ -68,6 +78,25 @@ fn host_session(app: &App, args: &HostArgs, session: &RunArgs) -> Result<Exit, F
         ));
     }
     run::run_in(app, session, &Network::Host(host))
+}
+
+/// Gets a port at a relay, and has the tickets carry it.
+fn call_relay(host: &mut NetworkHost, relay: &str, key: &Path) -> Result<RelayAgent, Failure> {
+    let wrong = |why: &dyn std::fmt::Display| {
+        Failure::usage(format!(
+            "--relay {relay}: {why}; ADDRESS:PORT is expected, such as relay.example:{RELAY_PORT}"
+        ))
+    };
+    let place: HostAddress = relay.parse().map_err(|error| wrong(&error))?;
+    let key = relay_key::read(key).map_err(Failure::invalid)?;
+    let found = relay.to_socket_addrs().map_err(|error| wrong(&error))?.next();
+    let found = found.ok_or_else(|| wrong(&"the name has no address"))?;
+    let agent = RelayAgent::register(found, key, host.local())
+        .map_err(|error| Failure { exit: Exit::Unavailable, message: error.to_string() })?;
+    let there = HostAddress::new(place.place().clone(), agent.port()).map_err(Failure::internal)?;
+    output::tell(&format!("others reach this host by the relay, at {there}"));
+    host.also_at(there);
+    Ok(agent)
 }
 
 /// A ticket is the result that somebody needs at once: stdout, also when the result of the run follows there.

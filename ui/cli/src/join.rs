@@ -87,7 +87,7 @@ fn ticket(source: &TicketSource) -> Result<Ticket, Failure> {
             );
             text.clone()
         }
-        (None, Some(file)) => read(file)?,
+        (None, Some(file)) => return ticket_in(file),
         (None, None) if std::io::stdin().is_terminal() => {
             eprint!("ticket: ");
             let typed = console::Term::stderr().read_secure_line();
@@ -97,6 +97,15 @@ fn ticket(source: &TicketSource) -> Result<Ticket, Failure> {
             return Err(Failure::usage("no ticket: name one, or a file with --ticket-file, - for stdin"));
         }
     };
+    parse(&text)
+}
+
+/// The ticket in a file; `-` is stdin.
+pub fn ticket_in(file: &Path) -> Result<Ticket, Failure> {
+    parse(&read(file)?)
+}
+
+fn parse(text: &str) -> Result<Ticket, Failure> {
     text.lines().next().unwrap_or_default().trim().parse().map_err(Failure::usage)
 }
 

@@ -30,6 +30,7 @@ mod output;
 mod pictures;
 mod recording;
 mod reflect;
+mod relay;
 mod replay;
 mod report;
 mod run;
@@ -109,6 +110,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Gallery(args) => gallery::gallery(app, &args),
         Command::Soak(args) => soak::run(app, &args),
         Command::Reflect(args) => reflect::reflect(&args),
+        Command::Relay(args) => relay::relay(&args),
         Command::New(args) => new::new(&args),
         Command::Doctor(args) => doctor::doctor(&args),
         Command::Schema(args) => {

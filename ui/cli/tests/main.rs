@@ -5,6 +5,7 @@
 mod blocked_datagrams;
 mod cli;
 mod docs_commands;
+mod doctor_path;
 #[cfg(target_os = "linux")]
 mod full_disks;
 mod host_and_join;
@@ -16,6 +17,7 @@ mod recording_export;
 mod recordings;
 mod reflect;
 mod refusals;
+mod relay;
 mod runs;
 mod stations;
 mod support;

@@ -34,6 +34,18 @@ pub struct HostArgs {
     /// Datagrams without protection, for stations on this machine alone
     #[arg(long, help_heading = "Network")]
     pub insecure: bool,
+    /// A relay, as ADDRESS:PORT, for a host that others cannot dial: the tickets carry its port there, too
+    #[arg(
+        long,
+        value_name = "RELAY",
+        requires = "relay_key",
+        conflicts_with = "insecure",
+        help_heading = "Network"
+    )]
+    pub relay: Option<String>,
+    /// File of the relay's key, a copy of the one that the relay has made
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "relay", help_heading = "Network")]
+    pub relay_key: Option<PathBuf>,
 }
 
 /// The arguments of a run, where there is no sub-command.

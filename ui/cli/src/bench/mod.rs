@@ -8,6 +8,7 @@ mod exercise;
 mod idle;
 mod markdown;
 mod memory;
+mod network;
 mod peer;
 mod plot;
 mod recording;
@@ -26,7 +27,7 @@ use crate::output::{self, replace};
 use crate::report::short;
 
 /// Suites by name, and their contents.
-pub const SUITES: [(&str, &str); 8] = [
+pub const SUITES: [(&str, &str); 9] = [
     (
         "kernel",
         "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
@@ -47,6 +48,10 @@ pub const SUITES: [(&str, &str); 8] = [
     (
         "recording",
         "what a minute of each scenario takes, what recording costs the hands, opening and seeking in an hour's file; takes about ten minutes",
+    ),
+    (
+        "network",
+        "hands between stations beside bare datagrams, 16 stations at one host, joins, a pulled liver's bytes, a stranger's flood; takes about three minutes",
     ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
     (
@@ -93,6 +98,17 @@ const RECORDING: [Part; 3] = [
     ("a minute of each scenario", recording::sizes),
     ("the exercise live, with and without a recording", recording::hands),
     ("an hour's file", recording::hour),
+];
+
+/// The parts of the suite `network`.
+const NETWORK: [Part; 7] = [
+    ("sealing, and allocations of a hands link", network::sealing),
+    ("round trips beside bare datagrams", network::round_trip),
+    ("a path that loses a fifth", network::lossy_sender),
+    ("1, 4 and 16 stations", network::stations),
+    ("joins and returns", network::joins),
+    ("a liver that is pulled", network::liver),
+    ("a stranger's flood", network::flood),
 ];
 
 /// The parts of the suite `memory`.
@@ -180,6 +196,7 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         "session" => &SESSION,
         "viewer" => &VIEWER,
         "recording" => &RECORDING,
+        "network" => &NETWORK,
         "memory" => &MEMORY,
         "build" => &BUILD,
         _ => &KERNEL,

@@ -1,6 +1,6 @@
 //! The host's side: sockets and tickets before the session, and the machine once its scene is there.
 
-use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -133,6 +133,20 @@ impl NetworkHost {
     /// The addresses that tickets carry.
     pub fn addresses(&self) -> Vec<HostAddress> {
         addresses(&self.options, self.port())
+    }
+
+    /// The address at which this machine itself reaches the host.
+    pub fn local(&self) -> SocketAddr {
+        let here = self.options.bind.filter(|address| !address.is_unspecified());
+        SocketAddr::new(here.unwrap_or_else(|| Ipv4Addr::LOCALHOST.into()), self.port())
+    }
+
+    /// Has tickets carry another address, such as that of its port at a relay, after its own.
+    pub fn also_at(&mut self, address: HostAddress) {
+        let mut all = self.addresses();
+        all.truncate(ADDRESSES_MAX - 1);
+        all.push(address);
+        self.options.addresses = all;
     }
 
     /// The tickets.

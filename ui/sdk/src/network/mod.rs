@@ -41,7 +41,7 @@ pub(crate) use itp_device::{ITP_ABOUT, ITP_USAGE, ItpRobots};
 pub use part::NetworkPart;
 pub(crate) use part::RunningPart;
 pub(crate) use reflected::{REFLECTOR, REFLECTOR_HZ, ReflectedHands, ReflectedPart};
-pub use station::{JoinOptions, JoinProgress, Joining, Station, join};
+pub use station::{JoinOptions, JoinProgress, Joining, Station, credential_of, join};
 pub(crate) use station::{STATION_WRITER, StationHands, stationed};
 
 #[doc(no_inline)]

@@ -315,6 +315,14 @@ fn credential(ticket: &Ticket, options: &JoinOptions) -> Result<Credential, Netw
     if let Some(resume) = &options.resume {
         return Ok(Credential::Resume { resume: resume.clone() });
     }
+    credential_of(ticket)
+}
+
+/// What the holder of a ticket shows to its host, with a resume secret made now.
+///
+/// # Errors
+/// When the system has no randomness.
+pub fn credential_of(ticket: &Ticket) -> Result<Credential, NetworkError> {
     let resume = ResumeSecret::random(&SystemRandom::new())
         .map_err(|error| NetworkError::System(error.to_string()))?;
     Ok(Credential::Ticket { token: ticket.token().clone(), resume })
