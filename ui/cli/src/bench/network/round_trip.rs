@@ -1,14 +1,16 @@
-//! The round trip of hands beside that of bare datagrams: sealed and opened at both ends, without the time for which the
-//! host holds a sample until its next tick.
+//! The round trip through the hands links of a station and its host, beside that of bare datagrams of the same length.
+//!
+//! The host answers a path challenge at once, as an echo does: sealed, opened and looked at like any datagram of hands, on
+//! the thread of the hands link. Beside it stands the round trip of hands themselves, by four time stamps and without the time
+//! for which the host holds a sample until its next tick. Each way of it wakes a thread that has slept for long, where an echo
+//! comes back to one that has only just gone to sleep.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use trocar::network::datagram::{
-    DATAGRAM_MAX, HAND_BYTES, HEADER_BYTES, Hands, Opener, Sealer, Side, TAG_BYTES,
-};
-use trocar::network::hands_link::HandsLink;
+use trocar::network::datagram::{DATAGRAM_MAX, HEADER_BYTES, Hands, Kind, Opener, Sealer, Side, TAG_BYTES};
+use trocar::network::hands_link::{CHALLENGE_BYTES, HandsLink};
 use trocar::network::haptic::{Rate, SenderConfig};
 use trocar::network::live::hands_thread::HandsThread;
 use trocar::network::live::sockets;
@@ -18,7 +20,7 @@ use trocar_kernel::runtime::{AtomicHistogram, Clock};
 use trocar_scene::SimTime;
 
 use super::Rows;
-use super::link::{HANDS, LiveHost, connection_of, first_hand, hands_at, keys};
+use super::link::{LiveHost, connection_of, first_hand, hands_at, keys};
 use super::raw::{RawEcho, round_trips};
 use super::veth::Place;
 use crate::failure::Failure;
@@ -28,20 +30,53 @@ const SPAN: Duration = Duration::from_millis(2_500);
 const BLOCKS: usize = 5;
 /// Bar on the ratio to the floor.
 const RATIO_MAX: f64 = 1.2;
-/// Bytes of a clock echo in a payload.
-const ECHO_BYTES: usize = 12;
-/// Bytes of a datagram of two hands.
-const BYTES: usize = HEADER_BYTES + ECHO_BYTES + HANDS * HAND_BYTES + TAG_BYTES;
+/// Bytes of a challenge, and of the answer.
+const BYTES: usize = HEADER_BYTES + CHALLENGE_BYTES + TAG_BYTES;
 
-/// A station that sends its hands at every tick, and measures.
+/// What a station sends at every tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Question {
+    /// A challenge, which is answered at once.
+    Challenge,
+    /// Its hands.
+    Hands,
+}
+
+/// A station that asks at every tick, and measures.
 struct Asker {
+    question: Question,
     host: SocketAddr,
     sealer: Sealer,
     opener: Opener,
     hands: Hands,
-    newest: SimTime,
+    /// When the newest question was sent, and the newest that was answered.
+    asked_at: SimTime,
+    answered: SimTime,
     round_trips: Arc<AtomicHistogram>,
     out: [u8; DATAGRAM_MAX],
+}
+
+impl Asker {
+    /// The round trip that a datagram tells, for the first time.
+    fn told(&mut self, now: SimTime, datagram: &mut [u8]) -> Option<SimTime> {
+        let (header, payload) = self.opener.open(now, datagram).ok()?;
+        let (sent_at, held) = match (self.question, header.kind) {
+            (Question::Hands, Kind::Hands) => {
+                self.hands.decode(header.hands, payload).ok()?;
+                let echo = self.hands.echo()?;
+                (echo.sent_at, echo.held)
+            }
+            (Question::Challenge, Kind::PathResponse) => {
+                (SimTime(u64::from_le_bytes(payload.try_into().ok()?)), SimTime::ZERO)
+            }
+            _ => return None,
+        };
+        if sent_at <= self.answered || sent_at > self.asked_at {
+            return None;
+        }
+        self.answered = sent_at;
+        Some(now.since(sent_at).since(held))
+    }
 }
 
 impl HandsLink<SocketAddr> for Asker {
@@ -52,20 +87,21 @@ impl HandsLink<SocketAddr> for Asker {
         datagram: &mut [u8],
         _: &mut dyn FnMut(SocketAddr, &[u8]) -> bool,
     ) {
-        let Ok((header, payload)) = self.opener.open(now, datagram) else { return };
-        if self.hands.decode(header.hands, payload).is_err() {
-            return;
-        }
-        // The first echo of each of our datagrams is its round trip.
-        if let Some(echo) = self.hands.echo().filter(|echo| echo.sent_at > self.newest) {
-            self.newest = echo.sent_at;
-            self.round_trips.record(now.since(echo.sent_at).since(echo.held).as_nanos());
+        if let Some(round_trip) = self.told(now, datagram) {
+            self.round_trips.record(round_trip.as_nanos());
         }
     }
 
     fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(SocketAddr, &[u8]) -> bool) {
-        let samples = hands_at(first_hand(0), now);
-        if let Ok(length) = self.sealer.seal_hands(now, None, &samples, &mut self.out) {
+        self.asked_at = now;
+        let Self { question, sealer, out, .. } = self;
+        let sealed = match question {
+            Question::Hands => sealer.seal_hands(now, None, &hands_at(first_hand(0), now), out),
+            Question::Challenge => {
+                sealer.seal(Kind::PathChallenge, 0, now, &now.as_nanos().to_le_bytes(), out)
+            }
+        };
+        if let Ok(length) = sealed {
             send(self.host, &self.out[..length]);
         }
     }
@@ -75,19 +111,30 @@ impl HandsLink<SocketAddr> for Asker {
     }
 }
 
-pub(super) fn of_hands(place: &Place, span: Duration) -> Result<Arc<AtomicHistogram>, Failure> {
+/// Round trips through both hands links \[ns\].
+pub(super) fn through_links(
+    place: &Place,
+    question: Question,
+    span: Duration,
+) -> Result<Arc<AtomicHistogram>, Failure> {
     let clock = Clock::start();
-    let config = SenderConfig { top: Rate::Hz1000, deadband: None };
+    let config = match question {
+        Question::Hands => SenderConfig { top: Rate::Hz1000, deadband: None },
+        // The host has nothing to tell meanwhile.
+        Question::Challenge => SenderConfig::default(),
+    };
     let (at_host, host) = place.host()?;
     let running = LiveHost::start(1, &config, at_host.udp, &clock, 0.0)?;
     let (send, receive) = keys(connection_of(0)).split(Side::Client);
     let measured = Arc::new(AtomicHistogram::default());
     let asker = Asker {
+        question,
         host,
         sealer: Sealer::new(send),
         opener: Opener::new(receive, SimTime::ZERO),
         hands: Hands::default(),
-        newest: SimTime::ZERO,
+        asked_at: SimTime::ZERO,
+        answered: SimTime::ZERO,
         round_trips: measured.clone(),
         out: [0; DATAGRAM_MAX],
     };
@@ -97,31 +144,45 @@ pub(super) fn of_hands(place: &Place, span: Duration) -> Result<Arc<AtomicHistog
     drop(station);
     running.close()?;
     if measured.count() == 0 {
-        return Err(Failure::internal("no hand came back"));
+        return Err(Failure::internal(format!("no answer came: {question:?}")));
     }
     Ok(measured)
 }
 
-/// Round trips of hands and of bare datagrams in turns.
+/// Medians and 99th percentiles of the blocks \[µs\].
+#[derive(Default)]
+struct Blocks([Vec<f64>; 2]);
+
+impl Blocks {
+    fn note(&mut self, histogram: &AtomicHistogram) {
+        let quantiles = histogram.quantiles();
+        self.0[0].push(quantiles.p50);
+        self.0[1].push(quantiles.p99);
+    }
+}
+
+/// Round trips through hands links and of bare datagrams, in turns.
 pub fn round_trip() -> Rows {
     let place = Place::new();
-    let (mut ours, mut bare) = ([Vec::new(), Vec::new()], [Vec::new(), Vec::new()]);
-    let note = |into: &mut [Vec<f64>; 2], histogram: &AtomicHistogram| {
-        let quantiles = histogram.quantiles();
-        into[0].push(quantiles.p50);
-        into[1].push(quantiles.p99);
-    };
+    let (mut bare, mut ours, mut hands) = (Blocks::default(), Blocks::default(), Blocks::default());
     for _ in 0..BLOCKS {
         let (sockets, address) = place.host()?;
         let echo = RawEcho::start(sockets.udp).map_err(Failure::internal)?;
-        note(&mut bare, &round_trips(address, BYTES, SPAN)?);
+        bare.note(&round_trips(address, BYTES, SPAN)?);
         drop(echo);
-        note(&mut ours, &*of_hands(&place, SPAN)?);
+        ours.note(&*through_links(&place, Question::Challenge, SPAN)?);
+        hands.note(&*through_links(&place, Question::Hands, SPAN)?);
     }
-    let row = |quantile: &str, at: usize, bar| {
-        let name = format!("network_round_trip_{quantile}_{}", place.name());
-        let floor = median_and_spread(&bare[at]).0;
-        BenchResult::on_ratio(name, "us", median_and_spread(&ours[at]), floor, bar, Better::Lower)
+    let row = |what: &str, blocks: &Blocks, at: usize, bar| {
+        let quantile = ["p50", "p99"][at];
+        let name = format!("network_{what}_{quantile}_{}", place.name());
+        let floor = median_and_spread(&bare.0[at]).0;
+        BenchResult::on_ratio(name, "us", median_and_spread(&blocks.0[at]), floor, bar, Better::Lower)
     };
-    Ok(vec![row("p50", 0, None), row("p99", 1, Some(RATIO_MAX))])
+    Ok(vec![
+        row("round_trip", &ours, 0, None),
+        row("round_trip", &ours, 1, Some(RATIO_MAX)),
+        row("round_trip_of_hands", &hands, 0, None),
+        row("round_trip_of_hands", &hands, 1, None),
+    ])
 }

@@ -7,7 +7,7 @@ use trocar_scene::SimTime;
 
 use super::link::{HANDS, hands_at};
 use super::raw::{RawEcho, round_trips};
-use super::round_trip::of_hands;
+use super::round_trip::{Question, through_links};
 use super::veth::Place;
 use super::{flood, rows, scenes, sealing, stations};
 use crate::failure::Failure;
@@ -50,7 +50,9 @@ fn hands_and_bare_datagrams_come_back() {
     let echo = RawEcho::start(sockets.udp).expect("a thread");
     assert!(good(round_trips(address, 252, BRIEF)).count() > 10);
     drop(echo);
-    assert!(good(of_hands(&place, BRIEF)).count() > 10);
+    for question in [Question::Challenge, Question::Hands] {
+        assert!(good(through_links(&place, question, BRIEF)).count() > 10, "{question:?}");
+    }
 }
 
 #[test]
