@@ -7,9 +7,9 @@ use std::sync::Arc;
 
 use serde_json::json;
 use trocar::app::App;
-use trocar::network::live::relay_agent::RelayAgent;
-use trocar::network::live::relay_key;
-use trocar::network::live::relay_server::RELAY_PORT;
+use trocar::network::live::relay::agent::RelayAgent;
+use trocar::network::live::relay::key_file;
+use trocar::network::live::relay::server::RELAY_PORT;
 use trocar::network::live::store_admissions::{unix_secs, wait_for_the_book};
 use trocar::network::ticket::private_file;
 use trocar::network::ticket::{HostAddress, PlainName, Role, TicketId, TicketStore, Whom, utc};
@@ -88,7 +88,7 @@ fn call_relay(host: &mut NetworkHost, relay: &str, key: &Path) -> Result<RelayAg
         ))
     };
     let place: HostAddress = relay.parse().map_err(|error| wrong(&error))?;
-    let key = relay_key::read(key).map_err(Failure::invalid)?;
+    let key = key_file::read(key).map_err(Failure::invalid)?;
     let found = relay.to_socket_addrs().map_err(|error| wrong(&error))?.next();
     let found = found.ok_or_else(|| wrong(&"the name has no address"))?;
     let agent = RelayAgent::register(found, key, host.local())

@@ -10,12 +10,11 @@ use std::time::{Duration, Instant};
 use clap::{Args, ValueHint};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use trocar::network::live::relay_key;
-use trocar::network::live::relay_server::{RELAY_PORT, RelayServer, RelayServerCounts};
+use trocar::network::live::relay::key_file;
+use trocar::network::live::relay::server::{RELAY_PORT, RelayServer, RelayServerCounts};
 use trocar::network::relay::SESSIONS_MAX;
 use trocar::summary::{Exit, SCHEMA};
 
-use crate::args::positive;
 use crate::failure::Failure;
 use crate::{output, signals};
 
@@ -40,7 +39,7 @@ pub struct RelayArgs {
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub key_file: PathBuf,
     /// End after this much time, in seconds; otherwise when a signal comes
-    #[arg(long, value_parser = positive)]
+    #[arg(long)]
     pub seconds: Option<f64>,
     /// Print exactly one JSON object on stdout
     #[arg(long)]
@@ -59,7 +58,9 @@ fn ports(text: &str) -> Result<RangeInclusive<u16>, String> {
 
 /// Relays until the time is up or a signal comes, and tells what was forwarded.
 pub fn relay(args: &RelayArgs) -> Result<Exit, Failure> {
-    let (key, is_new) = relay_key::read_or_make(&args.key_file).map_err(Failure::invalid)?;
+    let limit = args.seconds.map(Duration::try_from_secs_f64).transpose();
+    let limit = limit.map_err(|error| Failure::usage(format!("--seconds: {error}; valid are 0 and more")))?;
+    let (key, is_new) = key_file::read_or_make(&args.key_file).map_err(Failure::invalid)?;
     let signals = signals::catch()?;
     let server =
         RelayServer::bind(args.bind, args.port, args.ports.clone(), key).map_err(Failure::invalid)?;
@@ -85,7 +86,6 @@ pub fn relay(args: &RelayArgs) -> Result<Exit, Failure> {
         ProgressStyle::with_template("{msg}  {elapsed}").unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
     let begun = Instant::now();
-    let limit = args.seconds.map(Duration::from_secs_f64);
     while signals.arrived().is_none()
         && limit.is_none_or(|limit| begun.elapsed() < limit)
         && !thread.is_finished()

@@ -5,19 +5,18 @@
 mod blocked_datagrams;
 mod cli;
 mod docs_commands;
-mod doctor_path;
 #[cfg(target_os = "linux")]
 mod full_disks;
 mod host_and_join;
 mod mesh_files;
 mod output_files;
 mod own_programs;
+mod paths;
 mod pictures;
 mod recording_export;
 mod recordings;
 mod reflect;
 mod refusals;
-mod relay;
 mod runs;
 mod stations;
 mod support;

@@ -40,8 +40,6 @@ mod client_end;
 mod component_list;
 mod credential;
 mod diagnosis;
-#[cfg(test)]
-mod diagnosis_tests;
 mod error;
 mod frame;
 mod host;

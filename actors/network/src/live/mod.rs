@@ -15,13 +15,8 @@ pub mod reach;
 #[cfg(test)]
 mod reach_tests;
 pub mod reflector;
-pub mod relay_agent;
-pub mod relay_key;
-pub mod relay_server;
-#[cfg(test)]
-mod relay_tests;
+pub mod relay;
 pub mod sockets;
-mod splice;
 pub mod store_admissions;
 pub mod tls;
 #[cfg(test)]

@@ -14,7 +14,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use thiserror::Error;
 use trocar_scene::SimTime;
 
-use super::sockets::{self, SocketError};
+use crate::live::sockets::{self, SocketError};
 use super::splice::Splice;
 use crate::control::STATIONS_MAX;
 use crate::datagram::DATAGRAM_MAX;

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use super::relay_agent::{RelayAgent, RelayError};
-use super::relay_server::{RelayServer, RelayServerCounts};
-use super::sockets::HostSockets;
+use super::agent::{RelayAgent, RelayError};
+use super::server::{RelayServer, RelayServerCounts};
+use crate::live::sockets::HostSockets;
 use crate::relay::{RelayKey, RelayRefusal};
 
 const PATIENCE: Duration = Duration::from_secs(30);

@@ -11,7 +11,7 @@ use ring::rand::{SecureRandom, SystemRandom};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use trocar_scene::SimTime;
 
-use super::sockets::{HostSockets, SocketError};
+use crate::live::sockets::{HostSockets, SocketError};
 use super::splice::Splice;
 use crate::datagram::DATAGRAM_MAX;
 use crate::relay::{
