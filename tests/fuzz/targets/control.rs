@@ -179,7 +179,8 @@ impl Pair {
             assert!(host.state() == HostState::Ended && host.error() == error.as_ref(), "the end is the end");
         }
         assert_eq!(host.error().is_some(), host.state() == HostState::Ended);
-        let is_outside = matches!(host.state(), HostState::Opening | HostState::Diagnosing | HostState::Ended);
+        let is_outside =
+            matches!(host.state(), HostState::Opening | HostState::Diagnosing | HostState::Ended);
         assert!(host.admitted().is_some() || is_outside);
         assert!(host.admitted().is_none() || host.diagnosed().is_none(), "a diagnosis lets nobody in");
     }

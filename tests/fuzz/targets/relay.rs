@@ -71,7 +71,8 @@ fuzz_target!(|bytes: &[u8]| {
                 }
             }
             5 => {
-                let forwarded = relay.from_station(PORTS[usize::from(byte & 1)], address(byte), taken.len(), now);
+                let forwarded =
+                    relay.from_station(PORTS[usize::from(byte & 1)], address(byte), taken.len(), now);
                 assert!(forwarded.is_none_or(|(to, _)| to == host()), "only who has bound gets datagrams");
             }
             6 => {

@@ -14,10 +14,10 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use thiserror::Error;
 use trocar_scene::SimTime;
 
-use crate::live::sockets::{self, SocketError};
 use super::splice::Splice;
 use crate::control::STATIONS_MAX;
 use crate::datagram::DATAGRAM_MAX;
+use crate::live::sockets::{self, SocketError};
 use crate::relay::{
     Bind, FromHost, FromRelay, HOST_SILENCE_MAX, LineDecoder, NUMBER_BYTES, Nonce, RelayKey, RelayRefusal,
     STATION_IDLE_MAX, STREAMS_MAX, WireError, numbered, split_number,

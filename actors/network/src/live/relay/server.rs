@@ -11,9 +11,9 @@ use ring::rand::{SecureRandom, SystemRandom};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use trocar_scene::SimTime;
 
-use crate::live::sockets::{HostSockets, SocketError};
 use super::splice::Splice;
 use crate::datagram::DATAGRAM_MAX;
+use crate::live::sockets::{HostSockets, SocketError};
 use crate::relay::{
     FromHost, LineDecoder, LineNews, NONCE_BYTES, NUMBER_BYTES, RelayKey, RelaySwitch, StreamId, numbered,
 };
