@@ -352,6 +352,29 @@ fn annotations(formats: &mut Formats) {
     formats.check(PictureFreeze { by: by(5) }, true);
     let step = TakeOverStep::Accepted;
     formats.check(TakeOverRequest { by: by(5), step, answer: Some(by(6)) }, true);
+    let deeds = vec![
+        MentorDeed::Draw { stroke: 4, colour: [1, 2, 3], width: 0.002, places: places.to_vec() },
+        MentorDeed::Erase { stroke: 3 },
+        MentorDeed::Clear { of_all: true },
+        MentorDeed::Label { label: 2, place: places[1], text: "here".to_owned() },
+        MentorDeed::Freeze(true),
+        MentorDeed::HandOver { hand: e(4), step: HandOverStep::Accept },
+    ];
+    let pointer = Some(places[2]);
+    formats.check(MentorInput { source: 3, pointer, first: 7, deeds: Arc::new(deeds) }, true);
+    formats.check(
+        MentorAnswer {
+            station: 2,
+            role: Some(StationRole::Mentor),
+            is_heard: true,
+            source: 3,
+            taken: 6,
+            refusals: 1,
+            refusal: "no".to_owned(),
+            refused_at: SimTime(9),
+        },
+        true,
+    );
 }
 
 fn stations(formats: &mut Formats) {

@@ -8,6 +8,7 @@ pub mod graph;
 pub mod instrument;
 pub mod joint;
 pub mod matter;
+pub mod mentor_input;
 pub mod mesh;
 pub mod particles;
 pub mod person;
@@ -34,6 +35,9 @@ pub use instrument::{
 };
 pub use joint::{JOINTS_MAX, Joint, JointFrame, JointFrames, JointKind, JointLoad, JointState, Joints};
 pub use matter::{Burn, Motion, Parameter, RigidBody, Source, Sources, Temperature, Tissue};
+pub use mentor_input::{
+    DRAWN_PLACES_MAX, HandOverStep, MENTOR_DEEDS_MAX, MentorAnswer, MentorDeed, MentorInput,
+};
 pub use mesh::{
     BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TetRegions, TextureCoordinates,
     VertexPositions,
@@ -71,6 +75,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         CollisionList, TaskState, Measured, VitalSigns, Station,
         MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest, StationContactModel,
         Teleoperation, SlaveOrder,
+        MentorInput, MentorAnswer,
     )?;
     Ok(())
 }

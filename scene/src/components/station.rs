@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::entity::Entity;
+use crate::snapshot::Snapshot;
 use crate::{Component, ComponentError};
 
 /// Most bytes of a station's name, role or hand.
@@ -68,6 +70,16 @@ pub struct Station {
 }
 
 impl Station {
+    /// The number of the station that serves a hand, for people: 0, the host, if the host says that none of the others
+    /// does. Hands are told by their names.
+    pub fn serving(scene: &Snapshot, hand: Entity) -> u16 {
+        let name = scene.name(hand);
+        let name = name.strip_prefix("hand.").unwrap_or(&name);
+        let mut of_host = scene.iter::<Self>().filter(|(entity, _)| entity.station() == 0);
+        let serves = |row: &Self| row.hands.iter().any(|hand| hand == name);
+        of_host.find(|(_, row)| serves(row)).map_or(0, |(_, row)| row.number)
+    }
+
     fn validate(&self) -> Result<(), ComponentError> {
         let longest = self.hands.iter().chain([&self.name]).map(String::len).max().unwrap_or(0);
         ComponentError::range("name", longest as f64, 0.0..=TEXT_MAX as f64, "0 to 256 bytes")?;

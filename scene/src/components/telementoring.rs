@@ -45,7 +45,7 @@ impl Signature {
 }
 
 /// Refuses a text that is empty or too long, or that has characters which a display does not show as such.
-fn check_text(field: &'static str, text: &str, most: usize) -> Result<(), ComponentError> {
+pub(super) fn check_text(field: &'static str, text: &str, most: usize) -> Result<(), ComponentError> {
     if text.is_empty() || text.len() > most {
         let bytes = text.len();
         return Err(ComponentError::Malformed(format!("{field} has {bytes} bytes; 1 to {most} are valid")));
