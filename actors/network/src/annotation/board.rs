@@ -9,9 +9,8 @@ use trocar_scene::{
     TakeOverRequest, TetMesh,
 };
 
-use super::hand_over;
 use super::sections::{Look, extend};
-use crate::control::{HandInfo, Note, NoteKind, NoteRefusal, PlainText, Refusal};
+use crate::control::{Note, NoteKind, NoteRefusal, PlainText, Refusal};
 use crate::ticket::PlainName;
 
 /// Most removed entities that wait until a snapshot has them: those of two batches in a row.
@@ -121,7 +120,7 @@ impl AnnotationBoard {
             .writes::<TakeOverRequest>(EntitySet::All)
     }
 
-    /// Shows a note, whose author's role allows it. `hands` are those of the session. Nothing is changed if it is refused.
+    /// Shows a note, whose author's role allows it. Nothing is changed if it is refused.
     ///
     /// # Errors
     /// [`Refusal`], in words for the station.
@@ -129,7 +128,6 @@ impl AnnotationBoard {
         &mut self,
         note: &Note,
         author: Author<'_>,
-        hands: &[HandInfo],
         scene: &Snapshot,
         out: &mut Commands,
     ) -> Result<(), Refusal> {
@@ -165,21 +163,8 @@ impl AnnotationBoard {
                 self.gone.extend(self.freeze.take().map(|row| row.entity));
                 Ok(())
             }
-            NoteKind::TakeOver { hand, step } => {
-                let Some(hand) = hands.iter().find(|info| info.number == *hand) else {
-                    let valid = hands.iter().map(|hand| hand.name.clone()).collect();
-                    return Err(Refusal::HandUnknown { hand: PlainText::new(hand.to_string()), valid });
-                };
-                let request = self.requests.get(&hand.entity);
-                match hand_over::after(request, *step, by, author.is_host, hand)? {
-                    Some(request) => {
-                        out.put(hand.entity, request.clone());
-                        self.requests.insert(hand.entity, request);
-                    }
-                    None => self.forget_request(hand.entity, out),
-                }
-                Ok(())
-            }
+            // Who serves a hand the session changes: Self::show_requests.
+            NoteKind::TakeOver { .. } => Ok(()),
             NoteKind::Clear { station: whose } => {
                 if *whose != Some(station) && !author.is_host {
                     return Err(NoteRefusal::NotOwn.into());
@@ -192,17 +177,33 @@ impl AnnotationBoard {
         }
     }
 
-    /// A station has left: its pointer goes, a picture that it has frozen goes on, and it asks for no instrument any longer.
-    /// Its strokes and labels stay.
-    pub fn leave(&mut self, station: u16, out: &mut Commands) {
+    /// Shows the requests for instruments as the session has them, at the entities of their hands.
+    pub fn show_requests(
+        &mut self,
+        requests: impl Iterator<Item = (Entity, TakeOverRequest)>,
+        scene: &Snapshot,
+        out: &mut Commands,
+    ) {
+        let wished: BTreeMap<Entity, TakeOverRequest> =
+            requests.filter(|(hand, _)| scene.contains(*hand)).collect();
+        self.requests.retain(|hand, _| scene.contains(*hand));
+        for hand in self.requests.keys().filter(|hand| !wished.contains_key(hand)) {
+            out.remove::<TakeOverRequest>(*hand);
+        }
+        for (hand, request) in
+            wished.iter().filter(|(hand, request)| self.requests.get(hand) != Some(request))
+        {
+            out.put(*hand, request.clone());
+        }
+        self.requests = wished;
+    }
+
+    /// A station has left: its pointer goes, and a picture that it has frozen goes on. Its strokes and labels stay.
+    pub fn leave(&mut self, station: u16) {
         self.gone.extend(self.pointers.remove(&station).map(|row| row.entity));
         if self.freeze.as_ref().is_some_and(|row| row.value.by.station == station) {
             self.gone.extend(self.freeze.take().map(|row| row.entity));
         }
-        let its =
-            |(hand, request): (&Entity, &TakeOverRequest)| (request.by.station == station).then_some(*hand);
-        let hands: Vec<Entity> = self.requests.iter().filter_map(its).collect();
-        hands.into_iter().for_each(|hand| self.forget_request(hand, out));
     }
 
     /// Follows the scene: what is on tissue that is cut away, or on a body that is gone, goes too. Once a tick, after the
@@ -214,7 +215,6 @@ impl AnnotationBoard {
         if self.freeze.as_mut().is_some_and(|row| !row.follow(scene)) {
             self.freeze = None;
         }
-        self.requests.retain(|hand, _| scene.contains(*hand));
         if self.look_at_bodies(scene) {
             self.keep_what_is_there(scene, out);
         }
@@ -327,12 +327,6 @@ impl AnnotationBoard {
     fn unlabel(&mut self, is_meant: impl Fn((u16, u32)) -> bool) {
         let taken = self.labels.extract_if(.., |key, _| is_meant(*key));
         self.gone.extend(taken.map(|(_, row)| row.entity));
-    }
-
-    fn forget_request(&mut self, hand: Entity, out: &mut Commands) {
-        if self.requests.remove(&hand).is_some() {
-            out.remove::<TakeOverRequest>(hand);
-        }
     }
 
     /// Whether the scene has a place; its body is looked at from then on.

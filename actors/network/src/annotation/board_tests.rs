@@ -6,14 +6,12 @@ use nalgebra::Point3;
 use trocar_scene::annotation::PlaceReader;
 use trocar_scene::{
     Access, Commands, Component, Entity, EntityAllocator, Hand, LABELS_MAX, MentorLabel, MentorPointer,
-    MentorStroke, PictureFreeze, Pose, SECTION_PLACES_MAX, SECTIONS_MAX, Side, SimTime, Store, SurfaceMesh,
-    SurfacePlace, SurfacePoint, TakeOverRequest, TakeOverStep, VertexPositions, WriterRules,
+    MentorStroke, PictureFreeze, Pose, SECTION_PLACES_MAX, SECTIONS_MAX, Side, Signature, SimTime, Store,
+    SurfaceMesh, SurfacePlace, SurfacePoint, TakeOverRequest, TakeOverStep, VertexPositions, WriterRules,
 };
 
 use super::{AnnotationBoard, Author};
-use crate::control::{
-    HandInfo, Note, NoteKind, NoteRefusal, PlainText, Refusal, STROKE_PLACES_MAX, TakeOver,
-};
+use crate::control::{Note, NoteKind, NoteRefusal, PlainText, Refusal, STROKE_PLACES_MAX};
 use crate::ticket::PlainName;
 
 const HOST: u16 = 0;
@@ -27,7 +25,7 @@ struct Session {
     out: Commands,
     rules: WriterRules,
     board: AnnotationBoard,
-    hands: Vec<HandInfo>,
+    hand: Entity,
     tissue: Entity,
     now: SimTime,
 }
@@ -46,11 +44,9 @@ impl Session {
         let out = Commands::new(registry.clone(), EntityAllocator::new(HOST, 9));
         let access = AnnotationBoard::access(Access::new());
         let rules = WriterRules::compile(&access, &registry, out.me()).expect("standard components");
-        let name = name("right");
-        let hands = vec![HandInfo { number: 2, name, entity: hand, station: Some(ANA) }];
         let board = AnnotationBoard::default();
         let store = Store::new(registry);
-        let mut session = Self { store, scenario, out, rules, board, hands, tissue, now: SimTime::ZERO };
+        let mut session = Self { store, scenario, out, rules, board, hand, tissue, now: SimTime::ZERO };
         session.write(|_, _| ());
         session
     }
@@ -74,7 +70,7 @@ impl Session {
         what.check().expect("what comes over the wire is checked");
         let note = Note { station, at: self.now, what };
         let author = Author { name: named, is_host: station == HOST };
-        self.board.apply(&note, author, &self.hands, &self.store.snapshot(), &mut self.out)
+        self.board.apply(&note, author, &self.store.snapshot(), &mut self.out)
     }
 
     /// The end of a tick.
@@ -301,33 +297,32 @@ fn the_pointer_of_who_leaves_goes_and_the_strokes_stay() {
     session.say(BO, NoteKind::Pointer(Some(session.places(&[2])[0]))).expect("shown");
     session.say(ANA, NoteKind::Pointer(Some(session.places(&[3])[0]))).expect("shown");
     session.say(BO, NoteKind::Freeze(true)).expect("frozen");
-    session.say(BO, NoteKind::TakeOver { hand: 2, step: TakeOver::Ask }).expect("asked");
     session.tick();
-    assert_eq!(session.all::<TakeOverRequest>()[0].step, TakeOverStep::Asked);
-    session.board.leave(BO, &mut session.out);
+    session.board.leave(BO);
     session.tick();
     let pointers = session.all::<MentorPointer>();
     assert_eq!((pointers.len(), pointers[0].by.station), (1, ANA));
-    assert!(session.all::<PictureFreeze>().is_empty() && session.all::<TakeOverRequest>().is_empty());
+    assert!(session.all::<PictureFreeze>().is_empty());
     assert_eq!((session.runs(BO), texts(&session).len()), (vec![2], 1));
 }
 
 #[test]
-fn an_instrument_is_handed_over_at_its_hand() {
+fn requests_for_instruments_are_shown_at_their_hands_as_the_session_has_them() {
     let mut session = Session::new();
-    let step = |hand, step| NoteKind::TakeOver { hand, step };
-    let unknown = session.say(BO, step(7, TakeOver::Ask)).expect_err("no such hand").to_string();
-    assert_eq!(unknown, "the session has no hand '7'; valid are right");
-    session.say(BO, step(2, TakeOver::Ask)).expect("asked");
-    session.say(ANA, step(2, TakeOver::Accept)).expect("in the same tick");
-    session.tick();
-    let hand = session.hands[0].entity;
-    let request = session.store.snapshot().get::<TakeOverRequest>(hand).cloned().expect("at the hand");
-    assert_eq!((request.by.name.as_str(), request.step), ("Bo", TakeOverStep::Accepted));
-    assert_eq!(request.answer.map(|answer| answer.name), Some("Ana".to_owned()));
-    session.say(BO, step(2, TakeOver::Return)).expect("given back");
-    session.tick();
-    assert!(session.all::<TakeOverRequest>().is_empty());
+    let hand = session.hand;
+    let by = Signature { station: BO, name: "Bo".to_owned(), at: session.now };
+    let asked = TakeOverRequest { by: by.clone(), step: TakeOverStep::Asked, answer: None };
+    let taken = TakeOverRequest { step: TakeOverStep::Accepted, answer: Some(by), ..asked.clone() };
+    for (wished, put) in [(Some(&asked), 1), (Some(&asked), 0), (Some(&taken), 1), (None, 1), (None, 0)] {
+        let scene = session.store.snapshot();
+        let requests = wished.map(|request| (hand, request.clone()));
+        session.board.show_requests(requests.into_iter(), &scene, &mut session.out);
+        assert_eq!(!session.out.is_empty(), put == 1, "only what has changed is written");
+        session.tick();
+        assert_eq!(session.store.view().get::<TakeOverRequest>(hand), wished);
+        // Of one that is built anew it is known what the scene has.
+        session.board = AnnotationBoard::of(&session.store.snapshot());
+    }
 }
 
 #[test]
@@ -336,7 +331,6 @@ fn a_board_that_is_built_anew_goes_on_with_what_the_scene_has() {
     session.say(ANA, session.stroke(1, &[0, 1, 2])).expect("shown");
     session.say(BO, NoteKind::Pointer(Some(session.places(&[5])[0]))).expect("shown");
     session.say(BO, NoteKind::Freeze(true)).expect("frozen");
-    session.say(BO, NoteKind::TakeOver { hand: 2, step: TakeOver::Ask }).expect("asked");
     session.tick();
     // While there is no board, a blade cuts.
     session.write(|out, tissue| {
@@ -346,7 +340,6 @@ fn a_board_that_is_built_anew_goes_on_with_what_the_scene_has() {
     session.tick();
     assert_eq!(session.runs(ANA), [2]);
     session.say(ANA, session.stroke(1, &[3])).expect("shown");
-    session.say(ANA, NoteKind::TakeOver { hand: 2, step: TakeOver::Decline }).expect("it was asked");
     session.say(BO, NoteKind::Pointer(Some(session.places(&[6])[0]))).expect("shown");
     session.say(ANA, NoteKind::Freeze(false)).expect("freed");
     session.tick();

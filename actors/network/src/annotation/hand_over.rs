@@ -3,13 +3,14 @@
 use trocar_scene::{Signature, TakeOverRequest, TakeOverStep};
 
 use crate::control::{HandInfo, NoteRefusal, PlainText, Refusal, TakeOver};
+use crate::hands_link::HOST;
 
 /// What becomes of the request for a hand's instrument after a step of `by`; `None`: there is none any longer. Who serves the
 /// hand, the session changes: after a step that is [`TakeOverStep::Accepted`] it is who asked.
 ///
 /// # Errors
 /// [`Refusal`], in words.
-pub(super) fn after(
+pub(crate) fn after(
     request: Option<&TakeOverRequest>,
     step: TakeOver,
     by: Signature,
@@ -21,7 +22,8 @@ pub(super) fn after(
     let open = request.filter(|request| request.step != TakeOverStep::Declined);
     match step {
         TakeOver::Ask => {
-            if hand.station == Some(by.station) {
+            // A hand that nobody serves is the host's.
+            if hand.station.unwrap_or(HOST) == by.station {
                 return Err(NoteRefusal::OwnHand { hand: name() }.into());
             }
             if let Some(open) = open.filter(|open| open.by.station != by.station) {

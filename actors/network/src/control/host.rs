@@ -17,7 +17,7 @@ use trocar_scene::SimTime;
 
 use super::blob::Blob;
 use super::diagnosis::EchoCounts;
-use super::error::{ControlError, Goodbye};
+use super::error::{ControlError, Goodbye, Refusal};
 use super::frame::{FrameDecoder, OPENING_MAX};
 use super::host_end::HostEnd;
 use super::host_session::{Admitted, HostFacts, HostSession};
@@ -193,6 +193,15 @@ impl HostControl {
     pub fn send_note(&mut self, note: Note, now: SimTime) -> Result<(), SendError> {
         note.what.check()?;
         self.end.send(HostState::Running, &HostMessage::Note(note), now)
+    }
+
+    /// Tells the station that something it has shown, which was accepted at first, cannot be shown.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send_refusal(&mut self, refusal: Refusal, now: SimTime) -> Result<(), SendError> {
+        let answer = HostMessage::Answer { request: None, refusal: Some(refusal) };
+        self.end.send(HostState::Running, &answer, now)
     }
 
     /// Passes on a ticket of the station `from`.

@@ -124,6 +124,14 @@ pub enum NoteRefusal {
         /// Name of the hand.
         hand: PlainName,
     },
+    /// The station could not move it.
+    #[error(
+        "this station has no device for the hand '{hand}'; join with --hand {hand}=virtual, or another device"
+    )]
+    NoDevice {
+        /// Name of the hand.
+        hand: PlainName,
+    },
 }
 
 /// The steps of a hand-over.

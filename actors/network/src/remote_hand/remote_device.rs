@@ -10,7 +10,7 @@
 
 use nalgebra::Isometry3;
 use triple_buffer::{Input, Output, triple_buffer};
-use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
+use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Pedals, Wrench};
 use trocar_scene::SimTime;
 
 use super::clutch::Clutch;
@@ -224,14 +224,17 @@ impl Local {
         reading
     }
 
-    /// Keeps the device going while a station has the hand.
-    fn idle(&mut self, now_ns: u64) {
+    /// Keeps the device going while a station has the hand; returns its pedals. The rest of its state is of no use now, and
+    /// its faults are of no consequence.
+    fn idle(&mut self, now_ns: u64) -> u32 {
         if self.open {
-            // Its state is of no use now, and its faults are of no consequence.
-            let _ = self.read(now_ns);
-        } else if now_ns >= self.retry_at_ns {
+            let state = self.read(now_ns).ok().filter(|state| state.connected);
+            return state.map_or(0, |state| state.buttons & Pedals::MASK);
+        }
+        if now_ns >= self.retry_at_ns {
             let _ = self.open(now_ns);
         }
+        0
     }
 
     /// The device's state as it is shown: offset since the hand came back from a station.
@@ -301,10 +304,13 @@ impl HapticDevice for RemoteHand {
         self.fade(step_secs);
         let reading = match (self.owner.station(), &mut self.local) {
             (Some(station), local) => {
-                if let Some(local) = local {
-                    local.idle(now_ns);
+                let pedals = local.as_mut().map_or(0, |local| local.idle(now_ns));
+                let mut state = self.serve_station(now_ns, station);
+                if self.control.mirroring() {
+                    // At a station the pedals are those of its own person, who takes a hand back by them.
+                    state.buttons |= pedals;
                 }
-                Ok(self.serve_station(now_ns, station))
+                Ok(state)
             }
             (None, Some(local)) => local
                 .read(now_ns)

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use trocar_devices::{
     Capabilities, DeviceCommand, DeviceError, DeviceFaults, DeviceLink, DeviceSample, DeviceState,
-    DriverConfig, DriverCore, HandIntent, HapticDevice, VirtualHand, VirtualHandConfig, Wrench, link,
+    DriverConfig, DriverCore, HandIntent, HapticDevice, Pedals, VirtualHand, VirtualHandConfig, Wrench, link,
 };
 use trocar_scene::SimTime;
 
@@ -267,6 +267,24 @@ fn forces_fade_out_at_one_end_and_in_at_the_other() {
     bench.end.control().give_back();
     bench.run(60, None);
     assert!((written(&desk) - 1.0).abs() < 1e-6);
+}
+
+#[test]
+fn the_pedal_of_a_stations_own_device_is_seen_while_another_one_moves_the_hand() {
+    let (local, desk) = BenchDevice::on_a_desk();
+    let mut bench = Bench::over(local);
+    let theirs = sample(Isometry3::identity(), 0.0, Pedals::Released.buttons());
+    bench.step(None);
+    bench.end.control().take(5);
+    desk.lock().unwrap().state.buttons = Pedals::Energy.buttons() | 1;
+    (0..50).for_each(|_| bench.step(Some((5, theirs))));
+    assert_eq!(bench.shown.state.buttons, Pedals::Released.buttons(), "at a host it is of no consequence");
+    bench.end.control().set_mirroring(true);
+    (0..50).for_each(|_| bench.step(Some((5, theirs))));
+    assert_eq!(bench.shown.state.buttons, Pedals::Energy.buttons(), "at a station it takes the hand back");
+    desk.lock().unwrap().present = false;
+    (0..50).for_each(|_| bench.step(Some((5, theirs))));
+    assert_eq!(bench.shown.state.buttons, Pedals::Released.buttons());
 }
 
 #[test]

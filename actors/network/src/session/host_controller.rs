@@ -3,24 +3,26 @@
 use std::collections::BTreeMap;
 
 use trocar_scene::{
-    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, Grasp, Hand, LinkState,
-    Snapshot, Station, StationRole, Tick,
+    Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, Grasp, LinkState,
+    SimTime, Snapshot, Station, Tick,
 };
 
 use super::host_machine::HostMachine;
 use super::host_members::AcceptedNote;
 use super::machine_slot::HeldMachine;
-use crate::annotation::{AnnotationBoard, Author};
-use crate::control::StationInfo;
+pub(super) use crate::annotation::shown_role as role;
+use crate::annotation::{AnnotationBoard, Author, DeskOwner, MentorDesk};
+use crate::control::{NoteKind, StationInfo};
 use crate::hands_link::HOST;
 use crate::haptic::LinkPoint;
-use crate::ticket::Role;
 
 /// The network's actor at a host.
 pub struct HostController<A> {
     machine: HeldMachine<HostMachine<A>>,
     is_protected: bool,
     board: AnnotationBoard,
+    /// Of the host's own person.
+    desk: MentorDesk,
     /// The entity of each station.
     shown: BTreeMap<u16, Entity>,
 }
@@ -31,7 +33,22 @@ impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
         // An earlier life has created entities for the stations.
         let shown = context.scene.iter::<Station>().map(|(entity, station)| (station.number, entity));
         let board = AnnotationBoard::of(context.scene);
-        Self { machine, is_protected, board, shown: shown.collect() }
+        let desk = MentorDesk::of(context.scene, context.me);
+        Self { machine, is_protected, board, desk, shown: shown.collect() }
+    }
+
+    /// What the person at the host shows and asks for.
+    fn serve_own_person(&mut self, now: SimTime, scene: &Snapshot) {
+        let desk = &mut self.desk;
+        self.machine.work(|machine| {
+            let hands = machine.hand_infos().to_vec();
+            let owner = DeskOwner { station: HOST, role: None, is_heard: true, hands: &hands };
+            for note in desk.take(now, scene, &owner) {
+                if let Err(refusal) = machine.show(note, now) {
+                    desk.refuse(now, &refusal);
+                }
+            }
+        });
     }
 
     fn show(&mut self, stations: Vec<StationInfo>, scene: &Snapshot, out: &mut Commands) {
@@ -43,7 +60,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
         self.shown.retain(|number, entity| {
             let is_there = stations.iter().any(|station| station.number == *number);
             if !is_there {
-                self.board.leave(*number, out);
+                self.board.leave(*number);
                 out.event("station_left", *entity, None, f64::from(*number));
                 out.despawn(*entity);
             }
@@ -92,36 +109,37 @@ pub(super) fn state(point: &LinkPoint) -> LinkState {
     }
 }
 
-/// A role, as the scene shows it.
-pub(super) fn role(role: Role) -> StationRole {
-    match role {
-        Role::Operate => StationRole::Operate,
-        Role::Mentor => StationRole::Mentor,
-        Role::Watch => StationRole::Watch,
-    }
-}
-
 impl<A: Copy + PartialEq + Send + 'static> Controller for HostController<A> {
     fn access(&self) -> Access {
-        AnnotationBoard::access(
-            Access::new().reads::<Hand>().reads::<Grasp>().writes::<Station>(EntitySet::Own),
-        )
+        let access = Access::new().reads::<Grasp>().writes::<Station>(EntitySet::Own);
+        MentorDesk::access(AnnotationBoard::access(access))
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let (stations, notes) = self.machine.work(|machine| {
-            machine.step(tick.time, scene);
+        let now = tick.time;
+        self.serve_own_person(now, scene);
+        let (stations, notes, requests) = self.machine.work(|machine| {
+            machine.step(now, scene);
             for incident in machine.take_incidents() {
                 tracing::info!("{}", incident.what);
             }
-            (machine.stations(), machine.take_notes().collect::<Vec<_>>())
+            (machine.stations(), machine.take_notes().collect::<Vec<_>>(), machine.requests())
         });
-        for AcceptedNote { note, author, hands } in &notes {
-            let author = Author { name: author, is_host: note.station == HOST };
-            if let Err(refusal) = self.board.apply(note, author, hands, scene, out) {
-                tracing::info!("a note of {} is not shown: {refusal}", author.name);
+        for AcceptedNote { note, author } in &notes {
+            let is_host = note.station == HOST;
+            let applied = self.board.apply(note, Author { name: author, is_host }, scene, out);
+            let Err(refusal) = applied else { continue };
+            // A pointer that is nowhere will soon be somewhere else.
+            let is_pointer = matches!(note.what, NoteKind::Pointer(_));
+            tracing::debug!("a note of {author} is not shown: {refusal}");
+            match is_host {
+                _ if is_pointer => {}
+                true => self.desk.refuse(now, &refusal),
+                false => self.machine.work(|machine| machine.refuse(note.station, refusal)),
             }
         }
+        self.board.show_requests(requests.into_iter(), scene, out);
+        self.desk.show(tick.me, out);
         self.show(stations, scene, out);
         self.board.follow(scene, out);
         Ok(())

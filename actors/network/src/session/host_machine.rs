@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use trocar_scene::{SimTime, Snapshot};
+use trocar_scene::{Entity, SimTime, Snapshot, TakeOverRequest};
 
 use super::admissions::Admissions;
 use super::host_members::{AcceptedNote, HostHandControl, Member, Members, NOTES_MAX, figures};
@@ -132,7 +132,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             roster_changed: false,
             host_trouble: None,
             diagnoses: 0,
-            asked: BTreeMap::new(),
+            requests: BTreeMap::new(),
             lent: BTreeMap::new(),
             is_attended: setup.is_attended,
         };
@@ -197,6 +197,24 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     /// [`Refusal`].
     pub fn show(&mut self, what: NoteKind, now: SimTime) -> Result<(), Refusal> {
         self.members.request(HOST, &RequestKind::Note(what), now)
+    }
+
+    /// What a station has shown cannot be shown, and its person is told so.
+    pub fn refuse(&mut self, station: u16, refusal: Refusal) {
+        let now = self.now;
+        let is_its = |link: &&mut Link| {
+            link.control.state() == HostState::Running
+                && link.opened.is_some_and(|(_, number)| number == station)
+        };
+        if let Some(link) = self.links.values_mut().find(is_its) {
+            told(link.control.send_refusal(refusal, now));
+        }
+    }
+
+    /// Requests for instruments, by the entities of their hands.
+    pub fn requests(&self) -> Vec<(Entity, TakeOverRequest)> {
+        let of_hand = |info: &HandInfo| Some((info.entity, self.members.requests.get(&info.number)?.clone()));
+        self.hand_infos().iter().filter_map(of_hand).collect()
     }
 
     /// One step: takes what has come, and sends what is due of the scene as it is now.

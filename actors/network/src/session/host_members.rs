@@ -4,14 +4,17 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-use trocar_scene::{Entity, Grasp, Hand, Revision, SimTime, Snapshot};
+use trocar_scene::{
+    Entity, Grasp, Hand, Revision, Signature, SimTime, Snapshot, TakeOverRequest, TakeOverStep,
+};
 
 use super::admissions::Admissions;
 use super::carrier::Carrier;
 use super::own_rows::own_rows;
+use crate::annotation::hand_over;
 use crate::control::{
     Admitted, ClockSample, Credential, DIAGNOSES_MAX, Diagnosed, HandInfo, HeldScene, HostEvent, HostSession,
-    LinkFigures, Note, NoteKind, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
+    LinkFigures, Note, NoteKind, NoteRefusal, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
     SceneManifest, SceneOffer, SessionInfo, TakeOver, TicketVerdict, Wish,
 };
 use crate::hands_link::HOST;
@@ -23,6 +26,8 @@ use crate::ticket::{PlainName, Refused, Role, TicketId};
 
 /// Notes that wait for the actor. More of them within a tick are refused.
 pub const NOTES_MAX: usize = 256;
+/// How long it is shown that a request was declined.
+const DECLINED_SHOWN: SimTime = SimTime::from_millis(10_000);
 
 /// A hand of the session, as the host hands it over.
 #[derive(Clone, Debug)]
@@ -61,8 +66,6 @@ pub struct AcceptedNote {
     pub note: Note,
     /// Name of its author.
     pub author: PlainName,
-    /// The hands as they were served when it came: a note may change that.
-    pub hands: Vec<HandInfo>,
 }
 
 /// Everything that a session knows of its stations.
@@ -91,8 +94,8 @@ pub(super) struct Members {
     pub host_trouble: Option<String>,
     /// How many diagnose their paths.
     pub diagnoses: usize,
-    /// Mentors that have asked for a hand.
-    pub asked: BTreeMap<u8, u16>,
+    /// Requests for the instruments of hands: asked for, handed over, declined.
+    pub requests: BTreeMap<u8, TakeOverRequest>,
     /// Hands that were handed over, and whom they go back to.
     pub lent: BTreeMap<u8, Option<u16>>,
     /// Whether a person at the host answers for hands that the host itself serves.
@@ -166,8 +169,12 @@ impl Members {
         }
     }
 
-    /// Lets go of stations that were away for too long.
+    /// Lets go of stations that were away for too long, and of requests that were declined.
     pub fn expire(&mut self, now: SimTime) {
+        self.requests.retain(|_, request| {
+            let answered = request.answer.as_ref().map_or(now, |answer| answer.at);
+            request.step != TakeOverStep::Declined || now.since(answered) < DECLINED_SHOWN
+        });
         while let Some((station, hands)) = self.roster.expire(now) {
             let connection = self.members.get(&station).map_or(0, |member| member.connection);
             self.left(station, connection, &hands);
@@ -192,41 +199,52 @@ impl Members {
         self.members.iter().filter(|(_, member)| is_revoked(member)).map(|(station, _)| *station).collect()
     }
 
-    fn take_over(&mut self, station: u16, hand: u8, step: TakeOver) -> Result<(), Refusal> {
-        let info = self.roster.hands().iter().find(|info| info.number == hand).cloned();
-        let Some(info) = info else {
-            let text = format!("the session has no hand number {hand}");
-            return Err(Refusal::HostTrouble(PlainText::new(text)));
+    /// A step of handing an instrument over. Nothing is changed if it is refused.
+    fn take_over(&mut self, station: u16, hand: u8, step: TakeOver, now: SimTime) -> Result<(), Refusal> {
+        let Some(info) = self.roster.hands().iter().find(|info| info.number == hand).cloned() else {
+            let valid = self.roster.hands().iter().map(|info| info.name.clone()).collect();
+            return Err(Refusal::HandUnknown { hand: PlainText::new(hand.to_string()), valid });
         };
-        let not_served = || Refusal::HandNotServed { hand: PlainText::new(info.name.as_str()) };
-        let serves = |by: u16| info.station == Some(by) || (info.station.is_none() && by == HOST);
-        match step {
-            TakeOver::Ask => {
-                self.asked.insert(hand, station);
-                if info.station.is_none() && !self.is_attended {
-                    return self.take_over(HOST, hand, TakeOver::Accept);
-                }
-            }
-            TakeOver::Decline => {
-                self.asked.remove(&hand);
-            }
-            TakeOver::Accept if serves(station) => {
-                let mentor = self.asked.remove(&hand).ok_or_else(not_served)?;
+        if step == TakeOver::Ask && !self.has_device(station, &info.name) {
+            return Err(NoteRefusal::NoDevice { hand: info.name }.into());
+        }
+        let by = Signature { station, name: self.name_of(station).as_str().to_owned(), at: now };
+        let before = self.requests.get(&hand);
+        let after = hand_over::after(before, step, by, station == HOST, &info)?;
+        let was_taken = before.is_some_and(|request| request.step == TakeOverStep::Accepted);
+        match &after {
+            Some(request) if step == TakeOver::Accept => {
+                let mentor = request.by.station;
                 self.lend(&info, mentor)?;
             }
-            TakeOver::Return if serves(station) || self.lent.get(&hand) == Some(&owner(station)) => {
-                self.return_hand(&info)?;
-            }
-            TakeOver::Accept | TakeOver::Return => return Err(not_served()),
+            // Asked again for what it has got.
+            Some(_) if was_taken => return Ok(()),
+            None if was_taken => self.return_hand(&info)?,
+            _ => {}
+        }
+        match after {
+            Some(request) => self.requests.insert(hand, request),
+            None => self.requests.remove(&hand),
+        };
+        // Where nobody is to answer, the host agrees.
+        if step == TakeOver::Ask && info.station.is_none() && !self.is_attended {
+            return self.take_over(HOST, hand, TakeOver::Accept, now);
         }
         Ok(())
+    }
+
+    fn has_device(&self, station: u16, hand: &PlainName) -> bool {
+        // The host has a device of each hand.
+        station == HOST || self.members.get(&station).is_some_and(|member| member.devices.contains(hand))
     }
 
     fn lend(&mut self, info: &HandInfo, mentor: u16) -> Result<(), Refusal> {
         if let Some(station) = info.station {
             self.roster.give_hand(station, &info.name)?;
         }
-        if let Err(refusal) = self.roster.take_hand(mentor, &info.name) {
+        if mentor != HOST
+            && let Err(refusal) = self.roster.take_hand(mentor, &info.name)
+        {
             // Whoever had it keeps it.
             if let Some(station) = info.station {
                 self.roster.take_hand(station, &info.name)?;
@@ -234,7 +252,7 @@ impl Members {
             return Err(refusal);
         }
         self.lent.entry(info.number).or_insert(info.station);
-        self.hand_over(info.number, Some(mentor));
+        self.hand_over(info.number, owner(mentor));
         Ok(())
     }
 
@@ -251,7 +269,7 @@ impl Members {
 
     /// A mentor's link broke: what it had taken over goes back at once.
     fn return_hands_of(&mut self, mentor: u16) {
-        self.asked.retain(|_, station| *station != mentor);
+        self.requests.retain(|_, request| request.by.station != mentor);
         let of_mentor =
             |info: &&HandInfo| info.station == Some(mentor) && self.lent.contains_key(&info.number);
         let lent: Vec<HandInfo> = self.roster.hands().iter().filter(of_mentor).cloned().collect();
@@ -422,12 +440,11 @@ impl HostSession for Members {
                     let text = "too many notes at once; some were not shown";
                     return Err(Refusal::HostTrouble(PlainText::new(text)));
                 }
-                let hands = self.roster.hands().to_vec();
                 if let NoteKind::TakeOver { hand, step } = what {
-                    self.take_over(station, *hand, *step)?;
+                    self.take_over(station, *hand, *step, now)?;
                 }
                 let note = Note { station, at: now, what: what.clone() };
-                self.notes.push_back(AcceptedNote { note, author: self.name_of(station), hands });
+                self.notes.push_back(AcceptedNote { note, author: self.name_of(station) });
             }
             RequestKind::PeerTicket { to, ticket } => {
                 self.peer_tickets.push((station, *to, ticket.clone()));

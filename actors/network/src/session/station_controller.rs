@@ -6,6 +6,8 @@ use trocar_scene::{
 
 use super::machine_slot::HeldMachine;
 use super::station_machine::{StationMachine, StationNews};
+use crate::annotation::{DeskOwner, MentorDesk};
+use crate::control::{ClientState, RequestKind};
 
 /// Time between two rows of the station's own link.
 const ROW_EVERY: SimTime = SimTime::from_millis(1_000);
@@ -14,23 +16,46 @@ const ROW_EVERY: SimTime = SimTime::from_millis(1_000);
 pub struct StationController<A> {
     machine: HeldMachine<StationMachine<A>>,
     row_at: SimTime,
+    /// Of the station's own person.
+    desk: MentorDesk,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> StationController<A> {
     /// Carries the machine of the session.
     pub fn new(context: &BuildContext<'_>, machine: HeldMachine<StationMachine<A>>) -> Self {
-        Self { machine, row_at: context.time }
+        let desk = MentorDesk::of(context.scene, context.me);
+        Self { machine, row_at: context.time, desk }
+    }
+}
+
+/// Tells the host what the station's own person shows and asks for.
+fn show_own<A: Copy + PartialEq + Send + 'static>(
+    machine: &mut StationMachine<A>,
+    desk: &mut MentorDesk,
+    now: SimTime,
+    scene: &Snapshot,
+) {
+    let Some(welcome) = machine.welcome() else { return };
+    let hands = welcome.session.hands.clone();
+    let is_heard = machine.state() == ClientState::Running;
+    let owner = DeskOwner { station: welcome.station, role: Some(welcome.role), is_heard, hands: &hands };
+    for note in desk.take(now, scene, &owner) {
+        if let Err(error) = machine.request(RequestKind::Note(note), now) {
+            desk.refuse(now, &error);
+        }
     }
 }
 
 impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
     fn access(&self) -> Access {
-        Access::new().replicates().contributes::<Station>()
+        MentorDesk::access(Access::new().replicates().contributes::<Station>())
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let (now, desk) = (tick.time, &mut self.desk);
         let (stepped, row) = self.machine.work(|machine| {
-            let stepped = machine.step(tick.time, scene, out);
+            show_own(machine, desk, now, scene);
+            let stepped = machine.step(now, scene, out);
             for news in machine.take_news() {
                 match news {
                     StationNews::Away(why) => tracing::warn!("away from the host: {why}"),
@@ -41,12 +66,16 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
                     }
                     StationNews::Carried(false) => tracing::info!("datagrams arrive at the host again"),
                     StationNews::Back => tracing::info!("back at the host"),
-                    StationNews::Refused(refusal) => tracing::warn!("the host refused: {refusal}"),
+                    StationNews::Refused(refusal) => {
+                        tracing::warn!("the host refused: {refusal}");
+                        desk.refuse(now, &refusal);
+                    }
                     StationNews::Note(_) => {}
                 }
             }
             (stepped, machine.row())
         });
+        self.desk.show(tick.me, out);
         if tick.time >= self.row_at {
             self.row_at = tick.time + ROW_EVERY;
             out.put(tick.me, row);
