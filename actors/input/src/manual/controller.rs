@@ -5,12 +5,13 @@ use thiserror::Error;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
     Access, Activation, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo,
-    DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, Name, Parent, PersonInput, PersonView,
-    Port, Pose, RecordPolicy, Side, SimTime, Snapshot, Tick,
+    DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, MentorAnswer, Name, Parent, PersonInput,
+    PersonView, Port, Pose, RecordPolicy, Side, SimTime, Snapshot, TakeOverRequest, Tick,
 };
 
 use nalgebra::{Isometry3, Vector3};
 
+use super::lent_hand::{LentHand, is_elsewhere};
 use super::mapping::{HandKinematics, HandLimits, ManualHand};
 use crate::pedals::asked_by_pedals;
 
@@ -64,6 +65,8 @@ pub struct ManualController {
     /// Instruments of the existing hands.
     instruments: Vec<Entity>,
     state: ManualState,
+    /// Left, right: whether another station has them.
+    lent: [LentHand; 2],
 }
 
 fn wrong(what: impl std::fmt::Display) -> ControllerError {
@@ -105,7 +108,8 @@ impl ManualController {
         };
         let instruments: Result<Vec<Entity>, _> =
             hands.into_iter().flatten().map(|hand| Ok(rig_of(scene, hand)?.instrument)).collect();
-        Ok(Self { limits: *limits, person, hands, instruments: instruments?, state })
+        let lent = Default::default();
+        Ok(Self { limits: *limits, person, hands, instruments: instruments?, state, lent })
     }
 }
 
@@ -157,6 +161,8 @@ impl Controller for ManualController {
             .reads::<DeviceInfo>()
             .reads::<DeviceState>()
             .reads::<Activation>()
+            .reads::<TakeOverRequest>()
+            .reads::<MentorAnswer>()
             .writes::<Activation>(EntitySet::Of(self.instruments.clone()))
             .writes::<HandTarget>(EntitySet::Of(self.hands.iter().flatten().copied().collect()))
             .writes::<ManualState>(EntitySet::Own)
@@ -185,6 +191,14 @@ impl Controller for ManualController {
             let workspace =
                 scene.get::<DeviceInfo>(entity).map_or_else(Vector3::zeros, |info| info.workspace.into());
             let reach = HandKinematics { rig: &rig, workspace };
+            if let (Some(input), Some(state)) = (input, scene.get::<DeviceState>(entity)) {
+                let is_elsewhere = is_elsewhere(scene, entity, tick.me.station());
+                if self.lent[side as usize].is_followed(tick.time, is_elsewhere, state) {
+                    let axis = scene.world_pose(rig.instrument).rotation * Vector3::z();
+                    let tip = rig.tip_in_world(&state.handle_in_device.isometry(), &axis);
+                    *hand = ManualHand::at(&tip, state.gripper, state.gripper, *input.hand(side));
+                }
+            }
             if let Some(input) = input {
                 let actual = scene.world_pose(rig.instrument).translation.vector;
                 hand.ask(input.hand(side), view.as_ref(), &actual, &reach, &self.limits);

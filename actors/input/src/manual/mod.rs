@@ -14,6 +14,7 @@ pub mod control;
 pub mod controller;
 pub mod controls;
 pub mod follower;
+mod lent_hand;
 pub mod mapping;
 
 pub use bindings::{Bindings, BindingsError};
