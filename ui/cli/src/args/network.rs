@@ -179,7 +179,7 @@ fn ticket_wish(text: &str) -> Result<(Role, String), String> {
 #[derive(Debug, Args)]
 pub struct JoinArgs {
     /// A hand that this station serves, with its device: NAME=SPEC, such as `left=virtual`; `trocar list devices` names
-    /// every device
+    /// every device. A mentor serves it once it was handed over
     #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand, help_heading = "Session")]
     pub hands: Vec<(String, String)>,
     /// A person moves the hands with mouse, keyboard or gamepad; otherwise the session's virtual trainee moves virtual ones

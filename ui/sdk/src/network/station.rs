@@ -56,6 +56,8 @@ pub struct JoinOptions {
     pub play: bool,
     /// Datagrams without protection, for the loopback alone.
     pub insecure: bool,
+    /// Whether it serves its hands only once they were handed over to it, as a mentor's station always does.
+    pub stands_by: bool,
     /// The secret with which a station comes back after its program ended, in place of the ticket's token.
     pub resume: Option<ResumeSecret>,
 }
@@ -153,8 +155,8 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
                 wish: Wish {
                     name: plain_name(&name)?,
                     role: options.role,
-                    devices: hands.clone(),
-                    hands,
+                    hands: if options.stands_by { Vec::new() } else { hands.clone() },
+                    devices: hands,
                     moves: options.play,
                 },
             },
@@ -268,7 +270,8 @@ impl Joining<usize> {
         now: SimTime,
     ) -> Result<Self, NetworkError> {
         let stream = WireStationStream::new(wire.clone(), number, HANDSHAKE);
-        Self::new(registry, options, credential(ticket, options)?, Box::new(stream), now)
+        let standing = standing_by(options, ticket);
+        Self::new(registry, &standing, credential(ticket, options)?, Box::new(stream), now)
     }
 
     /// The station, once it is in the session.
@@ -311,6 +314,12 @@ impl Begun {
     }
 }
 
+/// A mentor takes nobody's instrument by joining.
+fn standing_by(options: &JoinOptions, ticket: &Ticket) -> JoinOptions {
+    let role = options.role.unwrap_or(ticket.role());
+    JoinOptions { stands_by: options.stands_by || role == Role::Mentor, ..options.clone() }
+}
+
 fn credential(ticket: &Ticket, options: &JoinOptions) -> Result<Credential, NetworkError> {
     if let Some(resume) = &options.resume {
         return Ok(Credential::Resume { resume: resume.clone() });
@@ -349,7 +358,8 @@ pub fn join(
     let stream = dial().map_err(NetworkError::Usage)?;
     let clock = Clock::start();
     let now = clock.now();
-    let mut joining = Joining::new(registry, options, credential(ticket, options)?, stream, now)?;
+    let standing = standing_by(options, ticket);
+    let mut joining = Joining::new(registry, &standing, credential(ticket, options)?, stream, now)?;
     while !joining.step(clock.now())? {
         progress(&joining.progress(), joining.trouble().as_deref());
         if stop.load(Ordering::Relaxed) {
