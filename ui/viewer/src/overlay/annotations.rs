@@ -104,7 +104,7 @@ pub fn draw(scene: &Snapshot, line_width: f32, seen: &mut Seen) {
 }
 
 /// A request as a line of text.
-fn told(scene: &Snapshot, hand: Entity, request: &TakeOverRequest) -> String {
+pub(crate) fn told(scene: &Snapshot, hand: Entity, request: &TakeOverRequest) -> String {
     let instrument = scene.get::<Hand>(hand).map_or(hand, |hand| hand.instrument);
     let (instrument, by) = (scene.name(instrument), &request.by.name);
     match (&request.step, &request.answer) {

@@ -52,8 +52,33 @@ pub enum Action {
     Close,
     /// Close all windows.
     Quit,
+    /// Show the others something, or hand an instrument over.
+    Mentor(MentorKey),
     /// Toggle an overlay.
     Show(Overlay),
+}
+
+/// Actions of telementoring.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MentorKey {
+    /// Take the pen up, or lay it down.
+    Pen,
+    /// Erase the last stroke.
+    EraseLast,
+    /// Erase everything of one's own.
+    EraseAll,
+    /// Put a label.
+    Label,
+    /// Freeze the pictures, or let them go on.
+    Freeze,
+    /// Ask for the instrument of the left hand, or give it back.
+    AskLeft,
+    /// Ask for that of the right one, or give it back.
+    AskRight,
+    /// Hand over what is asked for, or take it back.
+    Accept,
+    /// Keep it.
+    Decline,
 }
 
 /// A key with its modifiers.
@@ -110,6 +135,15 @@ pub const KEYS: &[(Chord, Action, &str)] = &[
     (key(KeyCode::KeyE), Action::Show(Overlay::Temperature), "show temperatures"),
     (key(KeyCode::KeyU), Action::Show(Overlay::Burn), "show burns"),
     (key(KeyCode::KeyS), Action::Show(Overlay::Field), "show stress, strain, or what a simulator gives"),
+    (key(KeyCode::F4), Action::Mentor(MentorKey::Pen), "draw for the others: the mouse points and draws"),
+    (control(KeyCode::KeyZ), Action::Mentor(MentorKey::EraseLast), "erase one's last stroke"),
+    (control(KeyCode::KeyE), Action::Mentor(MentorKey::EraseAll), "erase all of one's strokes and labels"),
+    (control(KeyCode::KeyL), Action::Mentor(MentorKey::Label), "a label where the mouse is"),
+    (control(KeyCode::KeyF), Action::Mentor(MentorKey::Freeze), "freeze the pictures of all, let them go on"),
+    (key(KeyCode::F9), Action::Mentor(MentorKey::AskLeft), "ask for the left instrument, give it back"),
+    (key(KeyCode::F10), Action::Mentor(MentorKey::AskRight), "ask for the right instrument, give it back"),
+    (key(KeyCode::F11), Action::Mentor(MentorKey::Accept), "hand over what is asked for, take it back"),
+    (key(KeyCode::F12), Action::Mentor(MentorKey::Decline), "keep what is asked for"),
     (control(KeyCode::KeyP), Action::Screenshot, "a picture (PNG) in the working folder"),
     (control(KeyCode::KeyN), Action::NewWindow, "one more window"),
     (control(KeyCode::KeyW), Action::Close, "close this window"),
@@ -179,6 +213,11 @@ pub fn name(chord: &Chord) -> String {
         name.push_str("Shift+");
     }
     name + bare
+}
+
+/// The key of an action, as a hint.
+pub fn hint(action: Action) -> String {
+    KEYS.iter().find(|(_, known, _)| *known == action).map(|(chord, ..)| name(chord)).unwrap_or_default()
 }
 
 #[cfg(test)]

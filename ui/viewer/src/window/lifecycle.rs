@@ -16,6 +16,7 @@ use winit::window::{Window, WindowId};
 
 use super::events::LoopMessage;
 use super::health::{ViewerHealth, WindowHealth};
+use super::mentor::Pen;
 use super::panel::{Hands, Panels};
 use super::screen::{End, KeptState, Screen};
 use super::subject::Subject;
@@ -130,6 +131,7 @@ impl WindowActor {
             panels: Panels::new(opening.player_help),
             subject_views: subjects.map(|subject| SubjectView::new(&gpu, subject, &opening.choice)).collect(),
             hands: Hands { there: opening.hands, taken: false },
+            pen: Pen::default(),
             window_health: WindowHealth::new(opening.health),
             modifiers: Modifiers::default(),
             picture_wanted: false,

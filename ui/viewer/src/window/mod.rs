@@ -17,6 +17,7 @@ mod health;
 pub mod keys;
 mod lag;
 mod lifecycle;
+mod mentor;
 mod mouse;
 pub mod navigate;
 mod panel;

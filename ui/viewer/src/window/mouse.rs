@@ -35,6 +35,11 @@ pub(super) struct Mouse {
 }
 
 impl Mouse {
+    /// Where it is in the window \[pixels\].
+    pub(super) fn place(&self) -> Pos2 {
+        self.place
+    }
+
     /// The gesture of an event; `over` returns the subject at a position, and `None` over a panel.
     pub(super) fn follow(
         &mut self,

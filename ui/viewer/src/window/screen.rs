@@ -3,6 +3,8 @@
 //! It has its own thread: however long a software rasteriser takes for a frame, the event loop, the other windows and
 //! the session go on. It is restarted ([`super::lifecycle`]) after its device is lost or it has panicked.
 
+mod mentoring;
+
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::RecvTimeoutError;
@@ -19,6 +21,7 @@ use super::health::WindowHealth;
 use super::keys::{self, Action};
 use super::lag::{self, LagWatch};
 use super::lifecycle::{ViewerFault, WindowActor, WindowMessage};
+use super::mentor::Pen;
 use super::mouse::{Gesture, Mouse};
 use super::panel::{self, Hands, Panels, WindowState, next_speed, request_all, toggle_play};
 use super::subject::{PlayState, Request};
@@ -48,6 +51,7 @@ pub(super) struct KeptState {
     pub(super) panels: Panels,
     pub(super) subject_views: Vec<SubjectView>,
     pub(super) hands: Hands,
+    pub(super) pen: Pen,
     pub(super) window_health: WindowHealth,
     pub(super) modifiers: Modifiers,
     pub(super) picture_wanted: bool,
@@ -80,6 +84,12 @@ pub(super) struct Screen<'a> {
     since: Instant,
     lag_watch: LagWatch,
     told: Vec<(PlayState, f64, Option<u64>)>,
+    /// Where the mouse was when it was last looked what is under it.
+    looked_at: Option<egui::Pos2>,
+    /// The instruments were laid down for the pen.
+    laid_down: bool,
+    /// Refusals that were told.
+    heard_refusals: Option<u64>,
 }
 
 impl<'a> Screen<'a> {
@@ -126,6 +136,9 @@ impl<'a> Screen<'a> {
             since: Instant::now(),
             lag_watch: LagWatch::default(),
             told: Vec::new(),
+            looked_at: None,
+            laid_down: false,
+            heard_refusals: None,
         }
     }
 
@@ -158,6 +171,7 @@ impl<'a> Screen<'a> {
                 .subject_views
                 .iter_mut()
                 .fold(false, |newer, subject_view| subject_view.follow() | newer);
+            self.pass_pen_on();
             let requested = self.wanted.is_some_and(|wanted| wanted <= now) | self.heard_something();
             if self.hidden || !(newer || requested || self.stale) {
                 continue;
@@ -236,6 +250,10 @@ impl<'a> Screen<'a> {
             }
             WindowMessage::Hands(taken) => {
                 self.kept.hands.taken = taken;
+                if taken {
+                    self.laid_down = false;
+                    self.take_pen(false);
+                }
                 self.stale = true;
             }
             WindowMessage::Event(event) => self.event(&event),
@@ -264,8 +282,20 @@ impl<'a> Screen<'a> {
             let covered = ui.layer_id_at(points).is_some_and(|layer| layer.order != egui::Order::Background);
             canvas.at(place).filter(|_| !covered).map(|(index, _)| index)
         };
-        if let Some(gesture) = self.mouse.follow(event, Instant::now(), over) {
+        let under = over(match event {
+            WindowEvent::CursorMoved { position, .. } => {
+                egui::Pos2::new(position.x as f32, position.y as f32)
+            }
+            _ => self.mouse.place(),
+        });
+        let is_press = matches!(event, WindowEvent::MouseInput { state: ElementState::Pressed, .. });
+        // A press of the pen is no gesture of the camera; of everything else both hear.
+        let is_pens = is_press && self.lead_pen(event, under);
+        if !is_pens && let Some(gesture) = self.mouse.follow(event, Instant::now(), |_| under) {
             self.lead(gesture);
+        }
+        if !is_press {
+            self.lead_pen(event, under);
         }
         self.stale |= self.input.on_window_event(&self.actor.window, event).repaint;
     }
@@ -307,11 +337,15 @@ impl<'a> Screen<'a> {
     /// Whether the window has handled a key.
     fn key(&mut self, event: &KeyEvent) -> bool {
         let PhysicalKey::Code(code) = event.physical_key else { return false };
-        let types = self.ui.text_edit_focused();
+        let types = self.ui.text_edit_focused() || self.kept.pen.label.is_some();
         if types && (code == KeyCode::Escape || !keys::is_reserved(code, &self.kept.modifiers)) {
             return false;
         }
         let Some(action) = keys::action(code, &self.kept.modifiers) else { return false };
+        if types && matches!(action, Action::Mentor(_)) {
+            // The line has keys of the same names.
+            return false;
+        }
         let again = matches!(action, Action::Step | Action::StepBack);
         if event.state == ElementState::Pressed && (again || !event.repeat) {
             self.act(action);
@@ -381,6 +415,7 @@ impl<'a> Screen<'a> {
             Action::NewWindow => self.new_window(),
             Action::Close => self.closing = true,
             Action::Quit => self.tell(LoopMessage::Quit),
+            Action::Mentor(key) => self.mentor(key),
             Action::Show(overlay) => {
                 for subject_view in self.kept.subject_views.iter_mut() {
                     subject_view.overlays.toggle(overlay);
@@ -446,7 +481,7 @@ impl<'a> Screen<'a> {
         let mut outcome = Ok(());
         let ui = self.ui.clone();
         let output = ui.run_ui(raw, |ui| {
-            let wishes = self.kept.panels.show(ui, &mut self.kept.subject_views, &state);
+            let wishes = self.kept.panels.show(ui, &mut self.kept.subject_views, &mut self.kept.pen, &state);
             actions.extend(wishes.0);
             egui::CentralPanel::no_frame().show(ui, |ui| {
                 if greets {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde_json::Value;
-use trocar_scene::{PersonView, SimTime, Snapshot};
+use trocar_scene::{MentorDeed, PersonView, SimTime, Snapshot, SurfacePlace};
 
 /// The data source of a window. No method blocks: a slow or closed window does not affect the subject.
 pub trait Subject: Send {
@@ -27,6 +27,16 @@ pub trait Subject: Send {
 
     /// Sends a request; its result appears in the scene and in [`SubjectState`].
     fn request(&mut self, request: Request);
+
+    /// Whether there are others to whom the person at the window can show something: the scene of such a session has a
+    /// [`MentorAnswer`](trocar_scene::MentorAnswer).
+    fn is_shared(&self) -> bool {
+        false
+    }
+
+    /// Passes on what the person at the window shows the others: where it points, if that has changed, and what it does,
+    /// in order. Deeds that are taken are removed from `deeds`. Called often while it is shared.
+    fn show(&mut self, _pointer: Option<Option<SurfacePlace>>, _deeds: &mut Vec<MentorDeed>) {}
 
     /// A subject of the same source for another window.
     ///

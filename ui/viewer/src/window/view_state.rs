@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use nalgebra::Point3;
+use trocar_scene::annotation::{SurfaceHit, nearest_place};
 use trocar_scene::{Camera, Entity, PersonView, SimTime, Snapshot};
 
 use super::navigate::Orbit;
@@ -361,20 +362,31 @@ impl SubjectView {
     /// # Errors
     /// [`ViewError::DeviceLost`].
     pub fn pick(&mut self, gpu: &Gpu, at: [f64; 2]) -> Result<Option<Entity>, ViewError> {
-        let Some(target) = &self.target else { return Ok(None) };
+        let Some((eye, own, size)) = self.eye_at(gpu, at) else { return Ok(None) };
+        let pixel = eye.pixel(eye.through_lens(own), size);
+        let probe = self.renderer.probe(gpu, &self.shown, &pixel, [1, 1])?;
+        Ok(probe.entity(0, 0))
+    }
+
+    /// The place on a surface at a position of the picture, as for [`Self::pick`]: what the mouse points at.
+    pub fn place_at(&mut self, gpu: &Gpu, at: [f64; 2]) -> Option<SurfaceHit> {
+        let (eye, own, _) = self.eye_at(gpu, at)?;
+        let (origin, direction) = eye.ray(eye.through_lens(own));
+        nearest_place(&self.shown, &origin, &direction)
+    }
+
+    /// The view of which the picture shows a part there, with the position in that part, and the size of the picture.
+    fn eye_at(&mut self, gpu: &Gpu, at: [f64; 2]) -> Option<(View, [f64; 2], [u32; 2])> {
+        let target = self.target.as_ref()?;
         let size = [target.width(), target.height()];
         let view = self.view(f64::from(size[0]) / f64::from(size[1]));
         let shots = self.layout(gpu, &view).shots(&self.shown, &view, size);
         let within = |share: f64, from: f64, size: f64| (share - from) / size;
-        let found = shots.iter().find_map(|shot| {
+        shots.iter().find_map(|shot| {
             let (pane, eye) = (shot.pane, *shot.eyes.first()?);
             let own = [within(at[0], pane.x, pane.width), within(at[1], pane.y, pane.height)];
-            own.iter().all(|share| (0.0..1.0).contains(share)).then_some((eye, own))
-        });
-        let Some((eye, own)) = found else { return Ok(None) };
-        let pixel = eye.pixel(eye.through_lens(own), size);
-        let probe = self.renderer.probe(gpu, &self.shown, &pixel, [1, 1])?;
-        Ok(probe.entity(0, 0))
+            own.iter().all(|share| (0.0..1.0).contains(share)).then_some((eye, own, size))
+        })
     }
 }
 

@@ -5,6 +5,7 @@ mod hands;
 mod help;
 mod icons;
 mod inspect;
+mod mentor;
 mod network;
 mod result;
 mod session;
@@ -18,6 +19,7 @@ use std::time::{Duration, Instant};
 use egui::{Color32, RichText, Ui};
 
 use super::keys::Action;
+use super::mentor::Pen;
 use super::subject::{Note, PlayState, Request};
 use super::view_state::SubjectView;
 
@@ -123,6 +125,7 @@ impl Panels {
         &mut self,
         ui: &mut Ui,
         subject_views: &mut [SubjectView],
+        pen: &mut Pen,
         state: &WindowState,
     ) -> Wishes {
         let mut wishes = Wishes::default();
@@ -141,7 +144,7 @@ impl Panels {
             egui::Panel::left("session").exact_size(240.0).show(ui, |ui| {
                 ui.spacing_mut().slider_width = 70.0;
                 egui::ScrollArea::vertical().show(ui, |ui| {
-                    session::show(ui, subject_views, state, &self.player_help, &mut wishes);
+                    session::show(ui, subject_views, pen, state, &self.player_help, &mut wishes);
                 });
             });
         }
@@ -154,6 +157,9 @@ impl Panels {
             });
         }
         result::show(ui.ctx(), subject_views, &mut self.closed, &mut wishes);
+        if let Some(subject_view) = subject_views.first() {
+            mentor::over_the_scene(ui.ctx(), &subject_view.scene, pen);
+        }
         if let Some([lag, why]) = &state.lag {
             lagging(ui, lag, why);
         }

@@ -2,17 +2,21 @@
 
 use egui::{RichText, Ui};
 
-use super::super::keys::{Action, KEYS, name};
+use super::super::keys::{Action, hint};
+use super::super::mentor::Pen;
 use super::super::subject::{PlayState, Request};
 use super::super::view_state::{Look, QUALITIES, StereoLayout, SubjectView};
 use crate::overlay::Overlay;
 
-use super::{POOR, SPEEDS, WindowState, Wishes, clock, hands, network, request_all, task, toggle_play};
+use super::{
+    POOR, SPEEDS, WindowState, Wishes, clock, hands, mentor, network, request_all, task, toggle_play,
+};
 
 /// Draws the panel.
 pub(super) fn show(
     ui: &mut Ui,
     subject_views: &mut [SubjectView],
+    pen: &mut Pen,
     state: &WindowState,
     player_help: &[(String, String)],
     wishes: &mut Wishes,
@@ -31,6 +35,9 @@ pub(super) fn show(
     for subject_view in subject_views.iter() {
         task::show(ui, &subject_view.scene);
         network::show(ui, &subject_view.scene);
+    }
+    if let Some(subject_view) = subject_views.first() {
+        mentor::show(ui, &subject_view.scene, pen, wishes);
     }
     if state.hands.there {
         ui.separator();
@@ -55,11 +62,6 @@ pub(super) fn show(
             wishes.0.push(Action::Help);
         }
     });
-}
-
-/// The key of an action, as a hint.
-fn hint(action: Action) -> String {
-    KEYS.iter().find(|(_, known, _)| *known == action).map(|(chord, ..)| name(chord)).unwrap_or_default()
 }
 
 fn time(ui: &mut Ui, subject_view: &mut SubjectView) {
