@@ -8,6 +8,7 @@ mod docs_commands;
 #[cfg(target_os = "linux")]
 mod full_disks;
 mod host_and_join;
+mod mentoring;
 mod mesh_files;
 mod output_files;
 mod own_programs;

@@ -8,9 +8,11 @@ use std::time::Duration;
 use arc_swap::{ArcSwap, ArcSwapOption};
 use trocar::session::SceneReader;
 use trocar_kernel::live::Guest;
-use trocar_scene::{Entity, SimTime, Snapshot};
+use trocar_scene::{Entity, MentorDeed, SimTime, Snapshot, SurfacePlace};
 use trocar_viewer::window::display;
 use trocar_viewer::window::subject::{Note, Request, Subject, SubjectState};
+
+use super::mentor::MentorWriter;
 
 /// Most queued requests to the session.
 const REQUESTS_MAX: usize = 256;
@@ -46,6 +48,7 @@ pub struct Shared {
     shown: ArcSwap<Snapshot>,
     state: ArcSwap<SubjectState>,
     player_guest: Mutex<Option<PlayerGuest>>,
+    mentor: Mutex<Option<MentorWriter>>,
     presence: AtomicU8,
 }
 
@@ -107,6 +110,7 @@ pub fn link(
         shown: ArcSwap::new(first),
         state: ArcSwap::default(),
         player_guest: Mutex::default(),
+        mentor: Mutex::default(),
         presence: AtomicU8::new(ViewerPresence::There as u8),
     });
     let window_link = WindowLink { shared: shared.clone(), requests: sender };
@@ -150,6 +154,11 @@ impl SessionLink {
     /// Offers a guest to the person who plays.
     pub fn offer_player_guest(&self, player_guest: PlayerGuest) {
         *self.shared.player_guest.lock().unwrap_or_else(PoisonError::into_inner) = Some(player_guest);
+    }
+
+    /// Lets the persons at the windows show the others something, in the session that has begun; `None`: nobody shares it.
+    pub fn offer_mentor(&self, writer: Option<MentorWriter>) {
+        *self.shared.mentor.lock().unwrap_or_else(PoisonError::into_inner) = writer;
     }
 
     /// Changes the session's state as the windows show it.
@@ -206,6 +215,18 @@ impl Subject for WindowLink {
     fn request(&mut self, request: Request) {
         // A full queue means that the session is far behind: the request is dropped.
         let _ = self.requests.try_send(request);
+    }
+
+    fn is_shared(&self) -> bool {
+        self.shared.mentor.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    fn show(&mut self, pointer: Option<Option<SurfacePlace>>, deeds: &mut Vec<MentorDeed>) {
+        let mut mentor = self.shared.mentor.lock().unwrap_or_else(PoisonError::into_inner);
+        match mentor.as_mut() {
+            Some(writer) => writer.show(pointer, deeds),
+            None => deeds.clear(),
+        }
     }
 
     fn another(&mut self) -> Result<Box<dyn Subject>, String> {

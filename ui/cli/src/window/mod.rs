@@ -3,6 +3,7 @@
 mod actors;
 mod faults;
 mod link;
+mod mentor;
 mod playback;
 mod player;
 mod session_host;

@@ -4,16 +4,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use trocar::network::NETWORK;
 use trocar::play;
 use trocar::run::{Progress, RunOptions};
 use trocar::session::Session;
 use trocar_kernel::spec::VIEWER;
-use trocar_scene::{Access, EntitySet, PersonInput, SimTime, Snapshot};
+use trocar_scene::{Access, EntitySet, MentorInput, PersonInput, SimTime, Snapshot};
 use trocar_viewer::window::subject::{Abilities, PlayState, Request, SubjectState, Tune, Tuning, Verdict};
 
 use super::actors::actors;
 use super::faults::Viewers;
 use super::link::{PlayerGuest, SessionLink, ViewerPresence};
+use super::mentor::MentorWriter;
 use crate::escape::printable;
 use crate::tune::TuningService;
 use crate::tune::protocol::Request as TuneRequest;
@@ -87,6 +89,7 @@ impl SessionHost {
     pub fn ended(&mut self, last: Arc<Snapshot>) {
         self.link.show(last);
         self.link.read_from(None);
+        self.link.offer_mentor(None);
     }
 
     /// Serves the windows; called between two looks at the scene.
@@ -132,6 +135,7 @@ impl SessionHost {
             (state.play_state, state.abilities, state.verdict) = (PlayState::Running, abilities, None);
         });
         self.tell_tuning(session, tuning_service);
+        self.offer_mentor(session);
         if self.plays
             && let Err(why) = self.offer_player(session)
         {
@@ -146,6 +150,20 @@ impl SessionHost {
         let guest = session.guest("viewer", &access).map_err(|error| error.to_string())?;
         self.link.offer_player_guest(PlayerGuest { guest, person });
         Ok(())
+    }
+
+    /// In a session that others share, persons at windows show one another things.
+    fn offer_mentor(&mut self, session: &mut Session) {
+        let is_shared = session.accesses().iter().any(|(name, ..)| name == NETWORK);
+        self.link.offer_mentor(None);
+        if !is_shared {
+            return;
+        }
+        let access = Access::new().writes::<MentorInput>(EntitySet::Own);
+        match session.guest("mentor", &access) {
+            Ok(guest) => self.link.offer_mentor(Some(MentorWriter::new(guest))),
+            Err(error) => self.link.note(format!("nothing can be shown to the others: {error}"), true),
+        }
     }
 
     /// In virtual time: waits until the wall clock has caught up.

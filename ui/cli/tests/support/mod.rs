@@ -3,6 +3,7 @@
 
 pub mod pair;
 pub mod hosting;
+pub mod party;
 pub mod projects;
 pub mod screen;
 
