@@ -10,10 +10,10 @@ pub mod interfaces;
 pub mod itp;
 mod leaving;
 mod lookup;
-pub mod reflected;
 pub mod reach;
 #[cfg(test)]
 mod reach_tests;
+pub mod reflected;
 pub mod reflector;
 pub mod relay;
 pub mod sockets;

@@ -14,8 +14,8 @@ use super::own_rows::own_rows;
 use crate::annotation::hand_over;
 use crate::control::{
     Admitted, ClockSample, Credential, DIAGNOSES_MAX, Diagnosed, HandInfo, HeldScene, HostEvent, HostSession,
-    LinkFigures, Note, NoteKind, NoteRefusal, PlainText, Refusal, RequestKind, Roster, SceneCounts, SceneKind,
-    SceneManifest, SceneOffer, SessionInfo, TakeOver, TicketVerdict, Wish,
+    LinkFigures, Note, NoteKind, NoteRefusal, PlainText, Refusal, RequestKind, Roster, SceneCounts,
+    SceneKind, SceneManifest, SceneOffer, SessionInfo, TakeOver, TicketVerdict, Wish,
 };
 use crate::hands_link::HOST;
 use crate::haptic::{LinkPoint, LinkQuality, Rate};

@@ -44,7 +44,21 @@ const HEADINGS: [(&str, &[&str]); 5] = [
         ],
     ),
     ("Output", &["record", "record-exact", "no-record", "report", "no-report", "force", "json"]),
-    ("Network", &["port", "bind", "address", "tickets", "ticket", "ticket-file", "name", "insecure", "relay", "relay-key"]),
+    (
+        "Network",
+        &[
+            "port",
+            "bind",
+            "address",
+            "tickets",
+            "ticket",
+            "ticket-file",
+            "name",
+            "insecure",
+            "relay",
+            "relay-key",
+        ],
+    ),
 ];
 /// Commands whose options stand under headings.
 const WITH_HEADINGS: [&str; 5] =

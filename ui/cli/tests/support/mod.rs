@@ -1,8 +1,8 @@
 //! The program from outside, for several of the tests.
 #![allow(dead_code, reason = "each program of tests uses a part of it")]
 
-pub mod pair;
 pub mod hosting;
+pub mod pair;
 pub mod party;
 pub mod projects;
 pub mod screen;
