@@ -58,8 +58,11 @@ impl Assembly {
         let station = options.network.station();
         let own_part = station.map(|_| own_part(scenario, options));
         let scenario = own_part.as_ref().unwrap_or(scenario);
-        let mut network_hands = WrappedHands::new(&options.network, ReflectedHands::of(scenario, options)?);
-        let hands = open_hands(app, scenario, options, &mut network_hands)?;
+        let mut network_hands = WrappedHands::new(&options.network, reflected(scenario, options)?);
+        let mut hands = open_hands(app, scenario, options, &mut network_hands)?;
+        if let Some(resumed) = &options.resume {
+            hands.iter_mut().for_each(|hand| hand.go_on(resumed.scene(), resumed.time()));
+        }
         let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
         let mut store = match (station, &options.resume) {
             (Some(station), _) => Store::from_snapshot(&station.scene),
@@ -122,8 +125,8 @@ impl Assembly {
             network.push(part);
             last = Some(last_word);
         }
-        if let Some(ReflectedPart { actor, part }) = network_hands.take_reflected().part(options)? {
-            roles.push(Role::new(REFLECTOR, roles.len() as u16 + 1, REFLECTOR_HZ, actor));
+        if let Some(ReflectedPart { actor, part }) = network_hands.take_reflected().part(options.lockstep)? {
+            roles.push(Role::new(REFLECTOR, roles.len() as u16 + 1, REFLECTOR_HZ, network_actor(actor)));
             network.push(part);
         }
 
@@ -141,7 +144,15 @@ impl Assembly {
     }
 }
 
-/// The network's actor.
+/// The hands behind a packet reflector. A station has none: its host has the reflector.
+fn reflected(scenario: &Scenario, options: &RunOptions) -> Result<ReflectedHands, NetworkError> {
+    match options.network.station() {
+        Some(_) => Ok(ReflectedHands::default()),
+        None => ReflectedHands::of(scenario, options.reflector),
+    }
+}
+
+/// An actor of the network.
 fn network_actor(factory: Factory) -> Blueprint {
     Blueprint { class: RuntimeClass::Network, factory, fences: Vec::new(), for_hands: None, arrange: None }
 }

@@ -82,6 +82,16 @@ impl OpenedHand {
         Some(hand)
     }
 
+    /// Goes on from the hand's state in a scene at `time`, if the device is virtual; a physical one is where its person
+    /// holds it.
+    pub(crate) fn go_on(&mut self, scene: &Snapshot, time: SimTime) {
+        if self.device.fork().is_some()
+            && let Some(resume) = driver_resume(scene, self.port.entity, time)
+        {
+            self.core.resume(&resume, self.device.as_mut());
+        }
+    }
+
     /// The device, before it is opened: the prototype for [`OpenedHand::anew`]. `None` for a device that exists only
     /// once.
     pub(crate) fn prototype(&self) -> Option<Box<dyn HapticDevice>> {

@@ -8,13 +8,14 @@
 //! ```
 //!
 //! Live the packets go over real sockets, to a reflector that the session starts on the loopback, or to one that
-//! [`RunOptions::reflector`] names. In virtual time the same reflector is stepped inside the process.
+//! [`RunOptions::reflector`](crate::run::RunOptions::reflector) names. In virtual time the same reflector is stepped inside the process.
 
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use serde::Deserialize;
 use trocar_devices::HapticDevice;
-use trocar_kernel::supervision::RuntimeClass;
+use trocar_kernel::spec::Factory;
 use trocar_network::hands_link::HandsLink;
 use trocar_network::impairments::{DELAY_MAX, DelayTrace, Impairments};
 use trocar_network::live::reflected::{OwnReflector, socket};
@@ -30,8 +31,6 @@ use trocar_scene::{BuildContext, Controller, Entity, SimTime};
 use super::NetworkError;
 use super::host::NetworkSettings;
 use super::part::NetworkPart;
-use crate::kind::Blueprint;
-use crate::options::RunOptions;
 
 /// Name of the actor of reflected hands.
 pub(crate) const REFLECTOR: &str = "reflector";
@@ -142,37 +141,35 @@ impl ReflectorSettings {
 #[derive(Default)]
 pub(crate) struct ReflectedHands {
     settings: Option<ReflectorSettings>,
+    reflector: Option<SocketAddr>,
     linked: Vec<LinkedHand>,
     watched: Vec<(String, Entity, WatchedHand)>,
 }
 
 /// The actor of reflected hands, and their link.
 pub(crate) struct ReflectedPart {
-    /// The actor.
-    pub actor: Blueprint,
+    /// Makes the actor.
+    pub actor: Factory,
     /// The link.
     pub part: NetworkPart,
 }
 
 impl ReflectedHands {
-    /// Those that the scenario names. A station has none: its host has the reflector.
+    /// Those that the scenario names; `reflector` is one that somebody else runs.
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub fn of(scenario: &Scenario, options: &RunOptions) -> Result<Self, NetworkError> {
-        if options.network.station().is_some() {
-            return Ok(Self::default());
-        }
+    pub fn of(scenario: &Scenario, reflector: Option<SocketAddr>) -> Result<Self, NetworkError> {
         let settings = NetworkSettings::of(scenario)?.reflector;
         if let Some(settings) = &settings {
             let located = |reason| NetworkError::Scenario(scenario.network.error(reason).to_string());
             settings.check(scenario).map_err(located)?;
-        } else if options.reflector.is_some() {
+        } else if reflector.is_some() {
             let reason = "no hand of this scenario goes through a packet reflector; a scenario names them in its \
                           table [network.reflector], such as tele-liver";
             return Err(NetworkError::Usage(reason.to_owned()));
         }
-        Ok(Self { settings, ..Self::default() })
+        Ok(Self { settings, reflector, ..Self::default() })
     }
 
     /// Puts the path between a hand's device and its driver, if the hand is behind the reflector.
@@ -201,17 +198,17 @@ impl ReflectedHands {
     ///
     /// # Errors
     /// [`NetworkError`] when there is no port, or no key.
-    pub fn part(self, options: &RunOptions) -> Result<Option<ReflectedPart>, NetworkError> {
+    pub fn part(self, lockstep: bool) -> Result<Option<ReflectedPart>, NetworkError> {
         let Some(settings) = self.settings.filter(|_| !self.linked.is_empty()) else { return Ok(None) };
         let path = settings.path();
         let expected = settings.expected(&path);
-        let (part, watch) = if options.lockstep {
+        let (part, watch) = if lockstep {
             let (link, watch) = link((), self.linked, Some(expected))?;
             let reflector = Reflector::new(&path, settings.seed);
             let peer = ReflectedPeer::new("network.reflector", link, reflector);
             (NetworkPart::Lockstep(Box::new(peer)), watch)
         } else {
-            let (address, own, expected) = match options.reflector {
+            let (address, own, expected) = match self.reflector {
                 // The delays of somebody else's reflector are not known here.
                 Some(address) => (address, None, None),
                 None => {
@@ -226,14 +223,7 @@ impl ReflectedHands {
         let factory = move |_: &BuildContext<'_>| {
             Ok(Box::new(ReflectedController::new(&watch)?) as Box<dyn Controller>)
         };
-        let actor = Blueprint {
-            class: RuntimeClass::Network,
-            factory: Arc::new(factory),
-            fences: Vec::new(),
-            for_hands: None,
-            arrange: None,
-        };
-        Ok(Some(ReflectedPart { actor, part }))
+        Ok(Some(ReflectedPart { actor: Arc::new(factory), part }))
     }
 }
 
