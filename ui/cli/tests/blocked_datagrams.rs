@@ -81,7 +81,8 @@ fn a_station_that_only_tcp_reaches_moves_its_hand_and_says_over_tcp() {
     let hands = vec![("left".to_owned(), "virtual".to_owned())];
     let options = JoinOptions { name: Some("Ana".into()), hands: hands.clone(), ..JoinOptions::default() };
     let stop = AtomicBool::new(false);
-    let station = Arc::new(join(&app, &ticket, &options, &stop, &mut |_, _| ()).expect("it is let in"));
+    let station =
+        Arc::new(join(app.registry(), &ticket, &options, &stop, &mut |_, _| ()).expect("it is let in"));
     let joined = RunOptions {
         begin: station.now(),
         hands,

@@ -113,7 +113,14 @@ impl Seat {
 
     fn start(&mut self, app: &App, now: SimTime) -> Result<(), Failure> {
         let (options, wire) = (self.options(), &self.wire);
-        self.at = At::Door(Box::new(Joining::over(app, &options, &self.ticket, wire, self.number, now)?));
+        self.at = At::Door(Box::new(Joining::over(
+            app.registry(),
+            &options,
+            &self.ticket,
+            wire,
+            self.number,
+            now,
+        )?));
         Ok(())
     }
 

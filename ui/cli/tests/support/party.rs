@@ -53,7 +53,7 @@ impl Party {
             let name = Some(guest.name.to_owned());
             let join = JoinOptions { name, hands: hands.clone(), play, ..JoinOptions::default() };
             let mut joining =
-                Joining::over(&app, &join, &ticket, &wire, number, party.now).expect("it can join");
+                Joining::over(app.registry(), &join, &ticket, &wire, number, party.now).expect("it can join");
             while !joining.step(party.now).expect("it is let in") {
                 party.run(4);
                 assert!(party.now < SimTime::from_millis(20_000), "{:?}", joining.progress());
