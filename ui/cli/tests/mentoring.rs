@@ -26,7 +26,11 @@ impl Window {
         let mut entity = None;
         let input = MentorInput { source: 1, first: 1, ..MentorInput::default() };
         let first = input.clone();
-        session.apply(|out| out.put(*entity.insert(out.spawn()), first)).expect("an input");
+        let write = |out: &mut trocar_scene::Commands| {
+            let window = *entity.insert(out.spawn());
+            out.put(window, first);
+        };
+        session.apply(write).expect("an input");
         Self { entity: entity.expect("it was spawned"), input }
     }
 
