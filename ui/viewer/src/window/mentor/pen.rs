@@ -1,6 +1,6 @@
 //! The pen: pointer, strokes and labels of the person at a window.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::time::{Duration, Instant};
 
 use nalgebra::Point3;
@@ -22,8 +22,9 @@ const LEAP: f64 = 0.02;
 const PART_EVERY: Duration = Duration::from_millis(60);
 /// Most deeds that wait for the subject to take them.
 const DEEDS_MAX: usize = 64;
-/// Most strokes that were erased and may still be seen.
+/// Most strokes that were erased and may still be seen, and most drags that are remembered.
 const ERASED_MAX: usize = 512;
+const DRAGS_MAX: usize = 512;
 
 /// What the person at a window shows.
 #[derive(Default)]
@@ -33,11 +34,15 @@ pub(in crate::window) struct Pen {
     pub(in crate::window) colour: usize,
     /// Whether the button is down.
     is_down: bool,
+    /// The next stroke is the first one of its drag.
+    begins: bool,
     stroke: Option<OpenStroke>,
     /// Number of the last stroke and of the last label of this window.
     last_stroke: u32,
     last_label: u32,
     erased: BTreeSet<u32>,
+    /// Numbers of the first strokes of the mouse's drags: one drag over several bodies makes several strokes.
+    drags: VecDeque<u32>,
     pointer: Option<SurfacePlace>,
     /// The pointer has changed since it was passed on.
     has_moved: bool,
@@ -111,6 +116,7 @@ impl Pen {
         now: Instant,
     ) {
         self.is_down = self.is_on;
+        self.begins = true;
         self.hover(scene, station, hit, now);
     }
 
@@ -149,6 +155,12 @@ impl Pen {
                 let own = scene.iter::<MentorStroke>().filter(|(_, stroke)| stroke.by.station == station);
                 let greatest = own.map(|(_, stroke)| stroke.stroke).max().unwrap_or(0);
                 self.last_stroke = self.last_stroke.max(greatest).saturating_add(1);
+                if std::mem::take(&mut self.begins) {
+                    if self.drags.len() == DRAGS_MAX {
+                        self.drags.pop_front();
+                    }
+                    self.drags.push_back(self.last_stroke);
+                }
                 self.stroke = Some(OpenStroke {
                     number: self.last_stroke,
                     colour: COLOURS[self.colour % COLOURS.len()],
@@ -180,21 +192,25 @@ impl Pen {
         self.stroke = None;
     }
 
-    /// Erases the person's last stroke that is not erased yet.
+    /// Erases what the person has drawn last, and is not erased yet: all strokes of one drag.
     pub(in crate::window) fn erase_last(&mut self, scene: &Snapshot, station: u16) {
         self.release();
         let own = scene.iter::<MentorStroke>().filter(|(_, stroke)| stroke.by.station == station);
-        let own: BTreeSet<u32> = own.map(|(_, stroke)| stroke.stroke).collect();
-        // The last one may be on its way still.
-        let drawn = own.iter().copied().chain([self.last_stroke]);
-        let last = drawn.filter(|number| *number > 0 && !self.erased.contains(number)).max();
-        let newest = self.last_stroke;
-        self.erased.retain(|number| own.contains(number) || *number == newest);
-        let Some(stroke) = last else { return };
-        if self.erased.len() < ERASED_MAX {
-            self.erased.insert(stroke);
+        let mut drawn: BTreeSet<u32> = own.map(|(_, stroke)| stroke.stroke).collect();
+        // The last ones may be on their way still.
+        let first = self.drags.back().copied();
+        drawn.extend(first.into_iter().flat_map(|first| first..=self.last_stroke));
+        self.erased.retain(|number| drawn.contains(number));
+        let left: Vec<u32> = drawn.difference(&self.erased).copied().collect();
+        let Some(last) = left.last() else { return };
+        // Strokes of a window before are erased one by one.
+        let first = self.drags.iter().rfind(|first| *first <= last).copied().unwrap_or(*last);
+        for stroke in left.iter().copied().filter(|stroke| *stroke >= first) {
+            if self.erased.len() < ERASED_MAX {
+                self.erased.insert(stroke);
+            }
+            self.does(MentorDeed::Erase { stroke });
         }
-        self.does(MentorDeed::Erase { stroke });
     }
 
     /// Takes away everything of the person's own, or of everybody.
@@ -345,6 +361,17 @@ mod tests {
         }
         window.pen.release();
         assert_eq!(window.drawn(), [(1, 2), (2, 1), (3, 1), (4, 1)]);
+        window.press(Some(hit(1, 0.0)));
+        window.pen.release();
+        assert_eq!(window.drawn(), [(5, 1)]);
+        // What was drawn in one drag is erased together.
+        (1..=4).for_each(|stroke| window.shown(stroke));
+        window.pen.erase_last(window.store.view(), 3);
+        assert_eq!(window.drawn(), [(5, 0)]);
+        window.pen.erase_last(window.store.view(), 3);
+        assert_eq!(window.drawn(), [(1, 0), (2, 0), (3, 0), (4, 0)]);
+        window.pen.erase_last(window.store.view(), 3);
+        assert!(window.drawn().is_empty());
     }
 
     #[test]

@@ -153,7 +153,8 @@ fn ago(secs: f64) -> String {
 pub(super) fn over_the_scene(ctx: &Context, scene: &Snapshot, pen: &mut Pen) {
     if pen.is_on() {
         egui::Area::new(egui::Id::unique("drawing"))
-            .anchor(egui::Align2::CENTER_BOTTOM, [0.0, -12.0])
+            // Beside the panel at the left; what is said of pictures that lag is at the right.
+            .anchor(egui::Align2::LEFT_BOTTOM, [252.0, -12.0])
             .interactable(false)
             .show(ctx, |ui| {
                 egui::Frame::popup(ui.style()).show(ui, |ui| {
