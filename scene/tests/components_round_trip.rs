@@ -103,6 +103,7 @@ fn every_component_goes_through_every_format_unchanged() {
     hands_and_tasks(&mut formats);
     annotations(&mut formats);
     stations(&mut formats);
+    tele_surgery(&mut formats);
     let registered: BTreeSet<&str> = formats.registry.iter().map(|(_, entry)| entry.name).collect();
     let missing: Vec<_> = registered.difference(&formats.seen).collect();
     assert!(missing.is_empty(), "components without a test: {missing:?}");
@@ -375,6 +376,36 @@ fn annotations(formats: &mut Formats) {
         },
         true,
     );
+}
+
+fn tele_surgery(formats: &mut Formats) {
+    let figures = TeleoperationFigures {
+        sent: 6,
+        received: 5,
+        late: 1,
+        refused: 2,
+        round_trip_mean: Some(0.15),
+        rms: Some(0.006),
+        applied_error_max: Some(1e-9),
+        x_range: 0.086,
+        speed_max: 0.133,
+        contact_share: 0.49,
+        limited: 3,
+        ..TeleoperationFigures::default()
+    };
+    let value = Teleoperation {
+        state: SlaveState::ReleasePedal,
+        master_in_world: pose(),
+        slave_in_world: pose(),
+        at: SimTime(7),
+        applied: SimTime(5),
+        round_trip: 0.15,
+        protected: true,
+        figures,
+    };
+    // TOML has no absent numbers.
+    formats.check(value, true);
+    formats.check(SlaveOrder { stop: true }, true);
 }
 
 fn stations(formats: &mut Formats) {

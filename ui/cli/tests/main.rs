@@ -2,14 +2,12 @@
 //!
 //! All of these tests run beside each other.
 
-mod blocked_datagrams;
 mod cli;
 mod docs_commands;
 #[cfg(target_os = "linux")]
 mod full_disks;
-mod host_and_join;
-mod mentoring;
 mod mesh_files;
+mod network;
 mod output_files;
 mod own_programs;
 mod paths;
@@ -19,7 +17,6 @@ mod recordings;
 mod reflect;
 mod refusals;
 mod runs;
-mod stations;
 mod support;
 mod templates;
 #[cfg(target_os = "linux")]

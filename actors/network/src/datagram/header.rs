@@ -184,7 +184,7 @@ mod tests {
             Header::decode(&bytes)
         };
         assert_eq!(with(0, 2), Err(HeaderError::Version(2)));
-        assert_eq!(with(1, 6), Err(HeaderError::Kind(6)));
+        assert_eq!(with(1, 7), Err(HeaderError::Kind(7)));
         assert_eq!(with(3, 1), Err(HeaderError::Hands { kind: Kind::Rows, hands: 1 }));
         let mut hands = Header { kind: Kind::Hands, hands: 11, ..header }.encode();
         assert!(Header::decode(&hands).is_ok());

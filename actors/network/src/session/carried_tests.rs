@@ -147,7 +147,7 @@ fn behind_a_stream_that_stalled_comes_the_present_pose_and_no_queue_of_old_ones(
     }
     bench.wire.fault(&trocar_kernel::spec::FaultOrder { begins: false, ..order });
     // Some silences were so long that the hand came back through its clutch, and was placed anew.
-    for _ in 0..2_100 {
+    for _ in 0..4_100 {
         bench.step(Some(HandIntent { pose_in_device: goal, gripper: 0.2 }));
     }
     let (here, there) = (bench.host.device.x(), bench.station.device.x());

@@ -25,6 +25,7 @@ const HEADINGS: [(&str, &[&str]); 5] = [
             "bindings",
             "faults",
             "resume",
+            "reflector",
         ],
     ),
     ("Window", &["window", "headless"]),
