@@ -28,8 +28,9 @@ const PLACE_TOLERANCE: (f64, f64) = (1e-5, 1e-4);
 /// A hand whose device is here.
 ///
 /// Its instrument is at the host. Whenever the host takes the hand's motion up anew (it joins, it comes back after a
-/// silence, it was handed over), the device's link first brings the hand as it is shown here to where the host has it;
-/// only then its own device goes on, from there. So both ends show the hand at the same place.
+/// silence, it was handed over), the device's link first brings the hand as it is shown here to where the host has it, and
+/// holds it there until the host has taken it up; only then its own device goes on, from there. So both ends show the hand
+/// at the same place, however long the first samples are on their way.
 pub struct StationHand {
     number: u8,
     end: StationEnd,
@@ -38,9 +39,11 @@ pub struct StationHand {
     placing_since: Option<SimTime>,
     /// Since when it has been there.
     there_since: Option<SimTime>,
+    /// Since when it has been held there for the host to take it up.
+    offered_since: Option<SimTime>,
     /// The host's count of clutches; `None` until the clutch of the present stretch is seen.
     clutch: Option<u8>,
-    /// The count when the own device went on.
+    /// The count when the hand was offered.
     clutch_before: u8,
     /// What the person at the station does with its pedals, and when that was said.
     pedals: (Pedals, SimTime),
@@ -58,6 +61,7 @@ impl StationHand {
             is_placing: false,
             placing_since: None,
             there_since: None,
+            offered_since: None,
             clutch: None,
             clutch_before: 0,
             pedals: (Pedals::None, SimTime::ZERO),
@@ -68,13 +72,15 @@ impl StationHand {
     /// The hand goes to where the host has it.
     fn place(&mut self) {
         self.end.control().take(HOST);
-        (self.is_placing, self.placing_since, self.there_since, self.clutch) = (true, None, None, None);
+        (self.is_placing, self.placing_since, self.there_since) = (true, None, None);
+        (self.offered_since, self.clutch) = (None, None);
     }
 
     /// Nobody here moves it any more.
     fn leave(&mut self) {
         self.end.control().take(HOST);
-        (self.is_placing, self.placing_since, self.there_since, self.clutch) = (false, None, None, None);
+        (self.is_placing, self.placing_since, self.there_since) = (false, None, None);
+        (self.offered_since, self.clutch) = (None, None);
     }
 
     /// The host tells where it has the hand.
@@ -96,6 +102,15 @@ impl StationHand {
             place.state.buttons &= !Pedals::MASK;
             self.end.post(HOST, now, &place);
         }
+        if let Some(offered) = self.offered_since {
+            let is_taken_up = sample.clutch != self.clutch_before;
+            if is_taken_up || now.since(offered) >= PLACING_MAX {
+                self.clutch = is_taken_up.then_some(sample.clutch);
+                (self.is_placing, self.offered_since) = (false, None);
+                self.end.control().give_back();
+            }
+            return;
+        }
         let answer = self.end.answer();
         let (far, turned) = PLACE_TOLERANCE;
         let (shown, there) = (&answer.state.pose_in_device, &sample.state.pose_in_device);
@@ -106,8 +121,8 @@ impl StationHand {
         let is_placed = self.there_since.is_some_and(|there| now.since(there) >= PLACED_FOR);
         if is_placed || now.since(since) >= PLACING_MAX {
             self.clutch_before = sample.clutch;
-            (self.is_placing, self.placing_since, self.there_since) = (false, None, None);
-            self.end.control().give_back();
+            (self.placing_since, self.there_since) = (None, None);
+            self.offered_since = Some(now);
         }
     }
 
@@ -132,9 +147,9 @@ impl StationHand {
         .buttons()
     }
 
-    /// Whether its own device moves it.
-    fn is_own(&self) -> bool {
-        !self.is_placing && self.end.control().station().is_none()
+    /// Whether the host is to follow it: its own device moves it, or it is held for the host to take it up.
+    fn is_sent(&self) -> bool {
+        self.offered_since.is_some() || (!self.is_placing && self.end.control().station().is_none())
     }
 }
 
@@ -315,7 +330,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
         for number in serves.as_slice() {
             // The age of the host's answer is counted for the figures of the link.
             let _ = connection.read(*number, now);
-            let own = hands.iter_mut().find(|hand| hand.number == *number && hand.is_own());
+            let own = hands.iter_mut().find(|hand| hand.number == *number && hand.is_sent());
             if let Some(hand) = own {
                 samples.push(shown(hand, now));
             }
