@@ -169,6 +169,11 @@ fn attempt(
     options.reflector = args.reflector.as_ref().map(address).transpose()?;
     options.begin = network.station().map_or(options.begin, |station| station.now());
     options.resume = resumed(app, args, number)?;
+    if options.resume.as_ref().is_some_and(Resumed::is_too_coarse) {
+        tracing::warn!(
+            "threads and needles may not go on from this recording; one of --record-exact has all that they need"
+        );
+    }
     options.seed = options.resume.as_ref().map_or(options.seed, Resumed::seed);
 
     if options.lockstep && app.actors().next().is_some() {

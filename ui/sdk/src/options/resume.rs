@@ -11,7 +11,7 @@ use std::sync::Arc;
 use thiserror::Error;
 use trocar_kernel::recorder::{Recording, RecordingError};
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{Registry, SimTime, Snapshot, TaskState};
+use trocar_scene::{LineMesh, Registry, SimTime, Snapshot, TaskState};
 
 /// Where an earlier session has stopped.
 #[derive(Clone)]
@@ -19,6 +19,7 @@ pub struct Resumed {
     file: PathBuf,
     scenario: String,
     seed: u64,
+    is_exact: bool,
     scene: Arc<Snapshot>,
 }
 
@@ -72,6 +73,7 @@ impl Resumed {
             file: file.to_owned(),
             scenario: head.scenario.clone(),
             seed: head.seed,
+            is_exact: !head.components.values().any(|component| component.contains("sampled")),
             scene: Arc::new(scene),
         })
     }
@@ -95,6 +97,11 @@ impl Resumed {
     /// The session time there.
     pub fn time(&self) -> SimTime {
         self.scene.time()
+    }
+
+    /// Whether the recording is too coarse for what is in the scene: threads and needles bear no rounding.
+    pub fn is_too_coarse(&self) -> bool {
+        !self.is_exact && self.scene.iter::<LineMesh>().next().is_some()
     }
 
     /// The seed of the earlier session.
