@@ -37,7 +37,7 @@ fn a_station_has_the_hosts_scene_and_follows_it() {
 fn press(pair: &mut Pair, level: f64) {
     let scene = pair.station.snapshot();
     let me = person(&scene).expect("somebody plays");
-    let mut input = scene.get::<PersonInput>(me).expect("a person").clone();
+    let mut input = *scene.get::<PersonInput>(me).expect("a person");
     let mode = (level > 0.0).then_some(ActivationMode::Coagulate);
     (input.right.activation, input.right.mode) = (level, mode);
     pair.station.apply(|out| out.put(me, input)).expect("a person's input");
