@@ -36,7 +36,7 @@ struct Inner {
 }
 
 /// The faults of a session's links. Orders come from the session's fault plan. Whoever moves datagrams never waits for it:
-/// it looks when the [version](Self::version) has changed and nobody else does.
+/// it looks when the version has changed and nobody else does.
 #[derive(Debug, Default)]
 pub struct LinkBoard {
     inner: Mutex<Inner>,

@@ -1,6 +1,6 @@
 //! Reaching a host one step after the other, for a diagnosis: name, connection, certificate; then datagrams.
 //!
-//! [`Dial`](super::dial) does the same to join, and tells in a sentence why it failed. Here each address of a ticket is
+//! `Dial` (`live/dial.rs`) does the same to join, and tells in a sentence why it failed. Here each address of a ticket is
 //! tried on a thread of its own, and each step has its finding. Nothing is sent but a TLS handshake.
 
 use std::io::{self, ErrorKind};
