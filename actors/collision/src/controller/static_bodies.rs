@@ -13,7 +13,7 @@ use crate::pseudonormal::pseudonormal;
 const DETAIL: Detail = Detail { segments: 48, fine_segments: 24 };
 
 /// What a body was read from.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Source {
     entity: Entity,
     world_from_body: Isometry3<f64>,
@@ -38,19 +38,22 @@ pub struct StaticBodies {
 impl StaticBodies {
     /// Those of the scene at present.
     pub fn new(scene: &Snapshot) -> Self {
-        let sources = sources(scene);
-        let surface = joined(scene, &sources);
+        let sources: Vec<Source> = sources(scene).collect();
+        let (vertices, triangles) = corners(scene, &sources);
+        let surface = MovingSurface::new(&Surface::trusted(&vertices, &triangles));
         Self { sources, surface }
     }
 
     /// Reads them again if they have changed.
     pub fn follow(&mut self, scene: &Snapshot) {
-        let sources = sources(scene);
-        if sources != self.sources {
-            let (vertices, triangles) = corners(scene, &sources);
-            self.surface.follow(&Surface::trusted(&vertices, &triangles));
-            self.sources = sources;
+        // Compared as they are read: nothing is allocated while nothing changes.
+        if sources(scene).eq(self.sources.iter().copied()) {
+            return;
         }
+        self.sources.clear();
+        self.sources.extend(sources(scene));
+        let (vertices, triangles) = corners(scene, &self.sources);
+        self.surface.follow(&Surface::trusted(&vertices, &triangles));
     }
 
     /// Their surface, in world.
@@ -71,9 +74,9 @@ impl StaticBodies {
     }
 }
 
-fn sources(scene: &Snapshot) -> Vec<Source> {
+fn sources(scene: &Snapshot) -> impl Iterator<Item = Source> + '_ {
     let fixed = scene.iter::<RigidBody>().filter(|(_, body)| body.motion == Motion::Static);
-    let source = |(entity, _): (Entity, &RigidBody)| Source {
+    let source = move |(entity, _): (Entity, &RigidBody)| Source {
         entity,
         world_from_body: scene.world_pose(entity),
         geometry: [
@@ -82,12 +85,7 @@ fn sources(scene: &Snapshot) -> Vec<Source> {
             scene.changed::<VertexPositions>(entity),
         ],
     };
-    fixed.map(source).collect()
-}
-
-fn joined(scene: &Snapshot, sources: &[Source]) -> MovingSurface {
-    let (vertices, triangles) = corners(scene, sources);
-    MovingSurface::new(&Surface::trusted(&vertices, &triangles))
+    fixed.map(source)
 }
 
 fn corners(scene: &Snapshot, sources: &[Source]) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
