@@ -275,6 +275,11 @@ pub trait HapticDevice: Send {
     /// [`DeviceError::Disconnected`] when the device is gone; others mean that there is no reading this time.
     fn read(&mut self, now_ns: u64) -> Result<DeviceState, DeviceError>;
 
+    /// How long before the latest reading the handle was there \[ns\]: of a hand that is elsewhere, its way here.
+    fn lag_ns(&self) -> u64 {
+        0
+    }
+
     /// Renders a wrench until the next call.
     ///
     /// # Errors
@@ -306,6 +311,9 @@ impl<T: HapticDevice + ?Sized> HapticDevice for Box<T> {
     }
     fn read(&mut self, now_ns: u64) -> Result<DeviceState, DeviceError> {
         (**self).read(now_ns)
+    }
+    fn lag_ns(&self) -> u64 {
+        (**self).lag_ns()
     }
     fn write(&mut self, now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError> {
         (**self).write(now_ns, wrench)

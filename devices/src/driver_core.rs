@@ -120,6 +120,7 @@ pub struct DriverCore {
     connection: Connection,
     state: DeviceState,
     sampled_at_ns: u64,
+    lag_ns: u64,
     last_reading_ns: u64,
     delay_line: DelayLine,
     accepted: Option<Accepted>,
@@ -169,6 +170,7 @@ impl DriverCore {
             connection: Connection::Absent { retry_at_ns: 0 },
             state: DeviceState::unknown(),
             sampled_at_ns: 0,
+            lag_ns: 0,
             last_reading_ns: 0,
             delay_line: DelayLine { readings: Vec::with_capacity(DELAY_LINE), next: 0 },
             accepted: None,
@@ -361,7 +363,7 @@ impl DriverCore {
         let reading = device.read(now_ns);
         let reading = if self.faults.unplugged(now_ns) { Err(DeviceError::Disconnected) } else { reading };
         match reading {
-            Ok(state) => self.take_reading(now_ns, state),
+            Ok(state) => self.take_reading(now_ns, state, device.lag_ns()),
             Err(DeviceError::Disconnected) => self.disconnected(now_ns, device),
             Err(error) => self.count(error),
         }
@@ -370,7 +372,7 @@ impl DriverCore {
         }
     }
 
-    fn take_reading(&mut self, now_ns: u64, mut state: DeviceState) {
+    fn take_reading(&mut self, now_ns: u64, mut state: DeviceState, lag_ns: u64) {
         if self.faults.nan(now_ns) {
             state.pose_in_device.translation.vector.fill(f64::NAN);
         }
@@ -387,6 +389,7 @@ impl DriverCore {
         // A late reading still proves that the device is alive; a controller sees its age in the sample.
         self.last_reading_ns = now_ns;
         self.sampled_at_ns = now_ns;
+        self.lag_ns = lag_ns;
         self.state = state;
         let delay_ns = self.faults.delay_ns(now_ns);
         if delay_ns > 0
@@ -530,6 +533,7 @@ impl DriverCore {
             applied: self.guard.applied().rounded(),
             energy: *self.passivity.port(),
             sampled_at_ns: self.sampled_at_ns,
+            lag_ns: self.lag_ns,
             published_at_ns: now_ns,
             epoch: self.epoch,
             statistics: self.statistics,

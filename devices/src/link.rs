@@ -93,6 +93,8 @@ pub struct DeviceSample {
     pub energy: PortEnergy,
     /// When `state` was measured (session time, ns); older than `published_at_ns` when readings fail.
     pub sampled_at_ns: u64,
+    /// How long before that the handle was there \[ns\], see [`HapticDevice::lag_ns`](crate::HapticDevice::lag_ns).
+    pub lag_ns: u64,
     /// When the sample was published (session time, ns).
     pub published_at_ns: u64,
     /// Generation of the current controller; 0 before the first.
@@ -109,6 +111,7 @@ impl DeviceSample {
             applied: Wrench::ZERO,
             energy: PortEnergy::default(),
             sampled_at_ns: 0,
+            lag_ns: 0,
             published_at_ns: 0,
             epoch: 0,
             statistics: DriverStatistics { since_command_ns: u64::MAX, ..DriverStatistics::default() },

@@ -5,6 +5,7 @@ use thiserror::Error;
 use trocar_scene::ControllerError;
 use trocar_scene::kinematics::hand_rig::HandRigError;
 
+use crate::playout::PLAYOUT_SECS_MAX;
 use crate::renderer::RendererConfig;
 
 /// Parameters of the haptics of one hand. Device limits come from the device's capabilities.
@@ -19,6 +20,8 @@ pub struct HapticsConfig {
     /// for as long as [`REMOTE_FADE_SECS`](crate::renderer::REMOTE_FADE_SECS) says, by every renderer. Geometry is not
     /// affected, since it is evaluated at the hand's present pose.
     pub remote_scene: bool,
+    /// How long after the hand was there its instrument is moved \[s\]: among peers, all of whom move it then.
+    pub playout_secs: f64,
     /// Time constant with which the felt stiffness is estimated \[s\].
     pub felt_window_secs: f64,
     /// Time between two writes of [`HapticStatus`](trocar_scene::HapticStatus) \[s\]; also the most that a restarted
@@ -32,6 +35,7 @@ impl Default for HapticsConfig {
             renderer: RendererConfig::default(),
             passivity: true,
             remote_scene: false,
+            playout_secs: 0.0,
             felt_window_secs: 0.25,
             status_period_secs: 0.01,
         }
@@ -52,6 +56,7 @@ impl HapticsConfig {
                 Err(HapticsError::Config { field, value, min, max })
             }
         };
+        range("playout_secs", self.playout_secs, 0.0, PLAYOUT_SECS_MAX)?;
         range("felt_window_secs", self.felt_window_secs, 0.01, 10.0)?;
         range("status_period_secs", self.status_period_secs, 0.0, 1.0)?;
         match &self.renderer {

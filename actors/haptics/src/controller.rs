@@ -17,6 +17,7 @@ use trocar_scene::{
 
 use crate::config::{HapticsConfig, HapticsError};
 use crate::felt_stiffness::FeltStiffness;
+use crate::playout::TargetPlayout;
 use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
 use crate::virtual_fixture;
 
@@ -70,6 +71,7 @@ pub struct HapticsController {
     buttons: u32,
     before: Option<DeviceSample>,
     target: Option<InstrumentTarget>,
+    playout: TargetPlayout,
     seen: SeenRows,
     status: HapticStatus,
     status_due: SimTime,
@@ -110,6 +112,7 @@ impl HapticsController {
             buttons: scene.get::<DeviceState>(hand).map_or(0, |state| state.buttons),
             before: None,
             target,
+            playout: TargetPlayout::new(SimTime::from_secs_f64(config.playout_secs)),
             seen: SeenRows::default(),
             status,
             status_due: context.time,
@@ -288,8 +291,11 @@ impl HapticsController {
             jaw_angle: state.gripper.clamp(0.0, self.rig.jaw_angle_max),
             sampled_at: SimTime(sample.sampled_at_ns),
         };
-        self.target = Some(target);
-        out.put(self.rig.instrument, target);
+        let measured_at = SimTime(sample.sampled_at_ns.saturating_sub(sample.lag_ns));
+        if let Some(target) = self.playout.pass(tick.time, measured_at, target) {
+            self.target = Some(target);
+            out.put(self.rig.instrument, target);
+        }
 
         self.felt.update(
             &state.pose_in_device.translation.vector,
@@ -304,6 +310,7 @@ impl HapticsController {
     fn freeze(&mut self, out: &mut Commands) {
         self.renderer.reset();
         self.felt.clear();
+        self.playout.clear();
         if let Some(target) = &mut self.target
             && target.velocity_in_world != Velocity::default()
         {

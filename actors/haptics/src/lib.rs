@@ -17,6 +17,7 @@
 pub mod config;
 pub mod controller;
 pub mod felt_stiffness;
+pub mod playout;
 pub mod renderer;
 pub mod virtual_fixture;
 

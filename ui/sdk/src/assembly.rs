@@ -20,7 +20,7 @@ use crate::kind::{Blueprint, KindContext};
 use crate::kinds::{MANUAL, plain};
 use crate::network::{
     self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, REFLECTOR,
-    REFLECTOR_HZ, ReflectedHands, ReflectedPart, STATION_WRITER, StationHands, TakingPart,
+    REFLECTOR_HZ, ReflectedHands, ReflectedPart, STATION_WRITER, Sharing, StationHands, TakingPart,
 };
 use crate::options::RunOptions;
 use crate::play;
@@ -30,6 +30,8 @@ use crate::session::plan::{Role, SessionPlan};
 const TOUCH: &str = "touch";
 /// Its ticks per second \[Hz\].
 const TOUCH_HZ: f64 = 1_000.0;
+/// The device that stands for a hand of another station.
+const OTHERS_DEVICE: &str = "virtual";
 
 /// A session and its hands, before it runs.
 pub struct Assembly {
@@ -56,9 +58,10 @@ impl Assembly {
         let played = options.play.then(|| play::played(scenario)).transpose()?;
         let scenario = played.as_ref().unwrap_or(scenario);
         let station = options.network.station();
-        let own_part = station.map(|_| own_part(scenario, options));
+        let sharing = options.network.sharing(scenario)?;
+        let own_part = station.map(|_| own_part(app, scenario, options, sharing));
         let scenario = own_part.as_ref().unwrap_or(scenario);
-        let mut network_hands = WrappedHands::new(&options.network, reflected(scenario, options)?);
+        let mut network_hands = WrappedHands::new(&options.network, sharing, reflected(scenario, options)?);
         let mut hands = open_hands(app, scenario, options, &mut network_hands)?;
         if let Some(resumed) = &options.resume {
             hands.iter_mut().for_each(|hand| hand.go_on(resumed.scene(), resumed.time()));
@@ -91,10 +94,10 @@ impl Assembly {
             roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, network_actor(actor)));
             network.push(part);
             last = Some(last_word);
-            if !ports.is_empty() {
-                let touch = station_touch(&station.scene, &ports);
-                roles.push(Role::new(TOUCH, roles.len() as u16 + 1, TOUCH_HZ, touch));
-            }
+        }
+        if !ports.is_empty() && (station.is_some() || sharing.is_among_peers()) {
+            let touch = station_touch(store.view(), &ports);
+            roles.push(Role::new(TOUCH, roles.len() as u16 + 1, TOUCH_HZ, touch));
         }
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind_of(&entry.kind) else {
@@ -192,7 +195,9 @@ fn open_hands(
     let mut opened = Vec::with_capacity(scenario.hands.len());
     for (index, hand) in scenario.hands.iter().enumerate() {
         let chosen = options.hands.iter().rev().find(|(name, _)| *name == hand.name);
-        let text = chosen.map_or(hand.device.as_str(), |(_, spec)| spec.as_str());
+        // A station has no device for the hands of others.
+        let own = if options.network.station().is_some() { OTHERS_DEVICE } else { hand.device.as_str() };
+        let text = chosen.map_or(own, |(_, spec)| spec.as_str());
         if chosen.is_none() && names_a_file_elsewhere(text) {
             let reason =
                 "device: a file named in a scenario must lie below its folder; use --hand for others";
@@ -206,13 +211,18 @@ fn open_hands(
 }
 
 /// The part of a scenario that a station computes itself: the haptics of the hands for which it has devices, and the person
-/// that moves them.
-fn own_part(scenario: &Scenario, options: &RunOptions) -> Scenario {
+/// that moves them; among peers, everything that moves, by all hands.
+fn own_part(app: &App, scenario: &Scenario, options: &RunOptions, sharing: Sharing) -> Scenario {
     let mut own = scenario.clone();
-    own.hands.retain(|hand| options.hands.iter().any(|(name, _)| *name == hand.name));
+    if !sharing.has_all_hands() {
+        own.hands.retain(|hand| options.hands.iter().any(|(name, _)| *name == hand.name));
+    }
+    let simulates = |entry: &ControllerEntry| {
+        sharing.is_among_peers() && app.kind_info(&entry.kind).is_some_and(|about| about.simulates)
+    };
     let serves = |entry: &ControllerEntry| {
         let of_hand = own.hands.iter().any(|hand| entry.name == format!("haptics.{}", hand.name));
-        of_hand || (entry.kind == MANUAL && options.play)
+        of_hand || simulates(entry) || (entry.kind == MANUAL && options.play)
     };
     own.controllers = scenario.controllers.iter().filter(|entry| serves(entry)).cloned().collect();
     own
@@ -222,14 +232,15 @@ fn own_part(scenario: &Scenario, options: &RunOptions) -> Scenario {
 /// and their drivers.
 struct WrappedHands<'a> {
     network: &'a Network,
+    sharing: Sharing,
     reflected: ReflectedHands,
     host: NetworkHands,
     station: StationHands,
 }
 
 impl<'a> WrappedHands<'a> {
-    fn new(network: &'a Network, reflected: ReflectedHands) -> Self {
-        Self { network, reflected, host: NetworkHands::default(), station: StationHands::default() }
+    fn new(network: &'a Network, sharing: Sharing, reflected: ReflectedHands) -> Self {
+        Self { network, sharing, reflected, host: NetworkHands::default(), station: StationHands::default() }
     }
 
     fn wrap(
@@ -241,8 +252,8 @@ impl<'a> WrappedHands<'a> {
         let device = self.reflected.wrap(name, entity, device)?;
         match self.network {
             Network::None => Ok(device),
-            Network::Host(_) | Network::LockstepHost(_) => self.host.wrap(name, entity, device),
-            Network::Station(station) => self.station.wrap(station, name, device),
+            Network::Host(_) | Network::LockstepHost(_) => self.host.wrap(name, entity, device, self.sharing),
+            Network::Station(station) => self.station.wrap(station, name, device, self.sharing),
         }
     }
 

@@ -50,12 +50,20 @@ pub struct KindInfo {
     pub about: String,
     /// Its usual rate \[Hz\]; the scenario decides.
     pub rate_hz: f64,
+    /// Whether it computes how things move that hands can meet: among peers each runs it. Others run at the founder alone.
+    pub simulates: bool,
 }
 
 impl KindInfo {
     /// A one-line description and its usual rate \[Hz\].
     pub fn new(about: impl Into<String>, rate_hz: f64) -> Self {
-        Self { about: about.into(), rate_hz }
+        Self { about: about.into(), rate_hz, simulates: false }
+    }
+
+    /// The same of a kind that every peer runs.
+    #[must_use]
+    pub fn simulating(self) -> Self {
+        Self { simulates: true, ..self }
     }
 }
 

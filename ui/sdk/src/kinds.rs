@@ -53,57 +53,62 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
         ),
         (
             "rapier",
-            KindInfo::new("physics of rigid bodies: contacts, friction, grasping", 500.0),
+            KindInfo::new("physics of rigid bodies: contacts, friction, grasping", 500.0).simulating(),
             Arc::new(rapier),
         ),
         (
             "rapier-soft",
-            KindInfo::new("moves soft volumes by the engine's own solvers, in place of ours", 200.0),
+            KindInfo::new("moves soft volumes by the engine's own solvers, in place of ours", 200.0)
+                .simulating(),
             under_gravity(EngineSoftController::new),
         ),
         (
             "rigid-bodies",
-            KindInfo::new("the same by momenta and impulses, in place of the engine", 500.0),
+            KindInfo::new("the same by momenta and impulses, in place of the engine", 500.0).simulating(),
             Arc::new(rigid_bodies),
         ),
         (
             "obb-tree",
-            KindInfo::new("finds where surfaces are in each other: trees of oriented boxes", 500.0),
+            KindInfo::new("finds where surfaces are in each other: trees of oriented boxes", 500.0)
+                .simulating(),
             Arc::new(obb_tree),
         ),
         (
             "proximity",
-            KindInfo::new("finds the nearest points of surfaces, which push before they touch", 500.0),
+            KindInfo::new("finds the nearest points of surfaces, which push before they touch", 500.0)
+                .simulating(),
             Arc::new(proximity),
         ),
         (
             "spherical-hash",
-            KindInfo::new("finds what touches a deforming body: a local spherical hash", 100.0),
+            KindInfo::new("finds what touches a deforming body: a local spherical hash", 100.0).simulating(),
             Arc::new(spherical_hash),
         ),
         (
             "dynamic-point",
-            KindInfo::new("finds where shafts touch surfaces: the dynamic point of a line", 1_000.0),
+            KindInfo::new("finds where shafts touch surfaces: the dynamic point of a line", 1_000.0)
+                .simulating(),
             Arc::new(dynamic_point),
         ),
         (
             "finger-proxy",
-            KindInfo::new("lets hands feel surfaces: a proxy that never passes them", 1_000.0),
+            KindInfo::new("lets hands feel surfaces: a proxy that never passes them", 1_000.0).simulating(),
             Arc::new(finger_proxy),
         ),
         (
             "z-buffer",
-            KindInfo::new("finds what shafts meet and have swept over: images of depth", 500.0),
+            KindInfo::new("finds what shafts meet and have swept over: images of depth", 500.0).simulating(),
             Arc::new(z_buffer),
         ),
         (
             "continuous",
-            KindInfo::new("finds what goes through something between two ticks, however fast", 500.0),
+            KindInfo::new("finds what goes through something between two ticks, however fast", 500.0)
+                .simulating(),
             Arc::new(continuous),
         ),
         (
             "dynamic-fem",
-            KindInfo::new("moves soft volumes: implicit finite elements", 100.0),
+            KindInfo::new("moves soft volumes: implicit finite elements", 100.0).simulating(),
             under_gravity(DynamicFemController::new),
         ),
         (
@@ -126,7 +131,8 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             KindInfo::new(
                 "puts instruments where their hands are, and tells hands what pushes them",
                 1_000.0,
-            ),
+            )
+            .simulating(),
             Arc::new(instruments),
         ),
         (
@@ -134,12 +140,14 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             KindInfo::new(
                 "answers for soft volumes at once: finite elements with a precomputed inverse",
                 500.0,
-            ),
+            )
+            .simulating(),
             Arc::new(linear_fem),
         ),
         (
             "mass-spring",
-            KindInfo::new("moves threads, cloth, tubes and volumes of masses and springs", 500.0),
+            KindInfo::new("moves threads, cloth, tubes and volumes of masses and springs", 500.0)
+                .simulating(),
             under_gravity(MassSpringController::new),
         ),
         (
@@ -149,12 +157,13 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
         ),
         (
             "suture",
-            KindInfo::new("sews: needle, thread and tissue stepped as one island", 500.0),
+            KindInfo::new("sews: needle, thread and tissue stepped as one island", 500.0).simulating(),
             under_gravity(SutureController::new),
         ),
         (
             "thread",
-            KindInfo::new("moves suture threads: implicit rods that hold their knots by friction", 500.0),
+            KindInfo::new("moves suture threads: implicit rods that hold their knots by friction", 500.0)
+                .simulating(),
             Arc::new(thread),
         ),
         (
@@ -164,7 +173,7 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
         ),
         (
             "xpbd",
-            KindInfo::new("moves soft volumes, cloths and rods by their constraints", 200.0),
+            KindInfo::new("moves soft volumes, cloths and rods by their constraints", 200.0).simulating(),
             under_gravity(XpbdController::new),
         ),
         (
@@ -233,9 +242,13 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
         Some(hand) => parse_or_default::<RendererConfig>(&hand.renderer)?,
         None => RendererConfig::default(),
     };
-    // A station renders the contact model that it makes itself: the host's forces and places have waited in a network.
-    let renderer = match (context.options.network.station(), renderer) {
-        (Some(_), RendererConfig::ZeroOrderHold | RendererConfig::VirtualCoupling(_)) => {
+    let network = &context.options.network;
+    let sharing =
+        network.sharing(context.scenario).map_err(|error| context.entry.params.error(error.to_string()))?;
+    let is_apart = network.station().is_some() || sharing.is_among_peers();
+    // A station renders the contact model that it makes itself: the scene's forces and places have waited for others.
+    let renderer = match (is_apart, renderer) {
+        (true, RendererConfig::ZeroOrderHold | RendererConfig::VirtualCoupling(_)) => {
             RendererConfig::default()
         }
         (_, renderer) => renderer,
@@ -245,7 +258,8 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
         renderer,
         passivity: params.passivity.unwrap_or(default.passivity),
         // What a station feels of its host's scene has come over the network.
-        remote_scene: params.remote_scene.unwrap_or(context.options.network.station().is_some()),
+        remote_scene: params.remote_scene.unwrap_or(is_apart),
+        playout_secs: sharing.playout.as_secs_f64(),
         felt_window_secs: params.felt_window_secs.unwrap_or(default.felt_window_secs),
         status_period_secs: params.status_period_secs.unwrap_or(default.status_period_secs),
     };
@@ -430,7 +444,13 @@ fn autopilot(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
 fn manual(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let config: ManualConfig = parse_or_default(&context.entry.params)?;
     config.check().map_err(|reason| context.entry.params.error(reason))?;
-    let own: Vec<trocar_scene::Entity> = context.hands.iter().map(|port| port.entity).collect();
+    // A station shows the hands of others as well.
+    let is_own = |port: &&HandPort| {
+        context.options.network.station().is_none()
+            || context.options.hands.iter().any(|(name, _)| *name == port.name)
+    };
+    let own: Vec<trocar_scene::Entity> =
+        context.hands.iter().filter(is_own).map(|port| port.entity).collect();
     let mut blueprint =
         plain(RuntimeClass::Task, move |context| ManualController::new(&config, &own, context));
     // Without a hand the controller returns the error when it is built.

@@ -368,6 +368,17 @@ impl<A: Copy + PartialEq> Connection<A> {
         Some(read)
     }
 
+    /// The newest sample of a hand of the other side, without its being shown by that.
+    pub fn newest(&self, hand: u8, now: SimTime) -> Option<RemoteHandSample> {
+        self.receiver.newest(hand, now)
+    }
+
+    /// When the newest sample of a hand was measured, by this side's clock; now, as long as the other clock is unknown.
+    pub fn measured_at(&self, hand: u8, now: SimTime) -> SimTime {
+        let age = self.newest(hand, now).and_then(|newest| newest.age).unwrap_or_default();
+        SimTime(now.as_nanos().saturating_sub(age.as_nanos()))
+    }
+
     /// Ends the second of the meter when it is over.
     pub fn point(&mut self, now: SimTime) -> Option<LinkPoint> {
         let point = self.meter.tick(&self.receiver.counts(), self.receiver.clock().jitter(), now)?;

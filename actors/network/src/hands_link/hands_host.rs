@@ -6,11 +6,13 @@ use super::HandsLink;
 use super::connection::Connection;
 use super::exchange::{self, Ways};
 use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
-use crate::control::{DIAGNOSES_MAX, STATIONS_MAX};
+use super::playout::{Played, Playout};
+use crate::control::{DIAGNOSES_MAX, SESSION_HANDS_MAX, STATIONS_MAX};
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
 use crate::diagnosis::EchoEnd;
 use crate::hand_sample::{CLUTCHES, HandSample};
 use crate::remote_hand::StationEnd;
+use trocar_devices::Wrench;
 
 /// After so long without a datagram a station was silent.
 const SILENCE: SimTime = SimTime::from_millis(100);
@@ -23,6 +25,8 @@ pub struct HostHand {
     pub number: u8,
     /// Where its samples go and its answers come from.
     pub end: StationEnd,
+    /// Among peers, when they are played; otherwise they are followed as they come.
+    pub playout: Option<Playout>,
 }
 
 struct Link<A> {
@@ -53,6 +57,10 @@ pub struct HandsHost<A> {
     echoes: Vec<Box<EchoEnd>>,
     controller: LinkEnd<A>,
     samples: Vec<HandSample>,
+    /// Whether every station is sent the hands of all others.
+    shares: bool,
+    /// Then all hands as they are now.
+    all: Vec<HandSample>,
     out: [u8; DATAGRAM_MAX],
     strangers: StrangerCounts,
 }
@@ -66,9 +74,17 @@ impl<A: Copy + PartialEq> HandsHost<A> {
             echoes: Vec::with_capacity(DIAGNOSES_MAX),
             controller,
             samples: Vec::with_capacity(HANDS_MAX),
+            shares: false,
+            all: Vec::with_capacity(SESSION_HANDS_MAX),
             out: [0; DATAGRAM_MAX],
             strangers: StrangerCounts::default(),
         }
+    }
+
+    /// Sends every station the hands of all others, too, as many as fit into a datagram.
+    #[must_use]
+    pub fn sharing(self) -> Self {
+        Self { shares: true, ..self }
     }
 
     /// What came from strangers so far.
@@ -190,12 +206,52 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                         && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
                     {
                         hand.end.control().take_again(*station);
-                        hand.end.post(*station, now, sample);
+                        match &mut hand.playout {
+                            Some(playout) => {
+                                playout.push(now, connection.measured_at(sample.hand, now), sample)
+                            }
+                            None => hand.end.post(*station, now, sample),
+                        }
                     }
                 }
             }
             Ok(false) => {}
             Err(_) => strangers.refused += 1,
+        }
+    }
+
+    /// Moves the hands that other peers serve as their samples' time comes.
+    fn play(&mut self, now: SimTime) {
+        for Link { station, serves, .. } in &self.links {
+            let served = self.hands.iter_mut().filter(|hand| serves.as_slice().contains(&hand.number));
+            for hand in served {
+                if let Some(Played { arrived_at, sample }) =
+                    hand.playout.as_mut().and_then(|playout| playout.play(now))
+                {
+                    hand.end.post(*station, arrived_at, &sample);
+                }
+            }
+        }
+    }
+
+    /// Looks at all hands, each as its own station has measured it.
+    fn look_at_all(&mut self, now: SimTime) {
+        self.all.clear();
+        if !self.shares {
+            return;
+        }
+        for hand in &mut self.hands {
+            let serving = self.links.iter().find(|link| link.serves.as_slice().contains(&hand.number));
+            let sample = match serving {
+                Some(Link { connection, .. }) => {
+                    let Some(read) = connection.newest(hand.number, now) else { continue };
+                    let age = read.age.unwrap_or(read.silence).as_nanos() / 1_000;
+                    HandSample { age_us: u32::try_from(age).unwrap_or(u32::MAX), ..read.sample }
+                }
+                None => answer_of(hand, now),
+            };
+            // What it feels is computed where it is felt.
+            self.all.push(HandSample { wrench: Wrench::ZERO, grabbed: None, clutch: 0, ..sample });
         }
     }
 
@@ -231,7 +287,9 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
 
     fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         self.take_orders(now, send);
-        let Self { hands, links, echoes, controller, samples, out, .. } = self;
+        self.play(now);
+        self.look_at_all(now);
+        let Self { hands, links, echoes, controller, samples, all, out, .. } = self;
         for echo in echoes.iter_mut() {
             if let Some(counts) = echo.news(now) {
                 controller.tell(HandsNews::Echoed { connection: echo.id(), counts });
@@ -246,6 +304,8 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsHost<A> {
                     samples.push(answer_of(hand, now));
                 }
             }
+            let others = all.iter().filter(|sample| !serves.as_slice().contains(&sample.hand));
+            samples.extend(others.take(HANDS_MAX.saturating_sub(serves.as_slice().len())));
             let to = connection.address();
             exchange::send_due(connection, to, samples, is_worn, now, Ways { controller, send, out });
         }

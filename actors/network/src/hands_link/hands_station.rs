@@ -7,6 +7,7 @@ use super::HandsLink;
 use super::connection::Connection;
 use super::exchange::{self, Ways};
 use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
+use super::playout::{Played, Playout};
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX};
 use crate::hand_sample::HandSample;
 use crate::remote_hand::{PedalGate, Presence, StationEnd};
@@ -25,7 +26,7 @@ const PEDALS_HELD: SimTime = SimTime::from_millis(100);
 /// What counts as being there \[m\], [rad].
 const PLACE_TOLERANCE: (f64, f64) = (1e-5, 1e-4);
 
-/// A hand whose device is here.
+/// A hand whose device is here, or that is shown here while another station serves it.
 ///
 /// Its instrument is at the host. Whenever the host takes the hand's motion up anew (it joins, it comes back after a
 /// silence, it was handed over), the device's link first brings the hand as it is shown here to where the host has it, and
@@ -48,6 +49,8 @@ pub struct StationHand {
     /// What the person at the station does with its pedals, and when that was said.
     pedals: (Pedals, SimTime),
     gate: PedalGate,
+    /// When samples of another station's hand are played, if those come at all.
+    playout: Option<Playout>,
 }
 
 impl StationHand {
@@ -66,7 +69,14 @@ impl StationHand {
             clutch_before: 0,
             pedals: (Pedals::None, SimTime::ZERO),
             gate: PedalGate::default(),
+            playout: None,
         }
+    }
+
+    /// Follows the hand, while another station serves it, this long after it was measured there.
+    #[must_use]
+    pub fn following(self, delay: SimTime) -> Self {
+        Self { playout: Some(Playout::new(delay)), ..self }
     }
 
     /// The hand goes to where the host has it.
@@ -74,6 +84,7 @@ impl StationHand {
         self.end.control().take(HOST);
         (self.is_placing, self.placing_since, self.there_since) = (true, None, None);
         (self.offered_since, self.clutch) = (None, None);
+        self.playout.iter_mut().for_each(Playout::clear);
     }
 
     /// Nobody here moves it any more.
@@ -123,6 +134,16 @@ impl StationHand {
             self.clutch_before = sample.clutch;
             (self.placing_since, self.there_since) = (None, None);
             self.offered_since = Some(now);
+        }
+    }
+
+    /// Shows the hand of another station, if the host sends it.
+    fn play(&mut self, now: SimTime) {
+        if let Some(Played { arrived_at, sample }) =
+            self.playout.as_mut().and_then(|playout| playout.play(now))
+        {
+            self.end.control().take_again(HOST);
+            self.end.post(HOST, arrived_at, &sample);
         }
     }
 
@@ -206,7 +227,11 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                 self.connection = Some(connection);
             }
             HandsOrder::Serve { connection, hands } => {
-                if self.open(connection).is_some_and(|open| open.expect_hands(hands.as_slice()).is_ok()) {
+                let followed =
+                    self.hands.iter().filter(|hand| hand.playout.is_some()).map(|hand| hand.number);
+                let others = followed.filter(|number| !hands.as_slice().contains(number));
+                let expected = HandNumbers::new(hands.as_slice().iter().copied().chain(others));
+                if self.open(connection).is_some_and(|open| open.expect_hands(expected.as_slice()).is_ok()) {
                     self.serve(hands);
                 }
             }
@@ -273,10 +298,13 @@ impl<A: Copy + PartialEq> HandsStation<A> {
         match exchange::take(connection, now, from, datagram, Ways { controller, send, out }) {
             Ok(true) => {
                 for sample in connection.samples() {
-                    if serves.as_slice().contains(&sample.hand)
-                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
-                    {
+                    let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand) else {
+                        continue;
+                    };
+                    if serves.as_slice().contains(&sample.hand) {
                         hand.hear(now, sample);
+                    } else if let Some(playout) = &mut hand.playout {
+                        playout.push(now, connection.measured_at(sample.hand, now), sample);
                     }
                 }
             }
@@ -326,6 +354,8 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
         else {
             return;
         };
+        let others = hands.iter_mut().filter(|hand| !serves.as_slice().contains(&hand.number));
+        others.for_each(|hand| hand.play(now));
         samples.clear();
         for number in serves.as_slice() {
             // The age of the host's answer is counted for the figures of the link.

@@ -25,6 +25,7 @@ mod hands_host;
 mod hands_station;
 mod order;
 mod path;
+pub mod playout;
 mod way;
 
 use trocar_scene::SimTime;

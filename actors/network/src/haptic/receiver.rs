@@ -185,14 +185,22 @@ impl HapticReceiver {
 
     /// The newest sample of a hand; `None` before the first, and of a hand that is not expected.
     pub fn read(&mut self, hand: u8, now: SimTime) -> Option<RemoteHandSample> {
+        let read = self.newest(hand, now)?;
         let hand = self.hands.iter_mut().find(|candidate| candidate.number == hand)?;
-        let newest = hand.newest.as_mut()?;
-        let is_new = !std::mem::replace(&mut newest.is_read, true);
-        hand.counts.held += u64::from(!is_new);
+        hand.newest.as_mut()?.is_read = true;
+        hand.counts.held += u64::from(!read.is_new);
+        Some(read)
+    }
+
+    /// The same without its being read by that.
+    pub fn newest(&self, hand: u8, now: SimTime) -> Option<RemoteHandSample> {
+        let hand = self.hands.iter().find(|candidate| candidate.number == hand)?;
+        let newest = hand.newest.as_ref()?;
         let before = SimTime::from_micros(newest.sample.age_us.into());
         let silence = now.since(newest.arrived);
         let age = self.clock.delay(newest.sent_at, now).map(|delay| delay + before);
-        Some(RemoteHandSample { sample: newest.sample, age, silence, fade: fade(silence), is_new })
+        let (sample, is_new) = (newest.sample, !newest.is_read);
+        Some(RemoteHandSample { sample, age, silence, fade: fade(silence), is_new })
     }
 
     /// The other station's clock, and the path.

@@ -60,6 +60,8 @@ pub struct RemoteHand {
     // Shares of the wrench for the local device's motors and the station's.
     local_share: f64,
     station_share: f64,
+    // How old the newest sample of the station was when it was brought here.
+    lag_ns: u64,
 }
 
 impl RemoteHand {
@@ -114,6 +116,7 @@ impl RemoteHand {
             shown: None,
             read_at_ns: None,
             station_share: 0.0,
+            lag_ns: 0,
         };
         Ok((hand, end))
     }
@@ -162,6 +165,7 @@ impl RemoteHand {
             if post.station == station {
                 // The door counts what it refuses.
                 let _ = self.door.admit(now, post.arrived_at, &post.sample);
+                self.lag_ns = u64::from(post.sample.age_us) * 1_000;
             } else {
                 self.answer.refused_station += 1;
             }
@@ -327,6 +331,10 @@ impl HapticDevice for RemoteHand {
         }
         self.publish(now_ns);
         reading
+    }
+
+    fn lag_ns(&self) -> u64 {
+        if self.owner.station().is_some() { self.lag_ns } else { 0 }
     }
 
     fn write(&mut self, now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError> {

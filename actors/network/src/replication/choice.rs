@@ -122,6 +122,59 @@ const RATES: [(&str, f64); 12] = [
     ("vertex_positions", 30.0),
 ];
 
+/// What peers compute, each for itself, of the same hands: how everything moves that a hand can meet, with the memories of the
+/// solvers, and haptics. Tasks, heat, liquids and persons are the founder's.
+const SIMULATED: [&str; 45] = [
+    "coupling_given",
+    "coupling_taken",
+    "cuts",
+    "device_force",
+    "device_state",
+    "doubtful",
+    "dynamic_fem_memory",
+    "frozen",
+    "grasp",
+    "grips",
+    "haptic_status",
+    "held_impacts",
+    "instrument_deflection",
+    "instrument_force",
+    "instrument_target",
+    "instrument_yields",
+    "jaw_state",
+    "joint_frames",
+    "joint_state",
+    "knot_state",
+    "line_mesh",
+    "linear_fem_contacts",
+    "local_contact_model",
+    "measured",
+    "mechanism_state",
+    "pin_places",
+    "pose",
+    "rest_positions",
+    "rigid_contacts",
+    "rod_paths",
+    "soft_contacts",
+    "spring_factor",
+    "station_contact_model",
+    "strained_grips",
+    "surface_elements",
+    "surface_mesh",
+    "suture_memory",
+    "tet_mesh",
+    "texture_coordinates",
+    "thread_memory",
+    "velocity",
+    "vertex_positions",
+    "vertex_velocities",
+    "volume_cuts",
+    "xpbd_groups",
+];
+
+/// What a peer does not take even once, when it joins: it is found anew in every tick, or belongs to one person.
+const MOMENTARY: [&str; 4] = ["autopilot_state", "collision_list", "manual_state", "person_input"];
+
 /// What only the station that computes it reads: contacts between two ticks, and memories of solvers and of persons.
 const NEVER: [&str; 15] = [
     "autopilot_state",
@@ -164,6 +217,8 @@ pub enum RowCodec {
 struct ReplicatedColumn {
     delivery: Delivery,
     codec: RowCodec,
+    /// Whether peers compute it, each for itself.
+    is_simulated: bool,
 }
 
 /// The choice for every column of a session. Both stations make the same one, since it travels with the scenario.
@@ -180,9 +235,11 @@ impl ReplicatedColumns {
     /// # Errors
     /// When a choice names no component or an impossible rate.
     pub fn new(registry: &Arc<Registry>, rates: &ColumnRates) -> Result<Self, ChoiceError> {
-        let columns = registry
-            .iter()
-            .map(|(_, entry)| ReplicatedColumn { delivery: default_delivery(entry), codec: codec(entry) });
+        let columns = registry.iter().map(|(_, entry)| ReplicatedColumn {
+            delivery: default_delivery(entry),
+            codec: codec(entry),
+            is_simulated: false,
+        });
         let mut columns: Vec<_> = columns.collect();
         for (name, delivery) in &rates.0 {
             let id = registry.by_name(name)?;
@@ -197,6 +254,25 @@ impl ReplicatedColumns {
             columns[usize::from(id.0)].delivery = *delivery;
         }
         Ok(Self { registry: registry.clone(), columns })
+    }
+
+    /// The same among peers: a station that joins gets everything once, also the memories of solvers, and computes from
+    /// there on what the founder computes as well ([`Self::simulated`]).
+    #[must_use]
+    pub fn among_peers(mut self) -> Self {
+        for ((_, entry), column) in self.registry.iter().zip(&mut self.columns) {
+            column.is_simulated = SIMULATED.contains(&entry.name);
+            let is_left_out = column.delivery == Delivery::Never && entry.record != RecordPolicy::Derived;
+            if is_left_out && !MOMENTARY.contains(&entry.name) {
+                column.delivery = Delivery::Reliable;
+            }
+        }
+        self
+    }
+
+    /// The columns that peers compute, each for itself; none unless the session is [among peers](Self::among_peers).
+    pub fn simulated(&self) -> impl Iterator<Item = ComponentId> {
+        self.ids().filter(|id| self.columns[usize::from(id.0)].is_simulated)
     }
 
     /// The components of the session.
@@ -232,6 +308,9 @@ impl ReplicatedColumns {
         for (id, entry) in self.registry.iter() {
             let what = format!("{} {:?} {:?}\n", entry.name, self.delivery(id), self.codec(id));
             hasher.update(what.as_bytes());
+            if self.columns[usize::from(id.0)].is_simulated {
+                hasher.update(b"simulated\n");
+            }
         }
         *hasher.finalize().as_bytes()
     }

@@ -24,6 +24,7 @@ use std::collections::BTreeSet;
 use trocar_scene::{ComponentError, ComponentId, Entity, Event, Revision, Snapshot, varint};
 
 use super::choice::{ReplicatedColumns, RowCodec};
+use super::excluded_rows::ExcludedRows;
 use super::quantised_row::RowQuantiser;
 use super::wire_reader::write_entity;
 
@@ -90,7 +91,7 @@ pub struct DeltaChoice<'a> {
     /// The entities that are told of.
     pub entities: &'a dyn Fn(Entity) -> bool,
     /// Rows that the station itself writes.
-    pub excluded: &'a RowSet,
+    pub excluded: &'a ExcludedRows,
     /// Rows to put although they did not change.
     pub forced: &'a RowSet,
     /// Whether a row of an unreliable column must go reliably, because datagrams cannot carry it.
@@ -99,7 +100,7 @@ pub struct DeltaChoice<'a> {
 
 impl DeltaChoice<'_> {
     fn tells(&self, id: ComponentId, entity: Entity) -> bool {
-        (self.entities)(entity) && !self.excluded.contains(&(id, entity))
+        (self.entities)(entity) && !self.excluded.contains(id, entity)
     }
 }
 

@@ -10,7 +10,8 @@ use trocar_scene::{
 
 use super::ReplicationError;
 use super::choice::{ReplicatedColumns, RowCodec};
-use super::delta::{CHUNKS, EVERYTHING, RowSet, SINCE, chunk_of, is_quantised};
+use super::delta::{CHUNKS, EVERYTHING, SINCE, chunk_of, is_quantised};
+use super::excluded_rows::ExcludedRows;
 use super::known_rows::{KnownRows, KnownVertices};
 use super::quantised_row::RowQuantiser;
 use super::wire_reader::WireReader;
@@ -60,7 +61,7 @@ pub(super) struct DeltaReader<'a> {
     pub(super) columns: &'a ReplicatedColumns,
     /// Where the replica is.
     pub(super) applied: Revision,
-    pub(super) excluded: &'a RowSet,
+    pub(super) excluded: &'a ExcludedRows,
     pub(super) known: &'a mut KnownRows,
     pub(super) quantiser: &'a mut RowQuantiser,
     /// Empty.
@@ -190,7 +191,7 @@ impl DeltaReader<'_> {
                 let entity = reader.entity(&mut before)?;
                 let revision = Revision(target.0.saturating_sub(reader.number()?));
                 let at_hand = self.known.row_mut(id, entity).map(|row| row.revision);
-                let is_excluded = self.excluded.contains(&(id, entity));
+                let is_excluded = self.excluded.contains(id, entity);
                 // After a reconciliation the host's revisions count, which may be lower than those at hand.
                 let is_newer =
                     !is_excluded && (!is_since || at_hand.is_none_or(|at_hand| at_hand <= revision));

@@ -125,6 +125,12 @@ impl KnownRows {
     pub fn remove(&mut self, id: ComponentId, entity: Entity) -> bool {
         self.columns.get_mut(usize::from(id.0)).is_some_and(|column| column.remove(&entity).is_some())
     }
+    /// All rows of a component are no longer at hand.
+    pub fn remove_column(&mut self, id: ComponentId) {
+        if let Some(column) = self.columns.get_mut(usize::from(id.0)) {
+            column.clear();
+        }
+    }
     /// All rows of a component, in order of their entities.
     pub fn column(&self, id: ComponentId) -> impl Iterator<Item = Entity> {
         self.columns.get(usize::from(id.0)).into_iter().flat_map(|column| column.keys().copied())

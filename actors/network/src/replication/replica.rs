@@ -9,8 +9,8 @@ use trocar_scene::{
 use super::ReplicationError;
 use super::acknowledgement::RowWindow;
 use super::choice::ReplicatedColumns;
-use super::delta::RowSet;
 use super::delta_reader::{DeltaReader, DeltaSummary};
+use super::excluded_rows::ExcludedRows;
 use super::known_rows::{KnownRow, KnownRows, KnownVertices};
 use super::pieces::Pieces;
 use super::quantised_row::RowQuantiser;
@@ -44,7 +44,7 @@ pub struct ReplicaCounts {
 pub struct Replica {
     columns: Arc<ReplicatedColumns>,
     known: KnownRows,
-    excluded: RowSet,
+    excluded: ExcludedRows,
     applied: Revision,
     /// Whether datagrams wait for a delta that states anew what there is.
     is_comparing: bool,
@@ -62,7 +62,7 @@ impl Replica {
         let registry = columns.registry().clone();
         Self {
             known: KnownRows::new(registry.len()),
-            excluded: RowSet::new(),
+            excluded: ExcludedRows::default(),
             applied: Revision::ZERO,
             is_comparing: false,
             next_event: 0,
@@ -131,10 +131,12 @@ impl Replica {
 
     /// The rows that this station writes itself: what the host still sends of them is dropped, and nothing takes them
     /// away.
-    pub fn exclude(&mut self, excluded: RowSet) {
-        for (id, entity) in &excluded {
+    pub fn exclude(&mut self, excluded: impl Into<ExcludedRows>) {
+        let excluded = excluded.into();
+        for (id, entity) in excluded.rows() {
             self.known.remove(*id, *entity);
         }
+        excluded.columns().iter().for_each(|id| self.known.remove_column(*id));
         self.excluded = excluded;
     }
 

@@ -6,7 +6,7 @@ use super::ROWS_PAYLOAD_MAX;
 use super::ReplicationError;
 use super::acknowledgement::RowWindow;
 use super::choice::{ReplicatedColumns, RowCodec};
-use super::delta::RowSet;
+use super::excluded_rows::ExcludedRows;
 use super::known_rows::KnownRows;
 use super::positions::{ChunkHead, vertex_from_grid};
 use super::quantised_row::RowQuantiser;
@@ -27,7 +27,7 @@ enum Fate {
 pub(super) struct RowReceiver<'a> {
     pub(super) columns: &'a ReplicatedColumns,
     pub(super) applied: Revision,
-    pub(super) excluded: &'a RowSet,
+    pub(super) excluded: &'a ExcludedRows,
     pub(super) known: &'a mut KnownRows,
     pub(super) quantiser: &'a mut RowQuantiser,
     pub(super) window: &'a mut RowWindow,
@@ -97,7 +97,7 @@ impl RowReceiver<'_> {
         revision: Revision,
         value: &[u8],
     ) -> Result<Fate, ReplicationError> {
-        if self.excluded.contains(&(id, entity)) {
+        if self.excluded.contains(id, entity) {
             return Ok(Fate::Older);
         }
         let Some(row) = self.known.row_mut(id, entity) else { return Ok(Fate::Unknown) };

@@ -165,6 +165,12 @@ impl RowSender {
         self.waiting -= usize::from(self.rows.forget(id, entity));
     }
 
+    /// No row of a component is sent to the station any more.
+    pub fn forget_column(&mut self, id: ComponentId) {
+        let rows: Vec<Entity> = self.rows.iter().filter(|row| row.id == id).map(|row| row.entity).collect();
+        rows.into_iter().for_each(|entity| self.forget(id, entity));
+    }
+
     /// An entity is gone with all its rows.
     pub fn forget_entity(&mut self, entity: Entity) {
         let columns = self.columns.clone();

@@ -8,6 +8,7 @@ use trocar_scene::{ComponentError, ComponentId, Entity, Revision, SimTime, Snaps
 use super::ReplicationError;
 use super::choice::ReplicatedColumns;
 use super::delta::{self, DeltaChoice, RowSet, Scope, chunk_of};
+use super::excluded_rows::ExcludedRows;
 use super::quantised_row::RowQuantiser;
 use super::row_sender::RowSender;
 use super::state_digest::StateDigest;
@@ -48,7 +49,7 @@ pub struct SceneFeed {
     limits: FeedLimits,
     entities: EntityFilter,
     quantiser: RowQuantiser,
-    excluded: RowSet,
+    excluded: ExcludedRows,
     forced: RowSet,
     rows: RowSender,
     /// What the station has confirmed, if anything, then what was sent since.
@@ -85,7 +86,7 @@ impl SceneFeed {
             columns,
             limits,
             entities: Box::new(|_| true),
-            excluded: RowSet::new(),
+            excluded: ExcludedRows::default(),
             forced: RowSet::new(),
             sent: VecDeque::new(),
             is_confirmed: false,
@@ -127,15 +128,17 @@ impl SceneFeed {
     /// The rows that the station itself writes, such as those of its hands, are never sent to it; at most
     /// [`EXCLUDED_MAX`]. A row that is no longer among them is sent with the next delta. False, and nothing changes, when
     /// there are too many.
-    pub fn exclude(&mut self, excluded: RowSet) -> bool {
-        if excluded.len() > EXCLUDED_MAX {
+    pub fn exclude(&mut self, excluded: impl Into<ExcludedRows>) -> bool {
+        let excluded = excluded.into();
+        if excluded.rows().len() > EXCLUDED_MAX {
             return false;
         }
-        self.forced.extend(self.excluded.difference(&excluded));
-        for (id, entity) in excluded.difference(&self.excluded) {
+        self.forced.extend(self.excluded.rows().difference(excluded.rows()));
+        for (id, entity) in excluded.rows().difference(self.excluded.rows()) {
             self.rows.forget(*id, *entity);
         }
-        self.forced.retain(|row| !excluded.contains(row));
+        excluded.columns().iter().for_each(|id| self.rows.forget_column(*id));
+        self.forced.retain(|(id, entity)| !excluded.contains(*id, *entity));
         self.excluded = excluded;
         true
     }
@@ -223,7 +226,7 @@ impl SceneFeed {
                 self.sent.drain(..at);
                 self.is_confirmed = true;
                 self.rows.forget_after(applied);
-                self.forced.retain(|row| !self.excluded.contains(row));
+                self.forced.retain(|(id, entity)| !self.excluded.contains(*id, *entity));
                 self.rows.confirm(applied);
                 self.next = None;
                 Resumed::Known
@@ -259,7 +262,7 @@ impl SceneFeed {
             let mut same = Vec::new();
             scene.erased_column(id).for_each_entity(&mut |entity| {
                 let differs = chunks.binary_search(&chunk_of(entity)).is_ok();
-                if !differs && (self.entities)(entity) && !self.excluded.contains(&(id, entity)) {
+                if !differs && (self.entities)(entity) && !self.excluded.contains(id, entity) {
                     same.push(entity);
                 }
             });
@@ -277,7 +280,7 @@ impl SceneFeed {
         let columns = self.columns.replicated().map(|id| {
             let mut rows = 0;
             scene.erased_column(id).for_each_entity(&mut |entity| {
-                rows += usize::from((self.entities)(entity) && !self.excluded.contains(&(id, entity)));
+                rows += usize::from((self.entities)(entity) && !self.excluded.contains(id, entity));
             });
             (id, rows)
         });
@@ -290,7 +293,7 @@ impl SceneFeed {
     /// When a value cannot be encoded.
     pub fn digest(&self, scene: &Snapshot) -> Result<StateDigest, ComponentError> {
         let mut quantiser = RowQuantiser::new(self.columns.registry());
-        let rows = |id, entity| (self.entities)(entity) && !self.excluded.contains(&(id, entity));
+        let rows = |id, entity| (self.entities)(entity) && !self.excluded.contains(id, entity);
         StateDigest::of(scene, scene.revision(), &self.columns, &mut quantiser, &self.entities, &rows)
     }
 }

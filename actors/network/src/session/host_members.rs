@@ -116,7 +116,7 @@ impl Members {
         let hands: Vec<Entity> =
             self.roster.hands().iter().filter(has_device).map(|hand| hand.entity).collect();
         // A station's hands have far fewer rows than a feed can leave out.
-        member.feed.exclude(own_rows(self.columns.registry(), &self.scene, &hands, member.moves));
+        member.feed.exclude(own_rows(&self.columns, &self.scene, &hands, member.moves));
     }
 
     /// Tells each hand's device whether the instrument holds something: its jaws then wait for the fingers of whoever comes.

@@ -135,7 +135,7 @@ impl Bench {
         let wires = Wires::default();
         let wire = Wire::new(path, 11);
         wires.add(wire.clone());
-        let links = HandsHost::new(vec![HostHand { number: 0, end: host_end }], link);
+        let links = HandsHost::new(vec![HostHand { number: 0, end: host_end, playout: None }], link);
         let mut book = TicketBook::new(Identity::create(&name("host")).expect("an identity"));
         let offer = Offer {
             role,

@@ -186,7 +186,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         let setup = StationSetup { credential: setup.credential.for_coming_back(), ..setup };
         let mut machine = Self::new(setup, stream, hands, now);
         let mut replica = Replica::adopt(columns.clone(), scene, |entity| entity.station() != station);
-        replica.exclude(own_rows(scene.registry(), scene, &devices, machine.moves));
+        replica.exclude(own_rows(&columns, scene, &devices, machine.moves));
         (machine.replica, machine.columns, machine.devices) = (Some(replica), Some(columns), devices);
         (machine.is_in_session, machine.has_joined) = (true, true);
         machine
@@ -571,7 +571,9 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         }
         if self.control.state() == ClientState::Running {
             // From here on what the station's own controllers write is left to them, at both ends.
-            replica.exclude(own_rows(scene.registry(), scene, &self.devices, self.moves));
+            if let Some(columns) = &self.columns {
+                replica.exclude(own_rows(columns, scene, &self.devices, self.moves));
+            }
             if self.has_joined {
                 self.tell(StationNews::Back);
             }

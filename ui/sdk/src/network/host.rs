@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::Deserialize;
 use trocar_devices::HapticDevice;
+use trocar_haptics::playout::PLAYOUT_SECS_MAX;
 use trocar_kernel::spec::{CLOCK, Factory, LINK_OF_STATION, LINKS};
 use trocar_network::control::{
     Architecture, ComponentList, HandInfo, HostFacts, PlainText, SCENARIO_TEXT_MAX, SESSION_HANDS_MAX,
@@ -13,7 +14,8 @@ use trocar_network::control::{
 };
 use trocar_network::datagram::Seal;
 use trocar_network::faulty::LinkBoard;
-use trocar_network::hands_link::{HandsHost, HandsLink, HostHand, hands_channel};
+use trocar_network::hands_link::playout::Playout;
+use trocar_network::hands_link::{HandsHost, HandsLink, HostHand, LinkEnd, hands_channel};
 use trocar_network::haptic::SenderConfig;
 use trocar_network::live::interfaces::own_addresses;
 use trocar_network::live::sockets::{HostSockets, PORT};
@@ -22,7 +24,7 @@ use trocar_network::live::tls;
 use trocar_network::live::tls_host_streams::TlsHostStreams;
 use trocar_network::lockstep::{End, HandsPeer, WireHostStreams, Wires};
 use trocar_network::remote_hand::{DoorLimits, RemoteHand};
-use trocar_network::replication::choice::{ColumnRates, ReplicatedColumns};
+use trocar_network::replication::choice::{ChoiceError, ColumnRates, ReplicatedColumns};
 use trocar_network::replication::scene_feed::FeedLimits;
 use trocar_network::session::{
     BookAdmissions, HostController, HostHandControl, HostMachine, HostSetup, MachineSlot, SteppedClock,
@@ -33,14 +35,18 @@ use trocar_network::ticket::{
     ADDRESSES_MAX, HostAddress, Identity, NameError, Offer, PlainName, Role, Ticket, TicketBook, TicketStore,
 };
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Snapshot};
+use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Registry, SimTime, Snapshot};
 
 use super::part::NetworkPart;
 use super::reflected::ReflectorSettings;
-use super::{Faults, HANDS_PEER, LastWord, Network, NetworkError, TakingPart};
+use super::{Faults, HANDS_PEER, LastWord, Network, NetworkError, Sharing, TakingPart};
 
 /// How long a ticket lets in, if nothing else is said \[s\].
 pub const TICKET_LIFE_SECS: u64 = 24 * 3_600;
+
+/// How long after a hand was there its instrument moves, at all peers, if the scenario says nothing else \[s\]: a path of
+/// 150 ms there and back, and a quarter of that for its jitter.
+const PLAYOUT_SECS: f64 = 0.1;
 
 /// Table `[network]` of a scenario.
 #[derive(Debug, Default, Deserialize)]
@@ -48,6 +54,8 @@ pub const TICKET_LIFE_SECS: u64 = 24 * 3_600;
 pub(super) struct NetworkSettings {
     pub architecture: Option<Architecture>,
     pub columns: ColumnRates,
+    /// How long after a hand was there its instrument moves, at all peers \[s\].
+    pub playout_secs: Option<f64>,
     /// Most bytes of positions a second for each station.
     pub bytes_per_sec: Option<f64>,
     /// Hands whose devices are behind a packet reflector.
@@ -62,7 +70,15 @@ impl NetworkSettings {
             let reason = "bytes_per_sec: valid are 1e3 to 1e9 bytes a second";
             return Err(NetworkError::Scenario(scenario.network.error(reason).to_string()));
         }
+        if settings.playout_secs.is_some_and(|secs| !(0.0..=PLAYOUT_SECS_MAX).contains(&secs)) {
+            let reason = format!("playout_secs: valid are 0 to {PLAYOUT_SECS_MAX} seconds");
+            return Err(NetworkError::Scenario(scenario.network.error(reason).to_string()));
+        }
         Ok(settings)
+    }
+
+    pub fn playout(&self) -> SimTime {
+        SimTime::from_secs_f64(self.playout_secs.unwrap_or(PLAYOUT_SECS))
     }
 }
 
@@ -83,6 +99,8 @@ pub struct HostOptions {
     pub insecure: bool,
     /// Whether a person at the host answers when a mentor asks for an instrument that the host serves.
     pub is_attended: bool,
+    /// Who computes what, in place of what the scenario says.
+    pub architecture: Option<Architecture>,
 }
 
 impl Default for HostOptions {
@@ -95,6 +113,7 @@ impl Default for HostOptions {
             book: default_book(),
             insecure: false,
             is_attended: false,
+            architecture: None,
         }
     }
 }
@@ -147,6 +166,10 @@ impl NetworkHost {
         all.truncate(ADDRESSES_MAX - 1);
         all.push(address);
         self.options.addresses = all;
+    }
+
+    pub(super) fn architecture(&self) -> Option<Architecture> {
+        self.options.architecture
     }
 
     /// The tickets.
@@ -236,6 +259,7 @@ pub struct LockstepHost {
     wires: Wires,
     book: Arc<Mutex<TicketBook>>,
     clock: VirtualClock,
+    architecture: Option<Architecture>,
 }
 
 /// The wall clock of sessions in virtual time: it stands still, unless a fault steps it.
@@ -263,7 +287,18 @@ impl LockstepHost {
             wires: Wires::default(),
             book: Arc::new(Mutex::new(TicketBook::new(identity))),
             clock: VirtualClock::default(),
+            architecture: None,
         })
+    }
+
+    /// Who computes what, in place of what the scenario says.
+    #[must_use]
+    pub fn with_architecture(self, architecture: Architecture) -> Self {
+        Self { architecture: Some(architecture), ..self }
+    }
+
+    pub(super) fn architecture(&self) -> Option<Architecture> {
+        self.architecture
     }
 
     /// The wires to its stations.
@@ -313,6 +348,7 @@ impl NetworkHands {
         name: &str,
         entity: Entity,
         device: Box<dyn HapticDevice>,
+        sharing: Sharing,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
         if self.infos.len() >= SESSION_HANDS_MAX {
             let text = format!("a session over a network has at most {SESSION_HANDS_MAX} hands");
@@ -324,7 +360,8 @@ impl NetworkHands {
         let control = HostHandControl { number, control: end.control().clone() };
         let info = HandInfo { number, name: plain_name(name)?, entity, station: None };
         self.infos.push((info, control));
-        self.ends.push(HostHand { number, end });
+        let playout = sharing.is_among_peers().then(|| Playout::new(sharing.playout));
+        self.ends.push(HostHand { number, end, playout });
         Ok(Box::new(hand))
     }
 }
@@ -339,6 +376,7 @@ pub(crate) fn hosted(
     has_faults: bool,
 ) -> Result<Option<TakingPart>, NetworkError> {
     let settings = NetworkSettings::of(scenario)?;
+    let sharing = network.sharing(scenario)?;
     let faults = Faults { board: Arc::new(LinkBoard::host()), has_plan: has_faults };
     let mut fault_sinks = faults.sinks(&[LINK_OF_STATION, LINKS]);
     match network {
@@ -346,10 +384,11 @@ pub(crate) fn hosted(
         Network::Host(host) => {
             let (streams, socket) = host.streams()?;
             let host = host.clone();
-            let setup = setup(scenario, &settings, seed, scene, hands.infos, host.options.is_attended)?;
+            let setup =
+                setup(scenario, &settings, sharing, (seed, scene), hands.infos, host.options.is_attended)?;
             let (controller, link) = hands_channel();
             let link: Box<dyn HandsLink<SocketAddr>> =
-                faults.hands(Box::new(HandsHost::new(hands.ends, link)));
+                faults.hands(Box::new(hands_host(sharing, hands.ends, link)));
             let admissions = Box::new(host.tickets.clone());
             fault_sinks.push((CLOCK.to_owned(), host.tickets.clock().clone()));
             let first = HostMachine::new(
@@ -372,9 +411,10 @@ pub(crate) fn hosted(
             Ok(Some(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word, fault_sinks }))
         }
         Network::LockstepHost(host) => {
-            let setup = setup(scenario, &settings, seed, scene, hands.infos, false)?;
+            let setup = setup(scenario, &settings, sharing, (seed, scene), hands.infos, false)?;
             let (controller, link) = hands_channel();
-            let link: Box<dyn HandsLink<usize>> = faults.hands(Box::new(HandsHost::new(hands.ends, link)));
+            let link: Box<dyn HandsLink<usize>> =
+                faults.hands(Box::new(hands_host(sharing, hands.ends, link)));
             fault_sinks.push((CLOCK.to_owned(), host.clock.0.clone()));
             let host = host.clone();
             let peer = HandsPeer::new(HANDS_PEER, link, host.wires.clone(), End::Host);
@@ -394,11 +434,16 @@ pub(crate) fn hosted(
     }
 }
 
+fn hands_host<A: Copy + PartialEq>(sharing: Sharing, hands: Vec<HostHand>, link: LinkEnd<A>) -> HandsHost<A> {
+    let host = HandsHost::new(hands, link);
+    if sharing.has_all_hands() { host.sharing() } else { host }
+}
+
 fn setup(
     scenario: &Scenario,
     settings: &NetworkSettings,
-    seed: u64,
-    scene: &Snapshot,
+    sharing: Sharing,
+    (seed, scene): (u64, &Snapshot),
     hands: Vec<(HandInfo, HostHandControl)>,
     is_attended: bool,
 ) -> Result<HostSetup, NetworkError> {
@@ -409,7 +454,7 @@ fn setup(
             format!("{}: longer than the {SCENARIO_TEXT_MAX} bytes that travel", scenario.file.display());
         return Err(NetworkError::Scenario(reason));
     }
-    let columns = ReplicatedColumns::new(registry, &settings.columns)
+    let columns = replicated(registry, settings, sharing.architecture)
         .map_err(|error| NetworkError::Scenario(scenario.network.error(error.to_string()).to_string()))?;
     let components = ComponentList::of(registry);
     let mut limits = FeedLimits::default();
@@ -426,7 +471,7 @@ fn setup(
             scenario_name: PlainText::new(scenario.name.as_str()),
             scenario_text: text.to_owned(),
             seed,
-            architecture: settings.architecture.unwrap_or(Architecture::ClientServer),
+            architecture: sharing.architecture,
             hands: Vec::new(),
             stations: Vec::new(),
         },
@@ -437,6 +482,16 @@ fn setup(
         is_attended,
         secret: random_secret(seed),
     })
+}
+
+/// Which columns travel, and how.
+pub(super) fn replicated(
+    registry: &Arc<Registry>,
+    settings: &NetworkSettings,
+    architecture: Architecture,
+) -> Result<ReplicatedColumns, ChoiceError> {
+    let columns = ReplicatedColumns::new(registry, &settings.columns)?;
+    Ok(if architecture == Architecture::PeerToPeer { columns.among_peers() } else { columns })
 }
 
 /// Seed of the challenges to new addresses. Of no use to whoever has not the keys of a connection.

@@ -28,12 +28,16 @@ use std::sync::Arc;
 
 use thiserror::Error;
 use trocar_kernel::spec::{Factory, FaultSink};
-use trocar_network::control::{ControlError, ExitClass};
+use trocar_network::control::{Architecture, ControlError, ExitClass};
 use trocar_network::faulty::{FaultyHands, FaultyHostStreams, FaultyStationStream, LinkBoard};
 use trocar_network::hands_link::HandsLink;
 use trocar_network::live::sockets::SocketError;
 use trocar_network::streams::{HostStreams, StationStream};
 use trocar_network::ticket::StoreError;
+use trocar_scene::SimTime;
+use trocar_scene::scenario::Scenario;
+
+use self::host::NetworkSettings;
 
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
@@ -122,7 +126,45 @@ impl fmt::Debug for Network {
     }
 }
 
+/// How the stations of a session share its scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Sharing {
+    /// Who computes what.
+    pub architecture: Architecture,
+    /// How long after a hand was there its instrument moves, at all peers.
+    pub playout: SimTime,
+}
+
+impl Sharing {
+    /// Whether each computes the scene for itself.
+    pub fn is_among_peers(self) -> bool {
+        self.architecture == Architecture::PeerToPeer
+    }
+
+    /// Whether every station gets the hands of all others.
+    pub fn has_all_hands(self) -> bool {
+        self.architecture != Architecture::ClientServer
+    }
+}
+
 impl Network {
+    /// How a session of this scenario is shared.
+    pub(crate) fn sharing(&self, scenario: &Scenario) -> Result<Sharing, NetworkError> {
+        let settings = NetworkSettings::of(scenario)?;
+        let chosen = match self {
+            Self::None => Some(Architecture::ClientServer),
+            Self::Host(host) => host.architecture(),
+            Self::LockstepHost(host) => host.architecture(),
+            Self::Station(station) => Some(station.architecture),
+        };
+        let architecture = chosen.or(settings.architecture).unwrap_or(Architecture::ClientServer);
+        let playout = match architecture {
+            Architecture::PeerToPeer => settings.playout(),
+            _ => SimTime::ZERO,
+        };
+        Ok(Sharing { architecture, playout })
+    }
+
     /// The station, if the session is one.
     pub fn station(&self) -> Option<&Arc<Station>> {
         match self {

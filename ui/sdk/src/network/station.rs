@@ -11,7 +11,7 @@ use trocar_devices::HapticDevice;
 use trocar_kernel::runtime::Clock;
 use trocar_kernel::spec::{Factory, LINK, LINKS};
 use trocar_network::control::{
-    ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
+    Architecture, ClientFacts, ClientState, ComponentList, Credential, HandInfo, PlainText, Welcome, Wish,
 };
 use trocar_network::datagram::Seal;
 use trocar_network::faulty::LinkBoard;
@@ -23,7 +23,6 @@ use trocar_network::live::sockets;
 use trocar_network::live::tls_station_stream::TlsStationStream;
 use trocar_network::lockstep::{End, HandsPeer, Wire, WireStationStream, Wires};
 use trocar_network::remote_hand::{DoorLimits, RemoteHand};
-use trocar_network::replication::choice::ReplicatedColumns;
 use trocar_network::session::{MachineSlot, StationController, StationError, StationMachine, StationSetup};
 use trocar_network::streams::StationStream;
 use trocar_network::ticket::{ResumeSecret, Role, Ticket};
@@ -32,9 +31,9 @@ use trocar_scene::{
     BuildContext, Commands, Controller, ControllerError, EntityAllocator, Registry, SimTime, Snapshot, Store,
 };
 
-use super::host::{NetworkSettings, plain_name, random_secret};
+use super::host::{NetworkSettings, plain_name, random_secret, replicated};
 use super::part::NetworkPart;
-use super::{Faults, HANDS_PEER, LastWord, NetworkError, TakingPart};
+use super::{Faults, HANDS_PEER, LastWord, NetworkError, Sharing, TakingPart};
 
 /// The writer under which a station's network joins before there is a session: the first of its controllers.
 pub(crate) const STATION_WRITER: u16 = 1;
@@ -106,6 +105,8 @@ pub struct Station {
     pub seed: u64,
     /// The hands of the session.
     pub hands: Vec<HandInfo>,
+    /// Who computes what.
+    pub architecture: Architecture,
     /// Whether a person at the station moves its hands.
     pub moves: bool,
     /// The secret with which the station comes back after its program has ended: [`JoinOptions::resume`].
@@ -187,7 +188,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
         {
             let begun = Begun::new(welcome, self.registry.clone())?;
             let settings = NetworkSettings::of(&begun.scenario)?;
-            let columns = ReplicatedColumns::new(&self.registry, &settings.columns)
+            let columns = replicated(&self.registry, &settings, welcome.session.architecture)
                 .map_err(|error| NetworkError::Scenario(error.to_string()))?;
             let has_device = |hand: &&HandInfo| self.devices.iter().any(|name| name == hand.name.as_str());
             let devices = welcome.session.hands.iter().filter(has_device).map(|hand| hand.entity).collect();
@@ -242,6 +243,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             role,
             seed: session.seed,
             hands: session.hands,
+            architecture: session.architecture,
             moves,
             resume,
             clock,
@@ -401,15 +403,17 @@ impl StationHands {
         station: &Station,
         name: &str,
         device: Box<dyn HapticDevice>,
+        sharing: Sharing,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
         let number = station.hand_number(name).ok_or_else(|| {
             let known: Vec<&str> = station.hands.iter().map(|hand| hand.name.as_str()).collect();
             NetworkError::Usage(format!("the session has no hand '{name}'; there are: {}", known.join(", ")))
         })?;
-        let (hand, end) = RemoteHand::over(number, DoorLimits::default(), device)
+        let (device, end) = RemoteHand::over(number, DoorLimits::default(), device)
             .map_err(|error| NetworkError::Scenario(error.to_string()))?;
-        self.0.push(StationHand::new(number, end));
-        Ok(Box::new(hand))
+        let hand = StationHand::new(number, end);
+        self.0.push(if sharing.has_all_hands() { hand.following(sharing.playout) } else { hand });
+        Ok(Box::new(device))
     }
 }
 

@@ -191,7 +191,7 @@ impl LiveHost {
                 .map_err(Failure::internal)?;
             end.control().take(u16::from(number) / HANDS as u16 + 1);
             devices.push(hand);
-            hands.push(HostHand { number, end });
+            hands.push(HostHand { number, end, playout: None });
         }
         let (controller, link) = hands_channel();
         let link = HandsHost::new(hands, link);

@@ -117,7 +117,7 @@ pub(super) fn allocations() -> Rows {
     for (number, (device, end)) in hands()?.into_iter().enumerate() {
         end.control().take(1);
         devices.push(device);
-        at_host.push(HostHand { number: number as u8, end });
+        at_host.push(HostHand { number: number as u8, end, playout: None });
     }
     for (number, (device, end)) in hands()?.into_iter().enumerate() {
         devices.push(device);
