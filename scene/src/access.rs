@@ -33,6 +33,8 @@ pub struct Access {
     pub spawns: bool,
     /// Whether it keeps the copy of other stations' part of the scene; see [`Access::replicates`].
     pub replicates: bool,
+    /// Whether it also writes there what others claim; see [`Access::repairs`].
+    pub repairs: bool,
 }
 
 impl Access {
@@ -77,6 +79,13 @@ impl Access {
         self.replicates = true;
         self
     }
+    /// Also writes, in that copy, rows that other writers of this station claim: what its owner says of a body is right, and
+    /// whoever computed it here is built anew.
+    #[must_use]
+    pub fn repairs(mut self) -> Self {
+        self.repairs = true;
+        self
+    }
 }
 
 /// Two writers that claim the same rows.
@@ -99,6 +108,7 @@ pub struct WriterRules {
     me: Entity,
     spawns: bool,
     replicates: bool,
+    repairs: bool,
     /// What other writers claim of the rows that a replica writes; see [`Self::reserve`].
     reserved: Vec<(ComponentId, EntitySet)>,
     unrestricted: bool,
@@ -133,8 +143,8 @@ impl WriterRules {
         for name in &access.contributes {
             contributes.push(registry.by_name(name)?);
         }
-        let (spawns, replicates) = (access.spawns, access.replicates);
-        Ok(Self { contributes, writes, spawns, replicates, ..Self::none(me) })
+        let Access { spawns, replicates, repairs, .. } = *access;
+        Ok(Self { contributes, writes, spawns, replicates, repairs, ..Self::none(me) })
     }
 
     /// May write every component of every entity, create entities, and remove those that it has created: for an
@@ -148,6 +158,7 @@ impl WriterRules {
             me,
             spawns: false,
             replicates: false,
+            repairs: false,
             reserved: Vec::new(),
             unrestricted: false,
             known: Vec::new(),
@@ -186,8 +197,11 @@ impl WriterRules {
             self.known.insert(at, writer);
         }
     }
-    /// Leaves to their writers the rows that these rules claim: a replica does not write them.
+    /// Leaves to their writers the rows that these rules claim: a replica does not write them, unless it repairs.
     pub fn reserve(&mut self, of: &Self) {
+        if self.repairs {
+            return;
+        }
         self.reserved.extend(of.claims().map(|(id, set)| (id, set.into_owned())));
     }
     /// Drops what [`Self::reserve`] added.

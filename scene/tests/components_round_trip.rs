@@ -420,6 +420,7 @@ fn stations(formats: &mut Formats) {
         over_tcp: true,
     };
     let hands = vec!["left".into(), "right".into()];
+    formats.check(Repaired { times: 3 }, true);
     let role = StationRole::Mentor;
     formats.check(
         Station { number: 3, name: "Ada".into(), role, here: true, hands, protected: true, link },

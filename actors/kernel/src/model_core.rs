@@ -329,7 +329,7 @@ impl ModelCore {
         let Some(at) = self.position(id).filter(|at| self.writers[*at].epoch < epoch) else { return false };
         let writer = &mut self.writers[at];
         writer.epoch = epoch;
-        let Access { reads: _, writes, contributes, spawns, replicates } = &writer.access;
+        let Access { reads: _, writes, contributes, spawns, replicates, repairs: _ } = &writer.access;
         if writes.is_empty() && contributes.is_empty() && !spawns && !replicates {
             return true;
         }

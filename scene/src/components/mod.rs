@@ -45,7 +45,7 @@ pub use mesh::{
 pub use particles::{PARTICLES_MAX, ParticleKind, Particles};
 pub use person::{PERSON_TOTAL_MAX, PersonAction, PersonActions, PersonHand, PersonInput, PersonView};
 pub use shape::Shape;
-pub use station::{LinkState, Station, StationRole};
+pub use station::{LinkState, Repaired, Station, StationRole};
 pub use surface_place::{PLACE_REACH_MAX, SurfacePlace, SurfacePoint};
 pub use task::{Measured, OUTCOME, PEG_TRANSFER, ScoreKind, TaskError, TaskState, VitalSigns};
 pub use telementoring::{
@@ -72,7 +72,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         RigidBody, Joints, JointFrames, JointState, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
         Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
-        CollisionList, TaskState, Measured, VitalSigns, Station,
+        CollisionList, TaskState, Measured, VitalSigns, Station, Repaired,
         MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest, StationContactModel,
         Teleoperation, SlaveOrder,
         MentorInput, MentorAnswer,

@@ -46,6 +46,16 @@ pub struct LinkState {
     pub over_tcp: bool,
 }
 
+/// Says that the owner of a body has replaced its rows, among peers that compute it each for itself: whoever computes it here
+/// is built anew from them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "repaired", schema)]
+#[serde(deny_unknown_fields)]
+pub struct Repaired {
+    /// How often that was.
+    pub times: u32,
+}
+
 /// A station of a session over a network; the host writes one for each, and a station one for its own link.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(name = "station", check = Self::validate, schema)]

@@ -7,6 +7,7 @@ use trocar_collision::controller::StationTouchController;
 use trocar_devices::HapticDevice;
 use trocar_kernel::spec::{Factory, SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
+use trocar_network::peers::repaired::rebuilding;
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{
     Commands, ControllerEntry, Entity, EntityAllocator, Hand, SCENARIO_SPAWNER, SimTime, Snapshot, Store,
@@ -106,6 +107,9 @@ impl Assembly {
                 return Err(scenario.error_at("controller", index, reason).into());
             };
             let mut blueprint = kind(&KindContext { entry, scenario, hands: &ports, options })?;
+            if station.is_some() && app.kind_info(&entry.kind).is_some_and(|about| about.simulates) {
+                blueprint.factory = rebuilding(blueprint.factory);
+            }
             if let Some(arrange) = blueprint.arrange.take() {
                 arrange(store.view(), &mut commands);
             }

@@ -136,3 +136,35 @@ fn look() {
     let sent = pair.wire.clone();
     let _ = sent;
 }
+
+fn place(scene: &Snapshot, name: &str) -> trocar_scene::Pose {
+    *scene.get::<trocar_scene::Pose>(scene.find(name).expect("it is there")).expect("it has a place")
+}
+
+#[test]
+fn a_ring_that_lies_elsewhere_at_a_peer_is_put_where_its_owner_has_it() {
+    let path = Impairments { delay: SimTime::from_millis(75), loss: 0.02, ..Impairments::default() };
+    let scenario = App::new().scenario("peg-transfer").expect("a scenario");
+    let mut pair = Pair::new(&scenario, &path, &["left"], Architecture::PeerToPeer);
+    while pair.now < SimTime::from_millis(2_000) {
+        pair.step();
+    }
+    let far = |pair: &mut Pair| {
+        let (a, b) = (place(&pair.host.snapshot(), "ring.6"), place(&pair.station.snapshot(), "ring.6"));
+        (a.translation - b.translation).norm()
+    };
+    println!("before {:.6}", far(&mut pair));
+    let ring = pair.station.snapshot().find("ring.6").expect("it is there");
+    let mut elsewhere = place(&pair.station.snapshot(), "ring.6");
+    elsewhere.translation.x += 0.03;
+    elsewhere.translation.z += 0.02;
+    pair.station.apply(|commands| commands.put(ring, elsewhere)).expect("an operator may");
+    for _ in 0..40 {
+        for _ in 0..100 {
+            pair.step();
+        }
+        let times = pair.station.snapshot().get::<trocar_scene::Repaired>(ring).map_or(0, |it| it.times);
+        let now = pair.now;
+        println!("{now:?} {:.6} {times}", far(&mut pair));
+    }
+}

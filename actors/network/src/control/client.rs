@@ -31,6 +31,7 @@ use super::message::{
 use super::message_error::MessageError;
 use super::note::Note;
 use super::plain_text::PlainText;
+use crate::peers::repair;
 
 /// Longest time for a connection with its TLS handshake.
 pub const CONNECT_TIME_MAX: SimTime = SimTime::from_millis(10_000);
@@ -84,6 +85,8 @@ pub enum ClientEvent<'a> {
     },
     /// A station shows something.
     Note(Note),
+    /// The rows of a body that the station asked for.
+    Repair(&'a [u8]),
     /// Another station's ticket, with which this one can connect to it.
     PeerTicket {
         /// Who gives it.
@@ -283,6 +286,9 @@ impl ClientControl {
             RequestKind::Note(note) => note.check()?,
             RequestKind::PeerTicket { ticket, .. } => {
                 MessageError::limit("bytes of a ticket", ticket.len(), PEER_TICKET_MAX)?;
+            }
+            RequestKind::Repair(asked) => {
+                MessageError::limit("rows of a body", asked.rows.len(), repair::ROWS_MAX)?;
             }
             RequestKind::TakeHand(_) | RequestKind::GiveHand(_) => {}
         }

@@ -157,6 +157,7 @@ impl ClientEnd {
                 hear(ClientEvent::HandServed { hand, station, at });
             }
             HostMessage::Note(note) => hear(ClientEvent::Note(note)),
+            HostMessage::Repair(bytes) => hear(ClientEvent::Repair(bytes.as_slice())),
             HostMessage::PeerTicket { from, ticket } => hear(ClientEvent::PeerTicket { from, ticket }),
             HostMessage::Answer { request, refusal } => hear(ClientEvent::Answer { request, refusal }),
             HostMessage::Ping(ping) => {

@@ -213,6 +213,15 @@ impl HostControl {
         self.end.send(HostState::Running, &HostMessage::PeerTicket { from, ticket }, now)
     }
 
+    /// Sends the rows of a body that the station asked for, at most [`DELTA_MAX`] bytes.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send_repair(&mut self, bytes: &[u8], now: SimTime) -> Result<(), SendError> {
+        MessageError::limit("bytes of a repair", bytes.len(), DELTA_MAX)?;
+        self.end.send(HostState::Running, &HostMessage::Repair(Blob::from(bytes)), now)
+    }
+
     /// Sends what the hands link has to tell; urgently, if it is about hands: then it returns false while an earlier one waits.
     ///
     /// # Errors

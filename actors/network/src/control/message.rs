@@ -17,6 +17,7 @@ use super::message_error::MessageError;
 use super::note::{Note, NoteKind};
 use super::plain_text::PlainText;
 use crate::datagram::DATAGRAM_MAX;
+use crate::peers::repair::{self, RepairRequest};
 use crate::ticket::{PlainName, Role};
 
 /// Most stations of a session.
@@ -184,6 +185,8 @@ pub enum RequestKind {
         /// The ticket.
         ticket: Vec<u8>,
     },
+    /// The rows of a body, of which the station's own differ; among peers.
+    Repair(RepairRequest),
 }
 
 impl RequestKind {
@@ -192,6 +195,7 @@ impl RequestKind {
         match self {
             Self::TakeHand(_) | Self::GiveHand(_) | Self::PeerTicket { .. } => role.may_operate(),
             Self::Note(note) => note.is_allowed_to(role),
+            Self::Repair(_) => true,
         }
     }
 
@@ -202,6 +206,7 @@ impl RequestKind {
             Self::GiveHand(_) => "give a hand back",
             Self::Note(note) => note.name(),
             Self::PeerTicket { .. } => "connect to another station",
+            Self::Repair(_) => "repair a body",
         }
     }
 }
@@ -322,6 +327,9 @@ pub enum HostMessage<'a> {
     Diagnosed(Diagnosed),
     /// What has come of a diagnosis's datagrams so far.
     Echoed(EchoCounts),
+    /// The rows of a body that the station asked for; among peers.
+    #[serde(borrow)]
+    Repair(Blob<'a>),
 }
 
 fn decode<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, usize), MessageError> {
@@ -357,6 +365,9 @@ impl<'a> ClientMessage<'a> {
             Self::Request(Request { what: RequestKind::Note(note), .. }) => note.check(),
             Self::Request(Request { what: RequestKind::PeerTicket { ticket, .. }, .. }) => {
                 MessageError::limit("bytes of a ticket", ticket.len(), PEER_TICKET_MAX)
+            }
+            Self::Request(Request { what: RequestKind::Repair(asked), .. }) => {
+                MessageError::limit("rows of a body", asked.rows.len(), repair::ROWS_MAX)
             }
             _ => Ok(()),
         }
@@ -408,6 +419,9 @@ impl<'a> HostMessage<'a> {
             }
             Self::Carried(carried) => carried.check(),
             Self::Delta(bytes) => MessageError::limit("bytes of changes", bytes.as_slice().len(), DELTA_MAX),
+            Self::Repair(bytes) => {
+                MessageError::limit("bytes of a repair", bytes.as_slice().len(), DELTA_MAX)
+            }
             Self::Roster(stations) => check_stations(stations),
             Self::Note(note) => note.what.check(),
             Self::PeerTicket { ticket, .. } => {
@@ -428,6 +442,7 @@ impl<'a> HostMessage<'a> {
             Self::HandServed { .. } => "hand served",
             Self::Note(_) => "note",
             Self::PeerTicket { .. } => "peer ticket",
+            Self::Repair(_) => "repair",
             Self::Answer { .. } => "answer",
             Self::Ping(_) => "ping",
             Self::Pong(_) => "pong",

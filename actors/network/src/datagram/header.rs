@@ -29,11 +29,13 @@ pub enum Kind {
     Report = 5,
     /// Comes back as it is: who asks for a diagnosis looks whether datagrams pass.
     Echo = 6,
+    /// Sketches of an owner's bodies, among peers.
+    Sketch = 7,
 }
 
 impl Kind {
     /// All kinds, in the order of their codes.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Hands,
         Self::Rows,
         Self::RowAcks,
@@ -41,6 +43,7 @@ impl Kind {
         Self::PathResponse,
         Self::Report,
         Self::Echo,
+        Self::Sketch,
     ];
 
     /// The kind of a code on the wire.

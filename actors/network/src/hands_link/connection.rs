@@ -26,6 +26,8 @@ pub enum Arrived<'a> {
     Rows(&'a [u8]),
     /// A payload of acknowledgements of rows.
     RowAcks(&'a [u8]),
+    /// A payload of sketches of the other side's bodies.
+    Sketch(&'a [u8]),
     /// Something that the connection needs for itself, or that a newer datagram had overtaken.
     Other,
 }
@@ -222,6 +224,7 @@ impl<A: Copy + PartialEq> Connection<A> {
         match kind {
             Kind::Rows => return Ok(Arrived::Rows(payload)),
             Kind::RowAcks => return Ok(Arrived::RowAcks(payload)),
+            Kind::Sketch => return Ok(Arrived::Sketch(payload)),
             Kind::PathChallenge => {
                 let payload = payload.try_into().map_err(|_| malformed)?;
                 *reply = Some(Reply { kind: Kind::PathResponse, payload });
@@ -391,6 +394,11 @@ impl<A: Copy + PartialEq> Connection<A> {
     /// Where datagrams go; `None` before one has come.
     pub fn address(&self) -> Option<A> {
         self.path.address()
+    }
+
+    /// How long ago this was sent, by the estimate of the other clock.
+    pub fn age(&self, sent_at: SimTime, now: SimTime) -> Option<SimTime> {
+        self.receiver.clock().delay(sent_at, now)
     }
 
     /// When an authentic datagram came last.

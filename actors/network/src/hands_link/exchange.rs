@@ -4,7 +4,7 @@ use trocar_scene::SimTime;
 
 use super::connection::{Arrived, Connection, ConnectionError, Reply};
 use super::order::{HandsNews, LinkEnd, Parcel, Sealed};
-use crate::datagram::{DATAGRAM_MAX, Kind};
+use crate::datagram::{DATAGRAM_MAX, Header, Kind};
 use crate::hand_sample::HandSample;
 
 /// The ways out of a connection.
@@ -29,6 +29,7 @@ pub(super) fn take<A: Copy + PartialEq>(
     ways: Ways<'_, A>,
 ) -> Result<bool, ConnectionError> {
     let id = connection.id();
+    let sent_at = Header::decode(datagram).map(|header| header.sent_at);
     let (arrived, reply) = match from {
         Some(from) => connection.receive(now, from, datagram)?,
         None => (connection.receive_carried(now, datagram)?, None),
@@ -37,11 +38,14 @@ pub(super) fn take<A: Copy + PartialEq>(
     let payload = match arrived {
         Arrived::Rows(payload) => Some((Kind::Rows, payload)),
         Arrived::RowAcks(payload) => Some((Kind::RowAcks, payload)),
+        Arrived::Sketch(payload) => Some((Kind::Sketch, payload)),
         Arrived::Hands | Arrived::Other => None,
     };
     if let Some(parcel) = payload.and_then(|(kind, payload)| Parcel::new(kind, payload)) {
         // What does not fit is lost, as on a path.
-        ways.controller.tell(HandsNews::Arrived { connection: id, parcel });
+        let age = sent_at.ok().and_then(|sent_at| connection.age(sent_at, now));
+        let sent_at = age.map(|age| SimTime(now.as_nanos().saturating_sub(age.as_nanos())));
+        ways.controller.tell(HandsNews::Arrived { connection: id, parcel, sent_at });
     }
     if let (Some(Reply { kind, payload }), Some(from)) = (reply, from)
         && let Some(length) = connection.seal(kind, &payload, now, ways.out)

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_devices::Pedals;
+use trocar_scene::SimTime;
 
 use super::connection::Connection;
 use crate::control::EchoCounts;
@@ -178,6 +179,8 @@ pub enum HandsNews<A> {
         connection: u32,
         /// Its payload.
         parcel: Parcel,
+        /// When it was sent, by this side's clock; `None` as long as the other clock is unknown.
+        sent_at: Option<SimTime>,
     },
     /// The control channel is to carry a datagram, since the other end does not hear them by themselves.
     Carry {

@@ -173,10 +173,11 @@ const SIMULATED: [&str; 45] = [
 ];
 
 /// What a peer does not take even once, when it joins: it is found anew in every tick, or belongs to one person.
-const MOMENTARY: [&str; 4] = ["autopilot_state", "collision_list", "manual_state", "person_input"];
+const MOMENTARY: [&str; 5] =
+    ["autopilot_state", "collision_list", "manual_state", "person_input", "repaired"];
 
 /// What only the station that computes it reads: contacts between two ticks, and memories of solvers and of persons.
-const NEVER: [&str; 15] = [
+const NEVER: [&str; 16] = [
     "autopilot_state",
     "collision_list",
     "coupling_given",
@@ -186,6 +187,7 @@ const NEVER: [&str; 15] = [
     "linear_fem_contacts",
     "manual_state",
     "person_input",
+    "repaired",
     "rigid_contacts",
     "soft_contacts",
     "strained_grips",

@@ -34,7 +34,7 @@ pub mod send_budget;
 pub mod sent_datagrams;
 pub mod state_digest;
 mod vertex_chunks;
-mod wire_reader;
+pub(crate) mod wire_reader;
 
 #[cfg(test)]
 mod bandwidth_tests;

@@ -7,7 +7,7 @@ use super::choice::ReplicatedColumns;
 
 /// The rest of a message.
 #[derive(Clone)]
-pub(super) struct WireReader<'a> {
+pub(crate) struct WireReader<'a> {
     what: &'static str,
     bytes: &'a [u8],
     at: usize,
@@ -15,42 +15,47 @@ pub(super) struct WireReader<'a> {
 
 impl<'a> WireReader<'a> {
     /// Reads from the front; `what` names the message in errors.
-    pub(super) fn new(what: &'static str, bytes: &'a [u8]) -> Self {
+    pub(crate) fn new(what: &'static str, bytes: &'a [u8]) -> Self {
         Self { what, bytes, at: 0 }
     }
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.at >= self.bytes.len()
     }
     /// The bytes not yet read.
-    pub(super) fn rest(&self) -> &'a [u8] {
+    pub(crate) fn rest(&self) -> &'a [u8] {
         self.bytes.get(self.at..).unwrap_or(&[])
     }
     /// Goes on where `rest` begins, which another decoder has left of [`Self::rest`].
-    pub(super) fn continue_at(&mut self, rest: &[u8]) {
+    pub(crate) fn continue_at(&mut self, rest: &[u8]) {
         self.at = self.bytes.len().saturating_sub(rest.len());
     }
     fn short(&self) -> ReplicationError {
         ReplicationError::Short { what: self.what, at: self.bytes.len() }
     }
     /// An error about a number that has just been read.
-    pub(super) fn refuse(&self, found: u64, valid: &'static str) -> ReplicationError {
+    pub(crate) fn refuse(&self, found: u64, valid: &'static str) -> ReplicationError {
         ReplicationError::Number { what: self.what, at: self.at, found, valid }
     }
-    pub(super) fn take(&mut self, count: usize) -> Result<&'a [u8], ReplicationError> {
+    pub(crate) fn take(&mut self, count: usize) -> Result<&'a [u8], ReplicationError> {
         let taken = self.rest().get(..count).ok_or_else(|| self.short())?;
         self.at += count;
         Ok(taken)
     }
-    pub(super) fn byte(&mut self) -> Result<u8, ReplicationError> {
+    pub(crate) fn array<const N: usize>(&mut self) -> Result<[u8; N], ReplicationError> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N)?);
+        Ok(array)
+    }
+    pub(crate) fn byte(&mut self) -> Result<u8, ReplicationError> {
         Ok(self.take(1)?[0])
     }
-    pub(super) fn word(&mut self) -> Result<u64, ReplicationError> {
+    pub(crate) fn word(&mut self) -> Result<u64, ReplicationError> {
         let mut word = [0; 8];
         word.copy_from_slice(self.take(8)?);
         Ok(u64::from_le_bytes(word))
     }
     /// A number of up to ten bytes, seven bits each.
-    pub(super) fn number(&mut self) -> Result<u64, ReplicationError> {
+    pub(crate) fn number(&mut self) -> Result<u64, ReplicationError> {
         let mut value = 0;
         for shift in (0..64).step_by(7) {
             let byte = self.byte()?;
@@ -64,11 +69,11 @@ impl<'a> WireReader<'a> {
         }
         Err(self.short())
     }
-    pub(super) fn signed(&mut self) -> Result<i64, ReplicationError> {
+    pub(crate) fn signed(&mut self) -> Result<i64, ReplicationError> {
         self.number().map(varint::unzigzag)
     }
     /// How many things follow; each of them takes at least one byte.
-    pub(super) fn count(&mut self) -> Result<usize, ReplicationError> {
+    pub(crate) fn count(&mut self) -> Result<usize, ReplicationError> {
         let count = self.number()?;
         let room = self.rest().len();
         match usize::try_from(count) {
@@ -77,12 +82,12 @@ impl<'a> WireReader<'a> {
         }
     }
     /// An entity, as what it is above the one before.
-    pub(super) fn entity(&mut self, before: &mut u64) -> Result<Entity, ReplicationError> {
+    pub(crate) fn entity(&mut self, before: &mut u64) -> Result<Entity, ReplicationError> {
         *before = before.wrapping_add(self.signed()? as u64);
         Ok(Entity::from_bits(*before))
     }
     /// A component that is replicated.
-    pub(super) fn component(&mut self, columns: &ReplicatedColumns) -> Result<ComponentId, ReplicationError> {
+    pub(crate) fn component(&mut self, columns: &ReplicatedColumns) -> Result<ComponentId, ReplicationError> {
         let number = self.number()?;
         let id = u16::try_from(number).ok().map(ComponentId);
         match id.filter(|id| columns.is_replicated(*id)) {
@@ -93,7 +98,7 @@ impl<'a> WireReader<'a> {
 }
 
 /// Appends an entity, as what it is above the one before.
-pub(super) fn write_entity(entity: Entity, before: &mut u64, out: &mut Vec<u8>) {
+pub(crate) fn write_entity(entity: Entity, before: &mut u64, out: &mut Vec<u8>) {
     varint::write(varint::zigzag(entity.to_bits().wrapping_sub(*before) as i64), out);
     *before = entity.to_bits();
 }

@@ -8,8 +8,8 @@ use trocar_scene::{Entity, SimTime, Snapshot, TakeOverRequest};
 use super::admissions::Admissions;
 use super::host_members::{AcceptedNote, HostHandControl, Member, Members, NOTES_MAX, figures};
 use crate::control::{
-    ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, NoteKind, PACE_BYTES,
-    Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
+    Architecture, ControlError, Goodbye, HandInfo, HostControl, HostFacts, HostSession, HostState, NoteKind,
+    PACE_BYTES, Refusal, RequestKind, Roster, SendError, SessionInfo, StationInfo,
 };
 use crate::datagram::{Kind, Side};
 use crate::diagnosis::EchoEnd;
@@ -17,6 +17,8 @@ use crate::hands_link::{
     Connection, ControllerEnd, HOST, HandNumbers, HandsNews, HandsOrder, ORDERS_MAX, Parcel,
 };
 use crate::haptic::{LinkPoint, LinkQuality, SenderConfig};
+use crate::peers::comparison::SKETCH_EVERY;
+use crate::peers::{repair, sketch};
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::pieces;
 use crate::replication::scene_feed::FeedLimits;
@@ -95,6 +97,9 @@ pub struct HostMachine<A> {
     payload: Vec<u8>,
     refresh_at: SimTime,
     roster_at: SimTime,
+    /// When the next sketch is due, and its number; among peers.
+    sketch_at: SimTime,
+    sketches: u64,
     incidents: VecDeque<Incident>,
     /// Notes that all stations were told, for the actor.
     shown: VecDeque<AcceptedNote>,
@@ -135,6 +140,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             requests: BTreeMap::new(),
             lent: BTreeMap::new(),
             is_attended: setup.is_attended,
+            repairs: VecDeque::new(),
         };
         Self {
             facts: Arc::new(setup.facts),
@@ -149,6 +155,8 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             payload: Vec::new(),
             refresh_at: SimTime::ZERO,
             roster_at: SimTime::ZERO,
+            sketch_at: SimTime::ZERO,
+            sketches: 0,
             incidents: VecDeque::new(),
             shown: VecDeque::new(),
             strangers: 0,
@@ -239,6 +247,10 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         }
         self.tell_all(now);
         self.feed(now);
+        if self.members.info.architecture == Architecture::PeerToPeer {
+            self.repair(now);
+            self.send_sketches(now);
+        }
         let streams: Vec<StreamId> = self.links.keys().copied().collect();
         for stream in streams {
             self.flush(stream, now);
@@ -384,7 +396,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     fn take_news(&mut self, now: SimTime) {
         while let Some(news) = self.hands.next_news() {
             match news {
-                HandsNews::Arrived { connection, parcel } if parcel.kind() == Kind::RowAcks => {
+                HandsNews::Arrived { connection, parcel, .. } if parcel.kind() == Kind::RowAcks => {
                     let member = self.member_of(connection);
                     // What a station acknowledges without having got it is counted by its feed and has no effect.
                     let _ = member.map(|member| member.feed.acknowledge(now, parcel.payload()));
@@ -515,6 +527,48 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
                 }
                 if let Some(parcel) = Parcel::new(Kind::Rows, payload) {
                     hands.order(HandsOrder::Send { connection, parcel });
+                }
+            }
+        }
+    }
+
+    /// Sends peers the rows of bodies that they asked for.
+    fn repair(&mut self, now: SimTime) {
+        while let Some((station, asked)) = self.members.repairs.pop_front() {
+            let Some(answer) = repair::answer(&self.members.scene, &self.members.columns, &asked) else {
+                continue;
+            };
+            let of_station = |link: &&mut Link| link.opened.is_some_and(|(_, number)| number == station);
+            if let Some(link) = self.links.values_mut().find(of_station) {
+                told(link.control.send_repair(&answer, now));
+                let what = self.members.scene.name(asked.entity);
+                let name = self.members.name_of(station);
+                self.note_incident(now, format!("{name}: {what} was repaired, {} bytes", answer.len()));
+            }
+        }
+    }
+
+    /// Tells peers how the bodies are, so that each compares them with its own.
+    fn send_sketches(&mut self, now: SimTime) {
+        if now < self.sketch_at {
+            return;
+        }
+        self.sketch_at = now + SKETCH_EVERY;
+        self.sketches += 1;
+        let running = self.links.values().filter(|link| link.control.state() == HostState::Running);
+        let connections: Vec<u32> = running.filter_map(|link| Some(link.opened?.0)).collect();
+        if connections.is_empty() {
+            return;
+        }
+        let (scene, number) = (&self.members.scene, self.sketches);
+        let sketches: Vec<_> =
+            sketch::bodies(scene).into_iter().flat_map(|body| sketch::of(scene, body, number)).collect();
+        for payload in sketch::write(number, &sketches) {
+            let Some(parcel) = Parcel::new(Kind::Sketch, &payload) else { continue };
+            for &connection in &connections {
+                // What has no room is in the next sketch.
+                if self.hands.room() > ORDERS_KEPT {
+                    self.hands.order(HandsOrder::Send { connection, parcel: parcel.clone() });
                 }
             }
         }

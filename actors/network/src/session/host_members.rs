@@ -19,6 +19,7 @@ use crate::control::{
 };
 use crate::hands_link::HOST;
 use crate::haptic::{LinkPoint, LinkQuality, Rate};
+use crate::peers::repair::RepairRequest;
 use crate::remote_hand::HandControl;
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::scene_feed::{FeedLimits, Resumed, SceneFeed};
@@ -26,6 +27,8 @@ use crate::ticket::{PlainName, Refused, Role, TicketId};
 
 /// Notes that wait for the actor. More of them within a tick are refused.
 pub const NOTES_MAX: usize = 256;
+/// Bodies that wait for their repair.
+const REPAIRS_MAX: usize = 64;
 /// How long it is shown that a request was declined.
 const DECLINED_SHOWN: SimTime = SimTime::from_millis(10_000);
 
@@ -100,6 +103,8 @@ pub(super) struct Members {
     pub lent: BTreeMap<u8, Option<u16>>,
     /// Whether a person at the host answers for hands that the host itself serves.
     pub is_attended: bool,
+    /// Bodies that peers asked for: by whom, and what they have.
+    pub repairs: VecDeque<(u16, RepairRequest)>,
 }
 
 impl Members {
@@ -445,6 +450,13 @@ impl HostSession for Members {
                 }
                 let note = Note { station, at: now, what: what.clone() };
                 self.notes.push_back(AcceptedNote { note, author: self.name_of(station) });
+            }
+            RequestKind::Repair(asked) => {
+                if self.repairs.len() >= REPAIRS_MAX {
+                    let text = "too many bodies to repair at once; ask again";
+                    return Err(Refusal::HostTrouble(PlainText::new(text)));
+                }
+                self.repairs.push_back((station, asked.clone()));
             }
             RequestKind::PeerTicket { to, ticket } => {
                 self.peer_tickets.push((station, *to, ticket.clone()));

@@ -21,6 +21,7 @@ mod machine_slot;
 #[cfg(test)]
 mod machines_tests;
 mod own_rows;
+mod peer_repair;
 mod station_controller;
 mod station_machine;
 

@@ -48,7 +48,7 @@ fn show_own<A: Copy + PartialEq + Send + 'static>(
 
 impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
     fn access(&self) -> Access {
-        MentorDesk::access(Access::new().replicates().contributes::<Station>())
+        MentorDesk::access(Access::new().replicates().repairs().contributes::<Station>())
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
@@ -71,6 +71,10 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
                         desk.refuse(now, &refusal);
                     }
                     StationNews::Note(_) => {}
+                    StationNews::Repaired(body) => {
+                        tracing::info!("{} differed from its owner's, and was repaired", scene.name(body));
+                        out.event("repaired", body, None, 0.0);
+                    }
                 }
             }
             (stepped, machine.row())

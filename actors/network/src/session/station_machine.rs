@@ -15,6 +15,7 @@ use super::carrier::Carrier;
 use super::host_controller::{role, state};
 use super::host_members::digest_of;
 use super::own_rows::own_rows;
+use super::peer_repair::PeerRepair;
 use crate::control::{
     ClientControl, ClientEvent, ClientFacts, ClientState, ControlError, Credential, HandInfo, HeldScene,
     Note, Refusal, RequestKind, SceneCounts, SceneKind, SceneManifest, SendError, StationInfo, StreamWish,
@@ -23,6 +24,7 @@ use crate::control::{
 use crate::datagram::{Keys, Kind, Side};
 use crate::hands_link::{Connection, ControllerEnd, HandNumbers, HandsNews, HandsOrder, Parcel};
 use crate::haptic::{LinkPoint, LinkQuality, LinkSummary, SenderConfig};
+use crate::peers::comparison::ComparisonCounts;
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::replica::{Replica, ReplicaCounts};
 use crate::streams::{StationStream, StreamState};
@@ -77,6 +79,8 @@ pub enum StationNews {
     Back,
     /// The control channel carries its datagrams from now on, or no more.
     Carried(bool),
+    /// A body of the station's differed, and is its owner's again.
+    Repaired(Entity),
 }
 
 /// Why a station cannot go on.
@@ -100,6 +104,8 @@ pub struct StationMachine<A> {
     /// Once it is known which components the host's scenario has.
     columns: Option<Arc<ReplicatedColumns>>,
     replica: Option<Replica>,
+    /// Among peers.
+    peer: Option<PeerRepair>,
     /// The number of the open connection, and since when it has served its hands.
     connection: Option<u32>,
     serves: Vec<u8>,
@@ -148,6 +154,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             devices: Vec::new(),
             columns: None,
             replica: None,
+            peer: None,
             connection: None,
             serves: Vec::new(),
             built: None,
@@ -187,6 +194,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         let mut machine = Self::new(setup, stream, hands, now);
         let mut replica = Replica::adopt(columns.clone(), scene, |entity| entity.station() != station);
         replica.exclude(own_rows(&columns, scene, &devices, machine.moves));
+        machine.peer = PeerRepair::of(&columns);
         (machine.replica, machine.columns, machine.devices) = (Some(replica), Some(columns), devices);
         (machine.is_in_session, machine.has_joined) = (true, true);
         machine
@@ -266,6 +274,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     /// entities of the hands for which the station has devices.
     pub fn replicate(&mut self, columns: Arc<ReplicatedColumns>, devices: Vec<Entity>) {
         self.replica = Some(Replica::new(columns.clone()));
+        self.peer = PeerRepair::of(&columns);
         self.columns = Some(columns);
         self.devices = devices;
     }
@@ -297,10 +306,14 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         self.now = now;
         self.connect(now);
         self.receive(now);
+        if let Some(peer) = &mut self.peer {
+            peer.remember(now, scene);
+        }
         self.take_hands_news();
         self.join(now, scene);
         self.build(now, scene, out);
         self.follow(now, out);
+        self.repair(now, scene, out);
         self.acknowledge(now);
         self.press(now, scene);
         self.flush(now);
@@ -372,7 +385,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
 
     fn hear(&mut self, now: SimTime) {
         let mut heard = Heard::default();
-        let Self { control, received, deltas, news, stations, replica, carrier, .. } = self;
+        let Self { control, received, deltas, news, stations, replica, carrier, peer, .. } = self;
         let mut failed = None;
         control.receive(received, now, &mut |event| match event {
             ClientEvent::Welcomed(welcome) => {
@@ -398,6 +411,11 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             ClientEvent::Roster(roster) => *stations = roster,
             ClientEvent::HandServed { .. } => heard.hands_changed = true,
             ClientEvent::Note(note) => push(news, StationNews::Note(note)),
+            ClientEvent::Repair(bytes) => {
+                if let Some(peer) = peer {
+                    peer.answered(bytes);
+                }
+            }
             ClientEvent::Answer { refusal: Some(refusal), .. } => push(news, StationNews::Refused(refusal)),
             ClientEvent::Answer { refusal: None, .. }
             | ClientEvent::PeerTicket { .. }
@@ -501,7 +519,14 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     fn take_hands_news(&mut self) {
         while let Some(news) = self.hands.next_news() {
             match news {
-                HandsNews::Arrived { connection, parcel }
+                HandsNews::Arrived { connection, parcel, sent_at: Some(sent_at) }
+                    if Some(connection) == self.connection && parcel.kind() == Kind::Sketch =>
+                {
+                    if let Some(peer) = &mut self.peer {
+                        peer.compare(sent_at, parcel.payload());
+                    }
+                }
+                HandsNews::Arrived { connection, parcel, .. }
                     if Some(connection) == self.connection && parcel.kind() == Kind::Rows =>
                 {
                     if self.rows.len() < NEWS_MAX {
@@ -619,6 +644,23 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             let _ = replica.receive_rows(parcel.payload(), out);
         }
         replica.put_vertices(out);
+    }
+
+    /// Among peers: asks the owner for bodies that differ, and writes what it has answered.
+    fn repair(&mut self, now: SimTime, scene: &Snapshot, out: &mut Commands) {
+        let (Some(peer), Some(columns)) = (&mut self.peer, &self.columns) else { return };
+        if self.control.state() != ClientState::Running {
+            return;
+        }
+        peer.ask(now, scene, columns, &mut self.control);
+        if let Some(entity) = peer.write(scene, columns, out) {
+            self.tell(StationNews::Repaired(entity));
+        }
+    }
+
+    /// Among peers: how the station's bodies compare with their owner's.
+    pub fn comparison(&self) -> Option<&ComparisonCounts> {
+        self.peer.as_ref().map(PeerRepair::counts)
     }
 
     /// Tells the host which rows have come.
