@@ -47,6 +47,7 @@ fn host_session(app: &App, args: &HostArgs, session: &RunArgs) -> Result<Exit, F
         book: args.listen.book.clone().unwrap_or_else(default_book),
         insecure: args.insecure,
         is_attended: session.play,
+        architecture: args.architecture,
     };
     let mut host = NetworkHost::open(&options)?;
     // It ends after the session.

@@ -7,10 +7,13 @@ use trocar_collision::controller::StationTouchController;
 use trocar_devices::HapticDevice;
 use trocar_kernel::spec::{Factory, SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
+use trocar_network::control::Architecture;
 use trocar_network::peers::repaired::rebuilding;
+use trocar_network::session::InstrumentFollower;
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{
-    Commands, ControllerEntry, Entity, EntityAllocator, Hand, SCENARIO_SPAWNER, SimTime, Snapshot, Store,
+    Commands, ControllerEntry, ControllerError, Entity, EntityAllocator, Hand, SCENARIO_SPAWNER, SimTime,
+    Snapshot, Store,
 };
 
 use crate::app::App;
@@ -31,6 +34,9 @@ use crate::session::plan::{Role, SessionPlan};
 const TOUCH: &str = "touch";
 /// Its ticks per second \[Hz\].
 const TOUCH_HZ: f64 = 1_000.0;
+/// Name of what moves instruments at a station that gets all hands directly, and its ticks per second \[Hz\].
+const FOLLOWER: &str = "instruments";
+const FOLLOWER_HZ: f64 = 500.0;
 /// The device that stands for a hand of another station.
 const OTHERS_DEVICE: &str = "virtual";
 
@@ -99,6 +105,12 @@ impl Assembly {
         if !ports.is_empty() && (station.is_some() || sharing.is_among_peers()) {
             let touch = station_touch(store.view(), &ports);
             roles.push(Role::new(TOUCH, roles.len() as u16 + 1, TOUCH_HZ, touch));
+        }
+        if station.is_some() && sharing.architecture == Architecture::Hybrid {
+            let follower = plain(RuntimeClass::Simulation, |context| {
+                Ok::<_, ControllerError>(InstrumentFollower::new(context))
+            });
+            roles.push(Role::new(FOLLOWER, roles.len() as u16 + 1, FOLLOWER_HZ, follower));
         }
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind_of(&entry.kind) else {

@@ -47,6 +47,20 @@ pub enum Architecture {
     Hybrid,
 }
 
+impl Architecture {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::ClientServer, Self::PeerToPeer, Self::Hybrid];
+
+    /// The word for it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::ClientServer => "client-server",
+            Self::PeerToPeer => "peer-to-peer",
+            Self::Hybrid => "hybrid",
+        }
+    }
+}
+
 /// What a station wants to be.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Wish {

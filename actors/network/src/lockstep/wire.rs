@@ -48,6 +48,8 @@ struct OneWay {
     blocked: u64,
     arrived: VecDeque<Vec<u8>>,
     overflown: u64,
+    /// Bytes that were sent, in datagrams and in the stream.
+    bytes: [u64; 2],
     stream: StreamPath,
 }
 
@@ -106,6 +108,12 @@ impl Wire {
         [0, 1].map(|way: usize| *inner.ways[way].datagrams.counts())
     }
 
+    /// Bytes that were sent by the host and by the station: of each in datagrams, and in the stream.
+    pub fn bytes(&self) -> [[u64; 2]; 2] {
+        let inner = self.lock();
+        [0, 1].map(|way: usize| inner.ways[way].bytes)
+    }
+
     /// Connects the stream; what an earlier one still had is gone.
     pub fn connect(&self) -> u64 {
         self.disconnect();
@@ -147,6 +155,7 @@ impl Wire {
         if way.is_blocked {
             way.blocked += 1;
         } else {
+            way.bytes[0] += bytes.len() as u64;
             way.datagrams.send(now, Parcel { to: (), bytes: bytes.to_vec() });
         }
     }
@@ -167,7 +176,10 @@ impl Wire {
         }
         inner.now = inner.now.max(now);
         let now = inner.now;
-        inner.ways[from as usize].stream.send(now, bytes)
+        let way = &mut inner.ways[from as usize];
+        let sent = way.stream.send(now, bytes);
+        way.bytes[1] += sent as u64;
+        sent
     }
 
     /// Appends the bytes of the stream that have arrived at this end by `now`.

@@ -228,6 +228,8 @@ struct ReplicatedColumn {
 pub struct ReplicatedColumns {
     registry: Arc<Registry>,
     columns: Vec<ReplicatedColumn>,
+    /// Whether stations compute where the instruments of all hands are.
+    follows_hands: bool,
 }
 
 impl ReplicatedColumns {
@@ -255,7 +257,7 @@ impl ReplicatedColumns {
             }
             columns[usize::from(id.0)].delivery = *delivery;
         }
-        Ok(Self { registry: registry.clone(), columns })
+        Ok(Self { registry: registry.clone(), columns, follows_hands: false })
     }
 
     /// The same among peers: a station that joins gets everything once, also the memories of solvers, and computes from
@@ -270,6 +272,17 @@ impl ReplicatedColumns {
             }
         }
         self
+    }
+
+    /// The same where stations get the hands of all others directly: they compute themselves where the instruments are.
+    #[must_use]
+    pub fn with_all_hands(self) -> Self {
+        Self { follows_hands: true, ..self }
+    }
+
+    /// Whether stations compute themselves where the instruments of all hands are.
+    pub fn follows_hands(&self) -> bool {
+        self.follows_hands
     }
 
     /// The columns that peers compute, each for itself; none unless the session is [among peers](Self::among_peers).
@@ -314,6 +327,7 @@ impl ReplicatedColumns {
                 hasher.update(b"simulated\n");
             }
         }
+        hasher.update(&[u8::from(self.follows_hands)]);
         *hasher.finalize().as_bytes()
     }
     /// Every column that travels, ordered by NAME.

@@ -4,6 +4,7 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, FromArgMatches, Subcommand, ValueHint};
+use trocar::network::control::Architecture;
 use trocar::network::live::sockets::PORT;
 use trocar::network::ticket::{HostAddress, Role};
 
@@ -31,6 +32,10 @@ pub struct HostArgs {
     /// File for the tickets too, one a line, which only its owner can read
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Network")]
     pub ticket_file: Option<PathBuf>,
+    /// Who computes what, in place of what the scenario says: client-server (the host computes the scene), peer-to-peer (each
+    /// station computes it, by all hands) or hybrid (the host computes it, and all hands go to all stations) [default: client-server]
+    #[arg(long, value_name = "WORD", value_parser = architecture, help_heading = "Network")]
+    pub architecture: Option<Architecture>,
     /// Datagrams without protection, for stations on this machine alone
     #[arg(long, help_heading = "Network")]
     pub insecure: bool,
@@ -168,6 +173,11 @@ fn role(text: &str) -> Result<Role, String> {
 
 fn host_address(text: &str) -> Result<HostAddress, String> {
     text.parse().map_err(|error| format!("{error}"))
+}
+
+fn architecture(text: &str) -> Result<Architecture, String> {
+    let known = Architecture::ALL.into_iter().find(|architecture| architecture.word() == text);
+    known.ok_or_else(|| format!("there are: {}", Architecture::ALL.map(Architecture::word).join(", ")))
 }
 
 fn ticket_wish(text: &str) -> Result<(Role, String), String> {

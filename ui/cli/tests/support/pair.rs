@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use tempfile::TempDir;
 use trocar::app::App;
+use trocar::network::control::Architecture;
 use trocar::network::impairments::Impairments;
 use trocar::network::lockstep::Wire;
 use trocar::network::ticket::Role;
@@ -45,8 +46,19 @@ impl Pair {
 
     /// A host of this scenario and a station with these hands, which a person moves or the virtual trainee.
     pub fn of(scenario: &Scenario, path: &Impairments, hands: &[&str], play: bool) -> Self {
+        Self::sharing(scenario, path, hands, play, Architecture::ClientServer)
+    }
+
+    /// The same in an architecture.
+    pub fn sharing(
+        scenario: &Scenario,
+        path: &Impairments,
+        hands: &[&str],
+        play: bool,
+        architecture: Architecture,
+    ) -> Self {
         let app = App::new();
-        let network = Arc::new(LockstepHost::new().expect("a host"));
+        let network = Arc::new(LockstepHost::new().expect("a host").with_architecture(architecture));
         let ticket = network.ticket("Ana", Role::Operate).expect("a ticket");
         let wire = Wire::new(path, 7);
         let number = network.wires().add(wire.clone());

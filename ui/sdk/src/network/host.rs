@@ -491,7 +491,11 @@ pub(super) fn replicated(
     architecture: Architecture,
 ) -> Result<ReplicatedColumns, ChoiceError> {
     let columns = ReplicatedColumns::new(registry, &settings.columns)?;
-    Ok(if architecture == Architecture::PeerToPeer { columns.among_peers() } else { columns })
+    Ok(match architecture {
+        Architecture::ClientServer => columns,
+        Architecture::PeerToPeer => columns.among_peers(),
+        Architecture::Hybrid => columns.with_all_hands(),
+    })
 }
 
 /// Seed of the challenges to new addresses. Of no use to whoever has not the keys of a connection.
