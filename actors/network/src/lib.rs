@@ -17,6 +17,7 @@ pub mod impairments;
 pub mod itp;
 pub mod live;
 pub mod lockstep;
+pub mod pairs;
 pub mod peers;
 pub mod reflector;
 pub mod relay;

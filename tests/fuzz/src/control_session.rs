@@ -215,7 +215,7 @@ impl HostSession for ControlSession {
                 assert_eq!(note.check(), Ok(()));
                 Ok(())
             }
-            RequestKind::PeerTicket { .. } => Ok(()),
+            RequestKind::PeerTicket { .. } | RequestKind::Repair(_) => Ok(()),
         }
     }
 

@@ -10,6 +10,7 @@ use trocar_scene::{Grasp, HapticStatus, SimTime, Snapshot, Station};
 
 use crate::support::here;
 use crate::support::pair::Pair;
+use crate::support::shared_liver::pulled_apart;
 
 #[test]
 fn the_left_hand_at_a_station_and_the_right_one_at_the_host_transfer_the_pegs() {
@@ -135,4 +136,13 @@ fn a_host_that_is_killed_in_mid_air_goes_on_from_its_recording_and_the_exercise_
     while pair.step() && pair.now < SimTime::from_millis(300_000) {}
     let task = pair.host.task();
     assert!(task.completed, "{task:?} at {}", pair.now);
+}
+
+#[test]
+fn a_liver_under_two_hands_is_the_same_at_two_peers_for_ten_minutes() {
+    // Each round takes 8.5 s.
+    let (p95, most, repairs) = pulled_apart(71);
+    println!("apart: {:.4} mm (95 %), {:.3} mm at most, {repairs} repairs", p95 * 1e3, most * 1e3);
+    assert!(p95 <= 1e-3, "{p95}");
+    assert_eq!(repairs, 0, "nothing had to be repaired");
 }

@@ -31,11 +31,11 @@ use crate::play;
 use crate::session::plan::{Role, SessionPlan};
 
 /// Name of a station's own touch.
-const TOUCH: &str = "touch";
+const TOUCH: &str = "network.touch";
 /// Its ticks per second \[Hz\].
 const TOUCH_HZ: f64 = 1_000.0;
 /// Name of what moves instruments at a station that gets all hands directly, and its ticks per second \[Hz\].
-const FOLLOWER: &str = "instruments";
+const FOLLOWER: &str = "network.instruments";
 const FOLLOWER_HZ: f64 = 500.0;
 /// The device that stands for a hand of another station.
 const OTHERS_DEVICE: &str = "virtual";

@@ -1,102 +1,31 @@
 //! The three architectures of a session over a network, with the same scenario and the same path: a host computes the scene,
 //! peers compute it each for itself, or a host computes it and all hands go to all stations.
 
-use std::path::Path;
+use std::sync::Arc;
 
 use tempfile::TempDir;
 use trocar::app::App;
 use trocar::network::control::Architecture;
 use trocar::network::impairments::Impairments;
-use trocar_scene::scenario::Scenario;
-use trocar_scene::{DeviceState, Hand, Pose, Repaired, SimTime, Snapshot, TaskState, VertexPositions};
+use trocar::network::lockstep::{PairDoors, Wire};
+use trocar::network::ticket::Role;
+use trocar::network::{JoinOptions, Joining, LockstepHost, Network};
+use trocar::run::{self, RunOptions};
+use trocar::session::Session;
+use trocar_scene::{DeviceState, Hand, Pose, Repaired, SimTime, Snapshot, Station, TaskState};
 
 use self::pair::Pair;
+use self::shared_liver::{apart, liver, path, pulled_apart, quantile, repairs};
 
 #[expect(dead_code, reason = "the program's tests use the rest of it")]
 #[path = "../../cli/tests/support/pair.rs"]
 mod pair;
+#[path = "../../cli/tests/support/shared_liver.rs"]
+mod shared_liver;
 
 /// A folder for what a session records.
 fn here() -> TempDir {
     tempfile::tempdir().expect("a folder")
-}
-
-const STROKES: &str = "
-    { seconds = 0.8, to = [-0.060, 0.040, 0.054] },
-    { seconds = 2.4, to = [-0.025, 0.040, 0.052] },
-    { seconds = 0.6, to = [-0.025, 0.040, 0.078] },
-    { seconds = 1.2, to = [-0.060, 0.040, 0.078] },
-";
-const RETRACTIONS: &str = "
-    { seconds = 0.8, to = [0.000, 0.002, 0.070], jaws = 0.7 },
-    { seconds = 1.2, to = [0.000, 0.002, 0.037] },
-    { seconds = 0.6, jaws = 0.0 },
-    { seconds = 1.8, to = [-0.008, 0.020, 0.055] },
-    { seconds = 1.0 },
-    { seconds = 1.8, to = [0.000, 0.002, 0.040] },
-    { seconds = 0.5, jaws = 0.7 },
-    { seconds = 0.8, to = [0.000, 0.002, 0.070] },
-";
-/// How long both take.
-const ROUND: SimTime = SimTime::from_millis(8_500);
-
-/// Two surgeons at one liver: the left one presses and strokes, the right one takes its edge and retracts it.
-fn liver(rounds: usize) -> Scenario {
-    let text = include_str!("peers/liver.toml")
-        .replace(" # strokes", &STROKES.repeat(2 * rounds))
-        .replace(" # retractions", &RETRACTIONS.repeat(rounds));
-    Scenario::parse(Path::new("shared-liver.toml"), &text, App::new().registry()).expect("it is valid")
-}
-
-/// A path of 150 ms there and back that jitters and loses a fiftieth.
-fn path() -> Impairments {
-    Impairments {
-        delay: SimTime::from_millis(75),
-        jitter: SimTime::from_millis(5),
-        loss: 0.02,
-        ..Impairments::default()
-    }
-}
-
-/// How far the vertices of the liver are apart \[m\].
-fn apart(pair: &mut Pair) -> Vec<f64> {
-    let [a, b] = [pair.host.snapshot(), pair.station.snapshot()].map(|scene| {
-        let entity = scene.find("liver").expect("it is there");
-        scene.get::<VertexPositions>(entity).expect("it has vertices").positions.clone()
-    });
-    assert_eq!(a.len(), b.len());
-    a.iter().zip(b.iter()).map(|(a, b)| (a - b).norm()).collect()
-}
-
-fn quantile(values: &mut [f64], share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[(share * (values.len() - 1) as f64) as usize]
-}
-
-fn repairs(scene: &Snapshot) -> u32 {
-    scene.iter::<Repaired>().map(|(_, repaired)| repaired.times).sum()
-}
-
-/// A liver under two hands for so many rounds: how far it is apart at both stations, with 95 of 100 vertices and at most.
-fn pulled_apart(rounds: usize) -> (f64, f64, u32) {
-    let mut pair = Pair::sharing(&liver(rounds), &path(), &["left"], false, Architecture::PeerToPeer);
-    let end = SimTime(rounds as u64 * ROUND.as_nanos());
-    let (mut all, mut pressed) = (Vec::new(), 0.0_f64);
-    while pair.now < end {
-        pair.step();
-        // What both have done while the station joined is over after a second.
-        if pair.now >= SimTime::from_millis(1_500) && pair.now.as_nanos() % 50_000_000 == 0 {
-            all.extend(apart(&mut pair));
-            let scene = pair.host.snapshot();
-            let moved = scene
-                .iter::<trocar_scene::Measured>()
-                .filter_map(|(_, measured)| measured.values.get("liver.displacement_max_m").copied());
-            pressed = moved.fold(pressed, f64::max);
-        }
-    }
-    assert!(pressed > 0.005, "the liver was pulled: {pressed}");
-    let most = quantile(&mut all, 1.0);
-    (quantile(&mut all, 0.95), most, repairs(&pair.station.snapshot()))
 }
 
 #[test]
@@ -127,7 +56,9 @@ fn a_ring_that_lies_elsewhere_at_a_peer_is_put_where_its_owner_has_it() {
     assert!(far(&mut pair) > 0.01, "it lies where it has fallen");
     pair.run(3_000);
     assert!(far(&mut pair) < 1e-4, "{}", far(&mut pair));
-    assert_eq!(repairs(&pair.station.snapshot()), 1);
+    // It may have met others on its way, which are where their owner has them as well.
+    let repaired = pair.station.snapshot().get::<Repaired>(ring).copied();
+    assert_eq!(repaired, Some(Repaired { times: 1 }));
 }
 
 /// Where a hand's device is along x, and where its instrument is shown; both begin at 0.
@@ -210,10 +141,130 @@ fn the_same_pegs_are_placed_in_all_three_architectures_and_in_the_same_time() {
         }
         let scene = pair.host.snapshot();
         let (_, state) = scene.iter::<TaskState>().next().expect("a task");
-        println!("{:14} {:?} {state:?}", architecture.word(), pair.now);
+        println!("{:14} {}", architecture.word(), pair.now);
         assert!(state.completed && state.errors.is_empty(), "{state:?}");
         pair.now.as_secs_f64()
     });
     let mean = times.iter().sum::<f64>() / 3.0;
     assert!(times.iter().all(|time| (time / mean - 1.0).abs() <= 0.05), "{times:?}");
+}
+
+#[test]
+fn every_scenario_runs_among_peers() {
+    let app = App::new();
+    // The reflector of the tele-surgery is a network of its own.
+    for (name, _) in trocar::app::SCENARIOS.iter().filter(|(name, _)| *name != "tele-liver") {
+        let scenario = app.scenario(name).expect("a scenario");
+        let mut pair = Pair::sharing(&scenario, &path(), &[], false, Architecture::PeerToPeer);
+        pair.run(2_000);
+        let scene = pair.station.snapshot();
+        let (_, me) = scene.iter::<Station>().find(|(entity, _)| entity.station() != 0).expect("its own row");
+        assert!(me.here, "{name}");
+        for report in pair.station.reports() {
+            assert!(report.restarts == 0 && report.rejected == 0, "{name}: {report:?}");
+        }
+        // What moves by itself began a path's delay later here.
+        println!("{name}: {} repairs", repairs(&scene));
+        assert!(repairs(&scene) <= 4, "{name}");
+    }
+}
+
+/// A host that is far from two stations, which are near each other: the first has the left hand, the second the right one.
+struct Trio {
+    host: Session,
+    stations: Vec<Session>,
+    now: SimTime,
+}
+
+impl Trio {
+    fn new(architecture: Architecture, doors: Option<&PairDoors>) -> Self {
+        let app = App::new();
+        let network = Arc::new(LockstepHost::new().expect("a host").with_architecture(architecture));
+        let tickets = ["Ana", "Ben"].map(|name| network.ticket(name, Role::Operate).expect("a ticket"));
+        let options = RunOptions {
+            lockstep: true,
+            network: Network::LockstepHost(network.clone()),
+            ..RunOptions::default()
+        };
+        let mut host = run::start(&app, &liver(2), &options).expect("it starts");
+        let (mut now, mut stations) = (SimTime::ZERO, Vec::<Session>::new());
+        for (at, (ticket, hand)) in tickets.iter().zip(["left", "right"]).enumerate() {
+            let wire = Wire::new(&path(), 7 + at as u64);
+            let number = network.wires().add(wire.clone());
+            let hands = vec![(hand.to_owned(), "virtual".to_owned())];
+            let join =
+                JoinOptions { name: Some(hand.into()), hands: hands.clone(), ..JoinOptions::default() };
+            let mut joining =
+                Joining::over(app.registry(), &join, ticket, &wire, number, now).expect("it can join");
+            if let Some(doors) = doors {
+                joining = joining.with_doors(doors);
+            }
+            while !joining.step(now).expect("it is let in") {
+                now += SimTime::from_millis(4);
+                host.run_until(now);
+                stations.iter_mut().for_each(|station| _ = station.run_until(now));
+                assert!(now < SimTime::from_millis(10_000), "{:?}", joining.trouble());
+            }
+            let station = Arc::new(joining.joined(&wire, number).expect("it is in the session"));
+            let options = RunOptions {
+                lockstep: true,
+                begin: now,
+                hands,
+                network: Network::Station(station.clone()),
+                ..RunOptions::default()
+            };
+            stations.push(run::start(&app, &station.scenario, &options).expect("it starts"));
+        }
+        Self { host, stations, now }
+    }
+
+    fn run(&mut self, millis: u64) {
+        for _ in 0..millis {
+            self.now += SimTime::from_millis(1);
+            self.host.run_until(self.now);
+            self.stations.iter_mut().for_each(|station| _ = station.run_until(self.now));
+        }
+    }
+
+    /// By how many milliseconds the right instrument at the left station follows its hand.
+    fn lag_of_the_other(&mut self) -> usize {
+        self.run(3_000);
+        let (mut there, mut shown) = (Vec::new(), Vec::new());
+        for _ in 0..9_000 {
+            self.run(1);
+            there.push(along_x(&self.stations[1].snapshot(), "hand.right", true));
+            shown.push(along_x(&self.stations[0].snapshot(), "hand.right", false));
+        }
+        lag(&there, &shown)
+    }
+}
+
+#[test]
+fn two_stations_that_are_near_each_other_see_their_hands_by_a_pair_of_their_own() {
+    let near = Impairments::delay(SimTime::from_millis(5));
+    let doors = PairDoors::new(&near, 11);
+    let direct = Trio::new(Architecture::Hybrid, Some(&doors)).lag_of_the_other();
+    let by_host = Trio::new(Architecture::Hybrid, None).lag_of_the_other();
+    println!("by a pair {direct} ms, by the host {by_host} ms");
+    assert!(direct <= 20 && by_host >= 145, "{direct} {by_host}");
+}
+
+#[test]
+fn three_peers_of_whom_each_pair_is_connected_compute_the_same_liver() {
+    let near = Impairments::delay(SimTime::from_millis(5));
+    let mut trio = Trio::new(Architecture::PeerToPeer, Some(&PairDoors::new(&near, 11)));
+    trio.run(3_000);
+    let mut all = Vec::new();
+    for _ in 0..200 {
+        trio.run(50);
+        let scenes = [trio.host.snapshot(), trio.stations[0].snapshot(), trio.stations[1].snapshot()];
+        for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+            all.extend(apart(&scenes[a], &scenes[b]));
+        }
+    }
+    let (p95, most) = (quantile(&mut all, 0.95), quantile(&mut all, 1.0));
+    println!("apart: {:.4} mm (95 %), {:.3} mm at most", p95 * 1e3, most * 1e3);
+    assert!(p95 <= 1e-4 && most <= 4e-3, "{p95} {most}");
+    let times: u32 = trio.stations.iter_mut().map(|station| repairs(&station.snapshot())).sum();
+    assert_eq!(times, 0);
 }

@@ -193,7 +193,7 @@ impl HostSession for TestSession {
                 self.heard.push(format!("{note:?}"));
                 Ok(())
             }
-            RequestKind::PeerTicket { .. } => Ok(()),
+            RequestKind::PeerTicket { .. } | RequestKind::Repair(_) => Ok(()),
         }
     }
 

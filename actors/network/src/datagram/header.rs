@@ -85,7 +85,7 @@ pub enum HeaderError {
     #[error("the datagram is of wire version {0}; this program reads version {WIRE_VERSION}")]
     Version(u8),
     /// The kind is unknown.
-    #[error("the datagram is of kind {0}; kinds are 0 to 6")]
+    #[error("the datagram is of kind {0}; kinds are 0 to 7")]
     Kind(u8),
     /// It has too many hands.
     #[error(
@@ -187,7 +187,7 @@ mod tests {
             Header::decode(&bytes)
         };
         assert_eq!(with(0, 2), Err(HeaderError::Version(2)));
-        assert_eq!(with(1, 7), Err(HeaderError::Kind(7)));
+        assert_eq!(with(1, 8), Err(HeaderError::Kind(8)));
         assert_eq!(with(3, 1), Err(HeaderError::Hands { kind: Kind::Rows, hands: 1 }));
         let mut hands = Header { kind: Kind::Hands, hands: 11, ..header }.encode();
         assert!(Header::decode(&hands).is_ok());

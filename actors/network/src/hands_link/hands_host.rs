@@ -122,7 +122,11 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                 }
             }
             // A host's own pedals are in its scene already.
-            HandsOrder::Press { .. } => {}
+            HandsOrder::Press { .. } | HandsOrder::ServePair { .. } | HandsOrder::ClosePair { .. } => {}
+            // The host is connected to all stations.
+            HandsOrder::OpenPair { connection, .. } => {
+                self.controller.tell(HandsNews::Closed(connection));
+            }
             HandsOrder::Send { connection, parcel } => {
                 let Self { links, controller, out, .. } = self;
                 let link = links.iter_mut().find(|link| link.connection.id() == connection);

@@ -8,7 +8,8 @@ use super::connection::Connection;
 use super::exchange::{self, Ways};
 use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
 use super::playout::{Played, Playout};
-use crate::datagram::{DATAGRAM_MAX, HANDS_MAX};
+use crate::control::STATIONS_MAX;
+use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
 use crate::hand_sample::HandSample;
 use crate::remote_hand::{PedalGate, Presence, StationEnd};
 
@@ -174,8 +175,19 @@ impl StationHand {
     }
 }
 
-/// The connection of a station. Does not allocate after it was made, but for what its orders own.
+/// A connection to another station.
+struct PairLink<A> {
+    station: u16,
+    connection: Box<Connection<A>>,
+    to: Option<A>,
+    serves: HandNumbers,
+    is_worn: bool,
+}
+
+/// The connection of a station to its host, and those to other stations. Does not allocate after it was made, but for what its
+/// orders own.
 pub struct HandsStation<A> {
+    pairs: Vec<PairLink<A>>,
     hands: Vec<StationHand>,
     serves: HandNumbers,
     host: Option<A>,
@@ -191,6 +203,7 @@ impl<A: Copy + PartialEq> HandsStation<A> {
     /// A station with these hands.
     pub fn new(hands: Vec<StationHand>, controller: LinkEnd<A>) -> Self {
         Self {
+            pairs: Vec::with_capacity(STATIONS_MAX),
             hands,
             serves: HandNumbers::default(),
             host: None,
@@ -270,11 +283,69 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                     self.close();
                 }
             }
-            HandsOrder::CloseAll => self.close(),
+            HandsOrder::CloseAll => {
+                self.close();
+                while let Some(pair) = self.pairs.pop() {
+                    self.controller.tell(HandsNews::Closed(pair.connection));
+                }
+            }
+            HandsOrder::OpenPair { station, connection, peer } => {
+                self.close_pair(station);
+                if self.pairs.len() < STATIONS_MAX {
+                    let serves = HandNumbers::default();
+                    self.pairs.push(PairLink { station, connection, to: peer, serves, is_worn: false });
+                } else {
+                    self.controller.tell(HandsNews::Closed(connection));
+                }
+            }
+            HandsOrder::ServePair { station, hands } => {
+                if let Some(pair) = self.pairs.iter_mut().find(|pair| pair.station == station)
+                    && pair.connection.expect_hands(hands.as_slice()).is_ok()
+                {
+                    pair.serves = hands;
+                }
+            }
+            HandsOrder::ClosePair { station } => self.close_pair(station),
             // Nobody diagnoses the path to a station.
             HandsOrder::Echo(echo) => {
                 self.controller.tell(HandsNews::EchoEnded(echo));
             }
+        }
+    }
+
+    fn close_pair(&mut self, station: u16) {
+        if let Some(at) = self.pairs.iter().position(|pair| pair.station == station) {
+            let pair = self.pairs.swap_remove(at);
+            self.controller.tell(HandsNews::Closed(pair.connection));
+        }
+    }
+
+    /// Takes a datagram of another station: the hands that it serves, as the host says.
+    fn take_of_pair(
+        &mut self,
+        at: usize,
+        now: SimTime,
+        from: A,
+        datagram: &mut [u8],
+        send: &mut dyn FnMut(A, &[u8]) -> bool,
+    ) {
+        let Self { pairs, hands, serves, controller, out, .. } = self;
+        let PairLink { connection, serves: theirs, .. } = &mut pairs[at];
+        match exchange::take(connection, now, Some(from), datagram, Ways { controller, send, out }) {
+            Ok(true) => {
+                let own = serves.as_slice();
+                for sample in connection.samples() {
+                    let is_theirs = theirs.as_slice().contains(&sample.hand) && !own.contains(&sample.hand);
+                    if is_theirs
+                        && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
+                        && let Some(playout) = &mut hand.playout
+                    {
+                        playout.push(now, connection.measured_at(sample.hand, now), sample);
+                    }
+                }
+            }
+            Ok(false) => {}
+            Err(_) => self.refused += 1,
         }
     }
 
@@ -340,7 +411,11 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
         datagram: &mut [u8],
         send: &mut dyn FnMut(A, &[u8]) -> bool,
     ) {
-        self.take(now, Some(from), datagram, send);
+        let id = Header::decode(datagram).ok().map(|header| header.connection);
+        match self.pairs.iter().position(|pair| Some(pair.connection.id()) == id) {
+            Some(at) => self.take_of_pair(at, now, from, datagram, send),
+            None => self.take(now, Some(from), datagram, send),
+        }
     }
 
     fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
@@ -349,7 +424,16 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
             self.obey(order, now, send);
         }
         let Self {
-            hands, serves, host, connection: Some(connection), is_worn, controller, samples, out, ..
+            hands,
+            serves,
+            host,
+            connection: Some(connection),
+            pairs,
+            is_worn,
+            controller,
+            samples,
+            out,
+            ..
         } = self
         else {
             return;
@@ -366,6 +450,10 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for HandsStation<A> {
             }
         }
         exchange::send_due(connection, *host, samples, is_worn, now, Ways { controller, send, out });
+        for PairLink { connection, to, is_worn, .. } in pairs.iter_mut() {
+            let to = connection.address().or(*to);
+            exchange::send_due(connection, to, samples, is_worn, now, Ways { controller, send, out });
+        }
     }
 
     fn is_idle(&self) -> bool {

@@ -125,6 +125,27 @@ pub enum HandsOrder<A> {
         /// Its pedals.
         pedals: Pedals,
     },
+    /// A connection to another station begins, at a station; one to the same ends.
+    OpenPair {
+        /// The other station.
+        station: u16,
+        /// Its end here.
+        connection: Box<Connection<A>>,
+        /// Where the other end takes datagrams, if that is known before one has come from there.
+        peer: Option<A>,
+    },
+    /// The other station of a pair serves these hands from now on.
+    ServePair {
+        /// The other station.
+        station: u16,
+        /// The hands.
+        hands: HandNumbers,
+    },
+    /// A pair is over.
+    ClosePair {
+        /// The other station.
+        station: u16,
+    },
     /// A datagram is to go.
     Send {
         /// The connection.

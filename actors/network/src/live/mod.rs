@@ -10,6 +10,7 @@ pub mod interfaces;
 pub mod itp;
 mod leaving;
 mod lookup;
+pub mod pair_door;
 pub mod reach;
 #[cfg(test)]
 mod reach_tests;

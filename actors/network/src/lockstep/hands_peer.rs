@@ -1,5 +1,6 @@
 //! The hands link in virtual time: a peer of the session, stepped every millisecond over wires.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use trocar_kernel::spec::Peer;
@@ -27,8 +28,29 @@ impl Wires {
     }
 }
 
+/// The wires of a station to other stations, with its end of each; clones share them.
+#[derive(Clone, Default)]
+pub struct PairWires(Arc<Mutex<Vec<(Wire, End)>>>);
+
+/// The address of the first of them: far above those of hosts.
+const FIRST_PAIR: usize = 1 << 16;
+
+impl PairWires {
+    /// Adds a wire, and returns the address of its datagrams.
+    pub fn add(&self, wire: Wire, end: End) -> usize {
+        let mut wires = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        wires.push((wire, end));
+        FIRST_PAIR + wires.len() - 1
+    }
+
+    fn all(&self) -> Vec<(Wire, End)> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
 /// A hands link over wires; its addresses are their numbers.
 pub struct HandsPeer {
+    pairs: PairWires,
     name: String,
     link: Box<dyn HandsLink<usize>>,
     wires: Wires,
@@ -38,7 +60,13 @@ pub struct HandsPeer {
 impl HandsPeer {
     /// The link at this end of the wires.
     pub fn new(name: &str, link: Box<dyn HandsLink<usize>>, wires: Wires, end: End) -> Self {
-        Self { name: name.to_owned(), link, wires, end }
+        Self { pairs: PairWires::default(), name: name.to_owned(), link, wires, end }
+    }
+
+    /// The same with wires to other stations.
+    #[must_use]
+    pub fn with_pairs(self, pairs: PairWires) -> Self {
+        Self { pairs, ..self }
     }
 }
 
@@ -52,17 +80,19 @@ impl Peer for HandsPeer {
     }
 
     fn step(&mut self, now: SimTime) {
-        let (wires, end) = (self.wires.all(), self.end);
+        let hosts = self.wires.all().into_iter().map(|wire| (wire, self.end)).enumerate();
+        let pairs = self.pairs.all().into_iter().enumerate().map(|(at, wire)| (FIRST_PAIR + at, wire));
+        let wires: BTreeMap<usize, (Wire, End)> = hosts.chain(pairs).collect();
         let mut send = |to: usize, bytes: &[u8]| {
-            let wire: Option<&Wire> = wires.get(to);
-            if let Some(wire) = wire {
-                wire.send_datagram(end, now, bytes);
+            let wire = wires.get(&to);
+            if let Some((wire, end)) = wire {
+                wire.send_datagram(*end, now, bytes);
             }
             wire.is_some()
         };
-        for (number, wire) in wires.iter().enumerate() {
-            while let Some(mut bytes) = wire.receive_datagram(end, now) {
-                self.link.receive(now, number, &mut bytes, &mut send);
+        for (address, (wire, end)) in &wires {
+            while let Some(mut bytes) = wire.receive_datagram(*end, now) {
+                self.link.receive(now, *address, &mut bytes, &mut send);
             }
         }
         self.link.tick(now, &mut send);

@@ -101,12 +101,20 @@ pub struct WireStationStream {
     /// When the stream is open: a handshake takes two round trips.
     open_at: SimTime,
     handshake: SimTime,
+    /// The address of the wire's datagrams.
+    peer: usize,
 }
 
 impl WireStationStream {
     /// Over the wire that has this number at its host; a handshake takes so long.
     pub fn new(wire: Wire, number: usize, handshake: SimTime) -> Self {
-        Self { wire, number, connection: None, open_at: SimTime::ZERO, handshake }
+        Self { wire, number, connection: None, open_at: SimTime::ZERO, handshake, peer: 0 }
+    }
+
+    /// The same where the wire's datagrams have another address than those to the host.
+    #[must_use]
+    pub fn with_peer(self, peer: usize) -> Self {
+        Self { peer, ..self }
     }
 
     fn is_connected(&self) -> bool {
@@ -115,9 +123,8 @@ impl WireStationStream {
 }
 
 impl StationStream<usize> for WireStationStream {
-    /// A station has one wire.
     fn peer(&self) -> Option<usize> {
-        Some(0)
+        Some(self.peer)
     }
 
     fn connect(&mut self, now: SimTime) {

@@ -131,3 +131,101 @@ pub fn write(
     }
     Ok(entity)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use nalgebra::Point3;
+    use proptest::prelude::*;
+    use trocar_scene::{
+        EntityAllocator, Grasp, Name, Pose, Registry, SimTime, Store, SurfaceMesh, Velocity, VertexPositions,
+    };
+
+    use super::*;
+    use crate::replication::choice::ColumnRates;
+
+    struct Scene {
+        store: Store,
+        commands: Commands,
+    }
+
+    impl Scene {
+        fn apply(&mut self) {
+            self.commands.seal();
+            self.store.apply(&mut self.commands, SimTime::ZERO);
+            self.commands.clear();
+            self.commands.begin(SimTime::ZERO);
+        }
+    }
+
+    /// A body with a mesh of 500 triangles at a height; it has a velocity or a grasp.
+    fn scene(z: f64, moves: bool) -> (Scene, Entity) {
+        let registry = Registry::standard();
+        let store = Store::new(registry.clone());
+        let mut commands = Commands::new(registry, EntityAllocator::new(0, 0));
+        commands.begin(SimTime::ZERO);
+        let body = commands.spawn();
+        let positions = (0..300).map(|at| Point3::new(f64::from(at) * 1e-3, 0.0, z)).collect();
+        commands.put(body, Name("organ".to_owned()));
+        commands.put(body, VertexPositions { positions: Arc::new(positions) });
+        commands.put(body, SurfaceMesh { triangles: Arc::new(vec![[0, 1, 2]; 500]) });
+        if moves {
+            commands.put(body, Velocity::default());
+        } else {
+            let (anchor, since) = (Pose::default(), SimTime::ZERO);
+            commands.put(body, Grasp { held: body, anchor, since, assisted: false });
+        }
+        let mut scene = Scene { store, commands };
+        scene.apply();
+        (scene, body)
+    }
+
+    fn columns() -> ReplicatedColumns {
+        let columns = ReplicatedColumns::new(&Registry::standard(), &ColumnRates::default());
+        columns.expect("the defaults hold").among_peers()
+    }
+
+    #[test]
+    fn a_repair_has_the_rows_that_differ_and_makes_both_bodies_the_same() {
+        let columns = columns();
+        let ((owner, body), (mut peer, _)) = (scene(0.02, true), scene(0.01, false));
+        let asked = request(&peer.store.snapshot(), &columns, body);
+        let answer = answer(&owner.store.snapshot(), &columns, &asked).expect("they differ");
+        assert!(answer.len() < 300 * 24 + 200, "{} bytes: the mesh is the same at both", answer.len());
+        let before = peer.store.snapshot();
+        assert_eq!(write(&answer, &columns, &before, &mut peer.commands), Ok(body));
+        peer.apply();
+        let (ours, theirs) = (peer.store.snapshot(), owner.store.snapshot());
+        assert_eq!(ours.get::<VertexPositions>(body), theirs.get::<VertexPositions>(body));
+        assert_eq!(ours.get::<Velocity>(body), theirs.get::<Velocity>(body));
+        assert_eq!(ours.get::<Grasp>(body), None);
+        let asked = request(&ours, &columns, body);
+        assert_eq!(super::answer(&theirs, &columns, &asked), None, "nothing differs any more");
+    }
+
+    #[test]
+    fn a_repair_of_what_peers_do_not_compute_is_refused() {
+        let columns = columns();
+        let (mut peer, body) = scene(0.01, true);
+        let name = columns.registry().id::<Name>().expect("it is standard");
+        let mut bytes = body.to_bits().to_le_bytes().to_vec();
+        varint::write(u64::from(name.0) + 1, &mut bytes);
+        bytes.extend_from_slice(&[2, 1, b'x', 0]);
+        let before = peer.store.snapshot();
+        let refused = write(&bytes, &columns, &before, &mut peer.commands).expect_err("it is refused");
+        assert!(refused.to_string().contains("a column that peers compute"), "{refused}");
+        let nobody = [u64::MAX.to_le_bytes().to_vec(), vec![0]].concat();
+        assert!(write(&nobody, &columns, &before, &mut peer.commands).is_err());
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_a_repair_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            let columns = columns();
+            let (mut peer, body) = scene(0.01, true);
+            let before = peer.store.snapshot();
+            let _ = write(&[&body.to_bits().to_le_bytes()[..], &bytes].concat(), &columns, &before, &mut peer.commands);
+        }
+    }
+}

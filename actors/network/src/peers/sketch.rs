@@ -272,3 +272,114 @@ fn discrete(scene: &Snapshot, entity: Entity) -> u32 {
     let [a, b, c, d, ..] = *hash.as_bytes();
     u32::from_le_bytes([a, b, c, d])
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use nalgebra::Vector3;
+    use proptest::prelude::*;
+    use trocar_scene::{Commands, EntityAllocator, Registry, SimTime, Store};
+
+    use super::*;
+
+    /// A scene with a soft body whose vertices are moved by this, a ring at a place, and an instrument that holds it or nothing.
+    fn scene(shift: impl Fn(usize) -> Vector3<f64>, x: f64, holds: bool) -> (Snapshot, [Entity; 3]) {
+        let registry = Registry::standard();
+        let mut store = Store::new(registry.clone());
+        let mut commands = Commands::new(registry, EntityAllocator::new(0, 0));
+        commands.begin(SimTime::ZERO);
+        let [organ, ring, tool] = [commands.spawn(), commands.spawn(), commands.spawn()];
+        let vertex = |at: usize| Point3::new(at as f64 * 1e-3, (at % 17) as f64 * 1e-3, 0.02) + shift(at);
+        let positions = Arc::new((0..5_000).map(vertex).collect::<Vec<_>>());
+        commands.put(organ, VertexPositions { positions });
+        commands.put(ring, RigidBody { motion: Motion::Dynamic, ..RigidBody::default() });
+        commands.put(ring, Pose::at(x, 0.0, 0.1));
+        commands.put(tool, trocar_scene::Instrument::default());
+        if holds {
+            let (anchor, since) = (Pose::default(), SimTime::ZERO);
+            commands.put(tool, Grasp { held: ring, anchor, since, assisted: false });
+        }
+        commands.seal();
+        store.apply(&mut commands, SimTime::ZERO);
+        (store.snapshot(), [organ, ring, tool])
+    }
+
+    fn all(scene: &Snapshot, number: u64) -> Vec<BodySketch> {
+        bodies(scene).into_iter().flat_map(|body| of(scene, body, number)).collect()
+    }
+
+    /// The largest distance that sketches of this number find.
+    fn distance(a: &Snapshot, b: &Snapshot, number: u64) -> f64 {
+        let pairs = all(a, number).into_iter().zip(all(b, number));
+        let by = |(a, b): (BodySketch, BodySketch)| match a.apart(&b) {
+            Apart::By { distance, .. } => distance,
+            Apart::Otherwise => f64::INFINITY,
+        };
+        pairs.map(by).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn sketches_come_back_in_payloads_that_fit_into_datagrams() {
+        let (scene, _) = scene(|_| Vector3::zeros(), 0.3, true);
+        let sketches = all(&scene, 7);
+        assert_eq!(sketches.len(), 4, "the organ's 79 chunks are two parts");
+        let payloads = write(7, &sketches);
+        assert!(payloads.len() > 1 && payloads.iter().all(|payload| payload.len() <= ROWS_PAYLOAD_MAX));
+        let bytes: usize = payloads.iter().map(Vec::len).sum();
+        assert!(bytes < 1_500, "{bytes} bytes for 5,000 vertices, a ring and an instrument");
+        let mut read_again = Vec::new();
+        for payload in &payloads {
+            let (number, read) = read(payload).expect("it reads");
+            assert_eq!(number, 7);
+            read_again.extend(read);
+        }
+        assert_eq!(read_again.len(), sketches.len());
+        for (read, written) in read_again.iter().zip(&sketches) {
+            assert!(
+                matches!(read.apart(written), Apart::By { distance, angle } if distance < 1e-7 && angle < 1e-3)
+            );
+        }
+    }
+
+    #[test]
+    fn a_sketch_tells_how_far_two_livers_are_apart_and_not_whether_they_are_the_same_bits() {
+        let (one, _) = scene(|_| Vector3::zeros(), 0.3, true);
+        // 10 µm everywhere, as two peers are; 3 mm along z in one chunk.
+        let (near, _) = scene(|at| Vector3::new(1e-5 * (at as f64).sin(), 1e-5, 0.0), 0.3 + 1e-5, true);
+        let (far, _) = scene(|at| Vector3::z() * if at / 64 == 20 { 3e-3 } else { 0.0 }, 0.3, true);
+        let numbers = 0..64;
+        let found: Vec<f64> = numbers.clone().map(|number| distance(&one, &near, number)).collect();
+        assert!(found.iter().all(|distance| (1e-6..1e-4).contains(distance)), "{found:?}");
+        let found: Vec<f64> = numbers.map(|number| distance(&one, &far, number)).collect();
+        let seen = found.iter().filter(|distance| **distance > 1e-3).count();
+        assert!(seen >= 56, "{seen} of 64 sketches find it");
+        let mean_square = found.iter().map(|distance| distance * distance).sum::<f64>() / 64.0;
+        assert!((mean_square.sqrt() / 3e-3 - 1.0).abs() < 0.25, "{}", mean_square.sqrt());
+    }
+
+    #[test]
+    fn what_has_no_distance_differs_otherwise() {
+        let (one, [_, ring, tool]) = scene(|_| Vector3::zeros(), 0.3, true);
+        let (other, _) = scene(|_| Vector3::zeros(), 0.35, false);
+        let apart = |body: Entity| of(&one, body, 1)[0].apart(&of(&other, body, 1)[0]);
+        assert_eq!(apart(tool), Apart::Otherwise);
+        assert!(matches!(apart(ring), Apart::By { distance, .. } if (distance - 0.05).abs() < 1e-6));
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_are_sketches_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            let _ = read(&bytes);
+        }
+
+        #[test]
+        fn a_flipped_bit_never_panics(at in any::<prop::sample::Index>(), bit in 0..8_u8) {
+            let (scene, _) = scene(|_| Vector3::zeros(), 0.3, true);
+            let mut payload = write(7, &all(&scene, 7)).remove(0);
+            let at = at.index(payload.len());
+            payload[at] ^= 1 << bit;
+            let _ = read(&payload);
+        }
+    }
+}

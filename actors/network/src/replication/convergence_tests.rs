@@ -357,7 +357,7 @@ fn what_a_station_serves_itself_is_never_sent_to_it_and_comes_when_it_is_handed_
     pair.settle(SimTime::from_millis(1_000));
     assert_eq!(mine(&pair), Some(2.0));
     pair.assert_equal();
-    let many = (0..2_000).map(|counter| (pose, Entity::new(0, 0, counter))).collect();
+    let many: delta::RowSet = (0..2_000).map(|counter| (pose, Entity::new(0, 0, counter))).collect();
     assert!(!pair.feed.exclude(many));
 }
 

@@ -24,6 +24,7 @@ use crate::control::{
 use crate::datagram::{Keys, Kind, Side};
 use crate::hands_link::{Connection, ControllerEnd, HandNumbers, HandsNews, HandsOrder, Parcel};
 use crate::haptic::{LinkPoint, LinkQuality, LinkSummary, SenderConfig};
+use crate::pairs::{PairDoor, PairMachine};
 use crate::peers::comparison::ComparisonCounts;
 use crate::replication::choice::ReplicatedColumns;
 use crate::replication::replica::{Replica, ReplicaCounts};
@@ -41,6 +42,8 @@ const CARRIED_MAX: usize = 8;
 const DELTAS_MAX: usize = 64;
 /// Notes and refusals that wait for the actor.
 const NEWS_MAX: usize = 256;
+/// Invitations that wait for the next step.
+const INVITED_MAX: usize = 64;
 
 /// What a station is.
 #[derive(Clone)]
@@ -106,6 +109,10 @@ pub struct StationMachine<A> {
     replica: Option<Replica>,
     /// Among peers.
     peer: Option<PeerRepair>,
+    /// Where hands go to other stations directly.
+    pairs: Option<PairMachine<A>>,
+    /// Invitations of other stations.
+    invited: VecDeque<(u16, Vec<u8>)>,
     /// The number of the open connection, and since when it has served its hands.
     connection: Option<u32>,
     serves: Vec<u8>,
@@ -155,6 +162,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             columns: None,
             replica: None,
             peer: None,
+            pairs: None,
+            invited: VecDeque::new(),
             connection: None,
             serves: Vec::new(),
             built: None,
@@ -314,6 +323,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         self.build(now, scene, out);
         self.follow(now, out);
         self.repair(now, scene, out);
+        self.pair(now);
         self.acknowledge(now);
         self.press(now, scene);
         self.flush(now);
@@ -385,7 +395,7 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
 
     fn hear(&mut self, now: SimTime) {
         let mut heard = Heard::default();
-        let Self { control, received, deltas, news, stations, replica, carrier, peer, .. } = self;
+        let Self { control, received, deltas, news, stations, replica, carrier, peer, invited, .. } = self;
         let mut failed = None;
         control.receive(received, now, &mut |event| match event {
             ClientEvent::Welcomed(welcome) => {
@@ -417,9 +427,12 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
                 }
             }
             ClientEvent::Answer { refusal: Some(refusal), .. } => push(news, StationNews::Refused(refusal)),
-            ClientEvent::Answer { refusal: None, .. }
-            | ClientEvent::PeerTicket { .. }
-            | ClientEvent::Clock(_) => {}
+            ClientEvent::Answer { refusal: None, .. } | ClientEvent::Clock(_) => {}
+            ClientEvent::PeerTicket { from, ticket } => {
+                if invited.len() < INVITED_MAX {
+                    invited.push_back((from, ticket));
+                }
+            }
             ClientEvent::Carried { hears, taken, datagram } => carrier.arrived(hears, taken, datagram),
             ClientEvent::Rekey(phase) => heard.rekey = Some(phase),
         });
@@ -644,6 +657,30 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             let _ = replica.receive_rows(parcel.payload(), out);
         }
         replica.put_vertices(out);
+    }
+
+    /// Hands go to other stations directly through this door.
+    pub fn with_pairs(mut self: Box<Self>, door: Box<dyn PairDoor<A>>) -> Box<Self> {
+        self.pairs = Some(PairMachine::new(door, self.hands.clone(), self.sender, self.secret));
+        self
+    }
+
+    /// The stations to which hands go directly.
+    pub fn paired(&self) -> Vec<u16> {
+        self.pairs.iter().flat_map(PairMachine::stations).collect()
+    }
+
+    /// Goes on with the pairs. The host passes invitations on; one that it does not is made again when the station comes back.
+    fn pair(&mut self, now: SimTime) {
+        let me = self.station();
+        let Some(pairs) = &mut self.pairs else { return };
+        self.invited.drain(..).for_each(|(from, ticket)| pairs.invited(from, &ticket, now));
+        if self.control.state() != ClientState::Running {
+            return;
+        }
+        for (to, ticket) in pairs.step(now, me, &self.stations) {
+            let _ = self.control.request(RequestKind::PeerTicket { to, ticket }, now);
+        }
     }
 
     /// Among peers: asks the owner for bodies that differ, and writes what it has answered.

@@ -37,7 +37,7 @@ fn a_second_program_joins_with_its_own_hand_and_a_third_looks_on() {
     let join = ["join", "--name", "Ana", "--hand", "left=virtual", "--seconds", "4"];
     let joined = station(folder.path(), &host.tickets[0], &join);
     assert_eq!(joined.status.code(), Some(0), "{}", stderr(&joined));
-    assert_eq!(controllers(&joined), ["network", "touch", "haptics.left"]);
+    assert_eq!(controllers(&joined), ["network", "network.touch", "haptics.left"]);
     let watched = station(folder.path(), &host.tickets[1], &["watch", "--name", "Bo", "--seconds", "2"]);
     assert_eq!(watched.status.code(), Some(0), "{}", stderr(&watched));
     assert_eq!(controllers(&watched), ["network"]);

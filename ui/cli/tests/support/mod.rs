@@ -6,6 +6,7 @@ pub mod pair;
 pub mod party;
 pub mod projects;
 pub mod screen;
+pub mod shared_liver;
 
 use std::path::Path;
 use std::process::{Command, Output};

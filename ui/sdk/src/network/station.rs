@@ -19,9 +19,11 @@ use trocar_network::hands_link::{
     ControllerEnd, HandsLink, HandsStation, LinkEnd, StationHand, hands_channel,
 };
 use trocar_network::haptic::SenderConfig;
+use trocar_network::live::pair_door::PairSockets;
 use trocar_network::live::sockets;
 use trocar_network::live::tls_station_stream::TlsStationStream;
-use trocar_network::lockstep::{End, HandsPeer, Wire, WireStationStream, Wires};
+use trocar_network::lockstep::{End, HandsPeer, PairDoors, PairWires, Wire, WireStationStream, Wires};
+use trocar_network::pairs::PairDoor;
 use trocar_network::remote_hand::{DoorLimits, RemoteHand};
 use trocar_network::session::{MachineSlot, StationController, StationError, StationMachine, StationSetup};
 use trocar_network::streams::StationStream;
@@ -78,9 +80,12 @@ pub struct Joining<A> {
     link: LinkEnd<A>,
     devices: Vec<String>,
     moves: bool,
+    is_insecure: bool,
     registry: Arc<Registry>,
     /// Since the welcome.
     begun: Option<Begun>,
+    /// In virtual time: the doors of the session's stations.
+    doors: Option<PairDoors>,
 }
 
 struct Begun {
@@ -111,14 +116,19 @@ pub struct Station {
     pub moves: bool,
     /// The secret with which the station comes back after its program has ended: [`JoinOptions::resume`].
     pub resume: ResumeSecret,
+    /// Whether its datagrams are without protection.
+    is_insecure: bool,
     clock: Option<Clock>,
     parts: Mutex<Option<Parts>>,
 }
 
 enum Parts {
     Live { joined: Joined<SocketAddr>, peer: SocketAddr },
-    Lockstep { joined: Joined<usize>, wire: Wire },
+    Lockstep { joined: Joined<usize>, wire: Wire, doors: Option<PairDoors> },
 }
+
+/// Makes the door to other stations, for a machine that is made again.
+type DoorFactory<A> = Box<dyn Fn() -> Result<Box<dyn PairDoor<A>>, String> + Send + Sync>;
 
 /// Makes a stream to the host, for a machine that is made again.
 type Redial<A> = Box<dyn Fn() -> Result<Box<dyn StationStream<A>>, String> + Send + Sync>;
@@ -173,8 +183,10 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             link,
             devices: options.hands.iter().map(|(hand, _)| hand.clone()).collect(),
             moves: options.play,
+            is_insecure: options.insecure,
             registry: registry.clone(),
             begun: None,
+            doors: None,
         })
     }
 
@@ -230,7 +242,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
         redial: Redial<A>,
         parts: impl FnOnce(Joined<A>) -> Parts,
     ) -> Option<Station> {
-        let Self { machine, setup, controller, link, moves, begun, .. } = self;
+        let Self { machine, setup, controller, link, moves, is_insecure, begun, .. } = self;
         let Begun { scenario, store, .. } = begun?;
         let Welcome { station, role, session, .. } = machine.welcome()?.clone();
         let (Credential::Ticket { resume, .. } | Credential::Resume { resume }) = setup.credential.clone();
@@ -246,6 +258,7 @@ impl<A: Copy + PartialEq + Send + 'static> Joining<A> {
             architecture: session.architecture,
             moves,
             resume,
+            is_insecure,
             clock,
             parts: Mutex::new(Some(parts(Joined {
                 machine: Box::new(machine),
@@ -276,15 +289,22 @@ impl Joining<usize> {
         Self::new(registry, &standing, credential(ticket, options)?, Box::new(stream), now)
     }
 
+    /// Hands go to other stations directly, by the session's doors, if its architecture has that.
+    #[must_use]
+    pub fn with_doors(self, doors: &PairDoors) -> Self {
+        Self { doors: Some(doors.clone()), ..self }
+    }
+
     /// The station, once it is in the session.
     pub fn joined(self, wire: &Wire, number: usize) -> Option<Station> {
         let wire = wire.clone();
+        let doors = self.doors.clone();
         let other = wire.clone();
         let redial = move || {
             let stream = WireStationStream::new(other.clone(), number, HANDSHAKE);
             Ok(Box::new(stream) as Box<dyn StationStream<usize>>)
         };
-        self.station(None, Box::new(redial), |joined| Parts::Lockstep { joined, wire })
+        self.station(None, Box::new(redial), |joined| Parts::Lockstep { joined, wire, doors })
     }
 }
 
@@ -428,17 +448,37 @@ pub(crate) fn stationed(
     let parts = station.parts.lock().unwrap_or_else(PoisonError::into_inner).take();
     match parts {
         Some(Parts::Live { joined, peer }) => {
-            let socket = sockets::station(&peer)?;
-            let (actor, last_word, link) = blueprint(joined, faults.clone());
+            let pairs = match station.architecture != Architecture::ClientServer && !station.is_insecure {
+                true => {
+                    Some(PairSockets::bind(&peer, &plain_name("station")?).map_err(NetworkError::System)?)
+                }
+                false => None,
+            };
+            let socket = match &pairs {
+                Some(pairs) => pairs.datagrams().map_err(NetworkError::System)?,
+                None => sockets::station(&peer)?,
+            };
+            let door = pairs.map(|pairs| {
+                let door = move || pairs.door().map(|door| Box::new(door) as Box<dyn PairDoor<SocketAddr>>);
+                Box::new(door) as DoorFactory<SocketAddr>
+            });
+            let (actor, last_word, link) = blueprint(joined, faults.clone(), door)?;
             let link = faults.hands(Box::new(HandsStation::new(hands.0, link)));
             Ok(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word, fault_sinks })
         }
-        Some(Parts::Lockstep { joined, wire }) => {
-            let (actor, last_word, link) = blueprint(joined, faults.clone());
+        Some(Parts::Lockstep { joined, wire, doors }) => {
+            let pairs = PairWires::default();
+            let has_pairs = station.architecture != Architecture::ClientServer;
+            let door = doors.filter(|_| has_pairs).map(|doors| {
+                let own = pairs.clone();
+                let door = move || Ok(Box::new(doors.open(own.clone())) as Box<dyn PairDoor<usize>>);
+                Box::new(door) as DoorFactory<usize>
+            });
+            let (actor, last_word, link) = blueprint(joined, faults.clone(), door)?;
             let link: Box<dyn HandsLink<usize>> = faults.hands(Box::new(HandsStation::new(hands.0, link)));
             let wires = Wires::default();
             wires.add(wire);
-            let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station);
+            let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station).with_pairs(pairs);
             Ok(TakingPart { actor, part: NetworkPart::Lockstep(Box::new(peer)), last_word, fault_sinks })
         }
         None => Err(NetworkError::System("the station's session has ended; join again".to_owned())),
@@ -449,9 +489,14 @@ pub(crate) fn stationed(
 fn blueprint<A: Copy + PartialEq + Send + 'static>(
     joined: Joined<A>,
     faults: Faults,
-) -> (Factory, LastWord, LinkEnd<A>) {
+    door: Option<DoorFactory<A>>,
+) -> Result<(Factory, LastWord, LinkEnd<A>), NetworkError> {
     let Joined { machine, setup, controller, link, redial } = joined;
     let machine = machine.over(|stream| faults.station_stream(stream));
+    let machine = match &door {
+        Some(door) => machine.with_pairs(door().map_err(NetworkError::System)?),
+        None => machine,
+    };
     let parts = machine.parts();
     let slot = MachineSlot::new(*machine);
     let ended = slot.clone();
@@ -461,18 +506,15 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(
         let lost = || ControllerError::Failed("the network died before it was in the session".to_owned());
         let parts = parts.clone().ok_or_else(lost)?;
         let stream = faults.station_stream(redial().map_err(ControllerError::Failed)?);
-        Ok::<_, ControllerError>(StationMachine::again(
-            setup.clone(),
-            stream,
-            controller.clone(),
-            parts,
-            scene,
-            now,
-        ))
+        let machine = StationMachine::again(setup.clone(), stream, controller.clone(), parts, scene, now);
+        Ok::<_, ControllerError>(match &door {
+            Some(door) => *Box::new(machine).with_pairs(door().map_err(ControllerError::Failed)?),
+            None => machine,
+        })
     };
     let factory = move |context: &BuildContext<'_>| {
         let machine = slot.take_or_make(|| again(context.scene, context.time))?;
         Ok(Box::new(StationController::new(context, machine)) as Box<dyn Controller>)
     };
-    (Arc::new(factory), Box::new(last_word), link)
+    Ok((Arc::new(factory), Box::new(last_word), link))
 }
