@@ -14,6 +14,7 @@
 //! `read` and `write` run up to 10,000 times a second at the highest priority: no allocation, no lock, no log, no
 //! blocking. A device never reads a clock: time is passed to it.
 
+use std::any::Any;
 use std::ops::Mul;
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
@@ -160,9 +161,16 @@ pub struct HandIntent {
     pub pose_in_device: Isometry3<f64>,
     /// Desired opening angle of the gripper \[rad\].
     pub gripper: f64,
+    /// Buttons and pedals that are pressed, as bits of [`DeviceState::buttons`].
+    pub buttons: u32,
 }
 
 impl HandIntent {
+    /// To be at this pose with the gripper this far open \[rad\], and to press nothing.
+    pub fn at(pose_in_device: Isometry3<f64>, gripper: f64) -> Self {
+        Self { pose_in_device, gripper, buttons: 0 }
+    }
+
     /// Whether no number is NaN or infinite and the rotation is of unit length within 1e-6.
     pub fn is_valid(&self) -> bool {
         pose_is_valid(&self.pose_in_device) && self.gripper.is_finite()
@@ -297,6 +305,12 @@ pub trait HapticDevice: Send {
         None
     }
 
+    /// The device itself, for whoever has made it and has to reach it behind this interface; `None` for devices that need
+    /// none of that.
+    fn as_any(&mut self) -> Option<&mut dyn Any> {
+        None
+    }
+
     /// Continues from the state measured at `now_ns`, with the human's target `intent`. Only needed for devices with
     /// state that support [`HapticDevice::fork`].
     fn resume(&mut self, _now_ns: u64, _state: &DeviceState, _intent: &HandIntent) {}
@@ -326,6 +340,9 @@ impl<T: HapticDevice + ?Sized> HapticDevice for Box<T> {
     }
     fn fork(&self) -> Option<Box<dyn HapticDevice>> {
         (**self).fork()
+    }
+    fn as_any(&mut self) -> Option<&mut dyn Any> {
+        (**self).as_any()
     }
     fn resume(&mut self, now_ns: u64, state: &DeviceState, intent: &HandIntent) {
         (**self).resume(now_ns, state, intent);

@@ -66,7 +66,7 @@ impl ReplayHand {
 }
 
 fn aim_of(state: &DeviceState) -> HandIntent {
-    HandIntent { pose_in_device: state.pose_in_device, gripper: state.gripper }
+    HandIntent::at(state.pose_in_device, state.gripper)
 }
 
 impl HapticDevice for ReplayHand {

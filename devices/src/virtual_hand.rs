@@ -67,7 +67,7 @@ impl VirtualHand {
             open: false,
             now_ns: None,
             wrench: Wrench::ZERO,
-            aim: HandIntent { pose_in_device: start, gripper: 0.0 },
+            aim: HandIntent::at(start, 0.0),
             position: start.translation.vector,
             velocity: Vector3::zeros(),
             orientation: start.rotation,
@@ -210,7 +210,7 @@ impl VirtualHand {
             angular_velocity: before.angular_velocity
                 + share * (self.angular_velocity - before.angular_velocity),
             gripper: self.gripper,
-            buttons: 0,
+            buttons: self.aim.buttons,
             connected: true,
         };
     }
@@ -268,7 +268,7 @@ impl HapticDevice for VirtualHand {
         if !state.is_valid() || !intent.is_valid() {
             return;
         }
-        self.place(&HandIntent { pose_in_device: state.pose_in_device, gripper: state.gripper });
+        self.place(&HandIntent::at(state.pose_in_device, state.gripper));
         self.aim = *intent;
         self.velocity = state.linear_velocity;
         self.angular_velocity = state.angular_velocity;

@@ -31,7 +31,7 @@ fn calls_while_stepping(mut device: impl HapticDevice) -> u64 {
         let sample = controller.sample();
         let force = -200.0 * sample.state.pose_in_device.translation.vector;
         let x = 0.01 * (step as f64 * 0.01).sin();
-        let intent = HandIntent { pose_in_device: Isometry3::translation(x, 0.0, 0.0), gripper: x };
+        let intent = HandIntent::at(Isometry3::translation(x, 0.0, 0.0), x);
         let command = DeviceCommand {
             epoch: 1,
             time_ns: now_ns,

@@ -274,7 +274,7 @@ fn play(device: Box<dyn HapticDevice>, intents: bool) -> Vec<DeviceSample> {
             if intents {
                 let pose_in_device =
                     nalgebra::Isometry3::translation(0.02 * (ms as f64 * 0.01).sin(), 0.0, 0.0);
-                command.intent = Some(HandIntent { pose_in_device, gripper: 0.3 });
+                command.intent = Some(HandIntent::at(pose_in_device, 0.3));
             }
             link.command(command);
             bench.step()

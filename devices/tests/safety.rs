@@ -221,7 +221,7 @@ fn nan_and_infinity_are_refused_and_the_last_force_fades() {
     for step in 0..20 {
         let mut command = force(1, bench.now_ns + MS, [f64::NAN, f64::INFINITY, 2.0, 2.0][step % 4]);
         match step % 4 {
-            2 => command.intent = Some(HandIntent { pose_in_device: bad_pose, gripper: 0.0 }),
+            2 => command.intent = Some(HandIntent::at(bad_pose, 0.0)),
             3 => command.wrench.torque.z = f64::NEG_INFINITY,
             _ => {}
         }

@@ -32,7 +32,7 @@ fn x_of(state: &DeviceState) -> f64 {
 }
 
 fn aim(x: f64) -> HandIntent {
-    HandIntent { pose_in_device: Isometry3::translation(x, 0.0, 0.0), gripper: 0.0 }
+    HandIntent::at(Isometry3::translation(x, 0.0, 0.0), 0.0)
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn the_orientation_follows_the_aim_without_overshoot_even_from_half_a_turn() {
         let mut hand = open(VirtualHandConfig::default());
         let target = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);
         let pose = Isometry3::from_parts(Vector3::zeros().into(), target);
-        hand.set_intent(0, &HandIntent { pose_in_device: pose, gripper: 0.0 });
+        hand.set_intent(0, &HandIntent::at(pose, 0.0));
         let mut left = angle;
         for ms in 1..=1_500_u64 {
             let state = hand.read(ms * MS).unwrap();

@@ -456,6 +456,7 @@ fn hands_and_tasks(formats: &mut Formats) {
     );
     formats.check(DeviceForce { force: v(2.0), torque: v(0.01), at: SimTime(7) }, true);
     formats.check(HandTarget { handle_in_device: pose(), gripper: 0.6 }, true);
+    formats.check(PressTarget { buttons: 3, energy: true, coagulate: false }, true);
     formats.check(
         VirtualFixture {
             force: v(0.5),

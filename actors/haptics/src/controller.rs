@@ -5,14 +5,14 @@
 //! direction of its predecessor, and the driver, which keeps the energy, ramps its force in.
 
 use nalgebra::{Isometry3, Vector3};
-use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HAS_PEDALS, HandIntent};
+use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HAS_PEDALS, HandIntent, Pedals};
 use trocar_scene::kinematics::coupling::{InstrumentCoupling, Transmission};
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::kinematics::spatial::{Twist, Wrench};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, DeviceForce, DeviceState, Entity, EntitySet,
     Hand, HandTarget, HapticStatus, Instrument, InstrumentForce, InstrumentTarget, LocalContactModel, Port,
-    Pose, Revision, SimTime, Snapshot, StationContactModel, Tick, Velocity, VirtualFixture,
+    Pose, PressTarget, Revision, SimTime, Snapshot, StationContactModel, Tick, Velocity, VirtualFixture,
 };
 
 use crate::config::{HapticsConfig, HapticsError};
@@ -322,10 +322,21 @@ impl HapticsController {
     /// The virtual trainee's target for the hand, if present and valid.
     fn intent(&self, scene: &Snapshot) -> Option<HandIntent> {
         let target = scene.get::<HandTarget>(self.hand)?;
-        let intent =
-            HandIntent { pose_in_device: target.handle_in_device.isometry(), gripper: target.gripper };
+        let buttons = scene.get::<PressTarget>(self.hand).map_or(0, pressed);
+        let pose_in_device = target.handle_in_device.isometry();
+        let intent = HandIntent { pose_in_device, gripper: target.gripper, buttons };
         intent.is_valid().then_some(intent)
     }
+}
+
+/// What a virtual trainee presses, as a device with pedals says it.
+pub fn pressed(target: &PressTarget) -> u32 {
+    let pedals = match (target.coagulate, target.energy) {
+        (true, _) => Pedals::Coagulate,
+        (false, true) => Pedals::Energy,
+        (false, false) => Pedals::Released,
+    };
+    u32::from(target.buttons) | pedals.buttons()
 }
 
 impl Controller for HapticsController {
@@ -334,6 +345,7 @@ impl Controller for HapticsController {
         Access::new()
             .reads::<Hand>()
             .reads::<HandTarget>()
+            .reads::<PressTarget>()
             .reads::<Instrument>()
             .reads::<Port>()
             .reads::<Pose>()

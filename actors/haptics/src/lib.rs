@@ -22,5 +22,5 @@ pub mod renderer;
 pub mod virtual_fixture;
 
 pub use config::{HapticsConfig, HapticsError};
-pub use controller::HapticsController;
+pub use controller::{HapticsController, pressed};
 pub use trocar_scene::kinematics::{coupling, fulcrum, hand_rig, registration, spatial};

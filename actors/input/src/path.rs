@@ -49,6 +49,8 @@ pub struct Step {
     pub level: Option<f64>,
     /// Electrosurgical mode from then on; else the instrument's own setting.
     pub mode: Option<ActivationMode>,
+    /// Buttons of the handle that are pressed throughout, bit `n` for button `n`: for hands with `press_target`.
+    pub buttons: Option<u16>,
     /// At uniform speed, for even cuts and burns; else it starts and ends at rest.
     pub uniform: bool,
 }
@@ -76,6 +78,8 @@ pub struct Moment {
     pub level: f64,
     /// Electrosurgical mode.
     pub mode: Option<ActivationMode>,
+    /// Buttons of the handle that are pressed, bit `n` for button `n`.
+    pub buttons: u16,
 }
 
 /// A checked path: the start of each step, and the step.
@@ -104,6 +108,7 @@ impl Path {
                 moment.level = level;
             }
             moment.mode = step.mode.or(moment.mode);
+            moment.buttons = step.buttons.unwrap_or(moment.buttons);
             legs.push((secs, moment, *step));
             moment = moment_within(&moment, step, 1.0);
             secs += step.seconds;
@@ -197,6 +202,7 @@ mod tests {
             closing_in_world: Vector3::x(),
             level: 0.0,
             mode: None,
+            buttons: 0,
         }
     }
 

@@ -5,7 +5,7 @@ use trocar_scene::kinematics::coupling::InstrumentCoupling;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
     Access, Activation, ActivationMode, BuildContext, Commands, Controller, ControllerError, DeviceState,
-    Entity, EntitySet, Hand, HandTarget, Snapshot, Tick,
+    Entity, EntitySet, Hand, HandTarget, PressTarget, Snapshot, Tick,
 };
 
 use crate::path::{Moment, Path, Step};
@@ -31,6 +31,8 @@ pub struct PathController {
     rig: HandRig,
     path: Path,
     activates: bool,
+    /// Whether the hand has pedals: they are pressed, and not the instrument switched.
+    presses: bool,
     /// Last written level and mode.
     told: Option<(f64, Option<ActivationMode>)>,
 }
@@ -61,10 +63,12 @@ impl PathController {
             closing_in_world: home.rotation * nalgebra::Vector3::x(),
             level: 0.0,
             mode: None,
+            buttons: 0,
         };
         let path = Path::new(start, &config.step).map_err(wrong)?;
         let activates = config.step.iter().any(|step| step.level.is_some() || step.mode.is_some());
-        Ok(Self { hand, rig, path, activates, told: None })
+        let presses = scene.get::<PressTarget>(hand).is_some();
+        Ok(Self { hand, rig, path, activates, presses, told: None })
     }
 
     fn target(&self, moment: &Moment) -> HandTarget {
@@ -84,19 +88,36 @@ impl PathController {
     }
 }
 
+/// What a foot and fingers press at this moment: pedals are up or down.
+fn pressed_at(moment: &Moment) -> PressTarget {
+    let is_down = moment.level > 0.0;
+    let coagulate = is_down && moment.mode == Some(ActivationMode::Coagulate);
+    PressTarget { buttons: moment.buttons, energy: is_down && !coagulate, coagulate }
+}
+
 impl Controller for PathController {
     fn access(&self) -> Access {
-        Access::new()
+        let access = Access::new()
             .reads::<DeviceState>()
             .reads::<Activation>()
             .writes::<Activation>(EntitySet::Of(vec![self.rig.instrument]))
-            .writes::<HandTarget>(EntitySet::Of(vec![self.hand]))
+            .writes::<HandTarget>(EntitySet::Of(vec![self.hand]));
+        if !self.presses {
+            return access;
+        }
+        access.reads::<PressTarget>().writes::<PressTarget>(EntitySet::Of(vec![self.hand]))
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let moment = self.path.at(tick.time.as_secs_f64());
         out.put(self.hand, self.target(&moment));
-        let scripted = self.activates.then_some((moment.level, moment.mode));
+        if self.presses {
+            let press = pressed_at(&moment);
+            if scene.get::<PressTarget>(self.hand) != Some(&press) {
+                out.put(self.hand, press);
+            }
+        }
+        let scripted = (self.activates && !self.presses).then_some((moment.level, moment.mode));
         // A script that switches nothing still lets go of what pedals have switched on.
         let is_on = || scene.get::<Activation>(self.rig.instrument).is_some_and(|asked| asked.level > 0.0);
         let let_go = || is_on().then_some((0.0, None));

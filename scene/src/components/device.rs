@@ -155,6 +155,20 @@ impl HandTarget {
     }
 }
 
+/// What a virtual trainee presses at its hand: buttons of the handle, and pedals. A hand that has it in the scenario has
+/// pedals, and they alone switch its instrument: what is pressed goes the way of the hand's motion, over a network too.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Component)]
+#[component(name = "press_target", schema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PressTarget {
+    /// Buttons of the handle: bit `n` is set while button `n` is pressed, 0 to 15.
+    pub buttons: u16,
+    /// The pedal for the instrument's own current.
+    pub energy: bool,
+    /// The pedal for coagulation; it goes before the other.
+    pub coagulate: bool,
+}
+
 /// Restart state and status of a haptics controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Component)]
 #[component(name = "haptic_status", record = RecordPolicy::sampled(10.0, 1e-7), schema)]

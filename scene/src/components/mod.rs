@@ -26,7 +26,7 @@ pub use deformation::{
     Anchors, Frozen, HeatFrozen, MeshRemarks, MeshRepaired, OutOfValidity, Region, RestPositions,
     VertexVelocities,
 };
-pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, Side};
+pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, PressTarget, Side};
 pub use field::{ScalarField, ScalarFields};
 pub use graph::{Name, Parent, Pose, Velocity};
 pub use instrument::{
@@ -71,7 +71,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
         VisualMaterial, Light, Camera, Optics, HeadTracked,
         RigidBody, Joints, JointFrames, JointState, Tissue, Sources, Temperature, Burn, ScalarFields, Particles,
         Instrument, Port, InstrumentTarget, JawState, Activation, InstrumentForce, Grasp, LocalContactModel,
-        Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, HapticStatus, PersonInput, VirtualFixture,
+        Hand, DeviceInfo, DeviceState, DeviceForce, HandTarget, PressTarget, HapticStatus, PersonInput, VirtualFixture,
         CollisionList, TaskState, Measured, VitalSigns, Station, Repaired,
         MentorPointer, MentorStroke, MentorLabel, PictureFreeze, TakeOverRequest, StationContactModel,
         Teleoperation, SlaveOrder,

@@ -8,9 +8,11 @@ use trocar_devices::{
     DriverResume, DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent,
     HapticDevice, PortEnergy, SessionTime, Wrench, link,
 };
+use trocar_haptics::pressed;
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
 use trocar_scene::{
-    DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, SimTime, Snapshot,
+    DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, PressTarget, SimTime,
+    Snapshot,
 };
 
 /// Steps per second of a driver, live and in lock-step \[Hz\].
@@ -180,6 +182,7 @@ fn driver_resume(scene: &Snapshot, hand: Entity, time: SimTime) -> Option<Driver
         intent: HandIntent {
             pose_in_device: wanted.map_or(measured.pose_in_device, |t| t.handle_in_device.isometry()),
             gripper: wanted.map_or(state.gripper, |target| target.gripper),
+            buttons: scene.get::<PressTarget>(hand).map_or(0, pressed),
         },
         energy: PortEnergy {
             energy: status.energy,

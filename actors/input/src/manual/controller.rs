@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, Activation, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo,
+    Access, Activation, ActivationMode, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo,
     DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, MentorAnswer, Name, Parent, PersonInput,
-    PersonView, Port, Pose, RecordPolicy, Side, SimTime, Snapshot, TakeOverRequest, Tick,
+    PersonView, Port, Pose, PressTarget, RecordPolicy, Side, SimTime, Snapshot, TakeOverRequest, Tick,
 };
 
 use nalgebra::{Isometry3, Vector3};
@@ -64,6 +64,8 @@ pub struct ManualController {
     hands: [Option<Entity>; 2],
     /// Instruments of the existing hands.
     instruments: Vec<Entity>,
+    /// Hands that have pedals.
+    pressing: Vec<Entity>,
     state: ManualState,
     /// Left, right: whether another station has them.
     lent: [LentHand; 2],
@@ -108,8 +110,10 @@ impl ManualController {
         };
         let instruments: Result<Vec<Entity>, _> =
             hands.into_iter().flatten().map(|hand| Ok(rig_of(scene, hand)?.instrument)).collect();
+        let all = hands.into_iter().flatten();
+        let pressing = all.filter(|hand| scene.get::<PressTarget>(*hand).is_some()).collect();
         let lent = Default::default();
-        Ok(Self { limits: *limits, person, hands, instruments: instruments?, state, lent })
+        Ok(Self { limits: *limits, person, hands, instruments: instruments?, pressing, state, lent })
     }
 }
 
@@ -148,9 +152,16 @@ fn view_of(scene: &Snapshot, input: &PersonInput) -> Option<PersonView> {
     input.view.or_else(camera)
 }
 
+/// The pedals that a person's keys stand for: they are up or down.
+fn pressed_by_keys((level, mode): (f64, Option<ActivationMode>)) -> PressTarget {
+    let is_down = level > 0.0;
+    let coagulate = is_down && mode == Some(ActivationMode::Coagulate);
+    PressTarget { buttons: 0, energy: is_down && !coagulate, coagulate }
+}
+
 impl Controller for ManualController {
     fn access(&self) -> Access {
-        Access::new()
+        let access = Access::new()
             .reads::<PersonInput>()
             .reads::<Pose>()
             .reads::<Parent>()
@@ -165,7 +176,11 @@ impl Controller for ManualController {
             .reads::<MentorAnswer>()
             .writes::<Activation>(EntitySet::Of(self.instruments.clone()))
             .writes::<HandTarget>(EntitySet::Of(self.hands.iter().flatten().copied().collect()))
-            .writes::<ManualState>(EntitySet::Own)
+            .writes::<ManualState>(EntitySet::Own);
+        if self.pressing.is_empty() {
+            return access;
+        }
+        access.reads::<PressTarget>().writes::<PressTarget>(EntitySet::Of(self.pressing.clone()))
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
@@ -210,6 +225,17 @@ impl Controller for ManualController {
             // Without a person nothing is active.
             let asked = input.map(|input| input.hand(side));
             let by_keys = asked.map_or((0.0, None), |asked| (asked.activation, asked.mode));
+            let by_keys = match scene.get::<PressTarget>(entity).filter(|_| self.pressing.contains(&entity)) {
+                // What is pressed comes back as pedals, a network later.
+                Some(before) => {
+                    let press = PressTarget { buttons: before.buttons, ..pressed_by_keys(by_keys) };
+                    if *before != press {
+                        out.put(entity, press);
+                    }
+                    (0.0, None)
+                }
+                None => by_keys,
+            };
             let (level, mode) = asked_by_pedals(scene, entity).unwrap_or(by_keys);
             let before = scene.get::<Activation>(rig.instrument).copied().unwrap_or_default();
             if (level, mode) != (before.level, before.mode) {

@@ -203,7 +203,7 @@ impl Local {
     /// Follows a hand that comes back from a station.
     fn regain(&mut self, now_ns: u64, shown: &DeviceState, holding: bool) {
         if self.is_virtual {
-            let intent = HandIntent { pose_in_device: shown.pose_in_device, gripper: shown.gripper };
+            let intent = HandIntent::at(shown.pose_in_device, shown.gripper);
             self.device.resume(now_ns, &DeviceState { connected: true, ..*shown }, &intent);
         }
         let mut grip = GripMatch::following(shown.gripper);
@@ -271,7 +271,7 @@ impl Local {
     fn intent(&self, intent: &HandIntent) -> HandIntent {
         let clutch = self.regained.and_then(|regained| regained.clutch);
         let hand = |shown: &Isometry3<f64>| clutch.map_or(*shown, |clutch| clutch.hand(shown));
-        HandIntent { pose_in_device: hand(&intent.pose_in_device), gripper: intent.gripper }
+        HandIntent { pose_in_device: hand(&intent.pose_in_device), ..*intent }
     }
 }
 

@@ -141,7 +141,7 @@ fn a_hand_that_nobody_takes_is_its_local_device_bit_for_bit() {
     bare.open(0).unwrap();
     remote.open(0).unwrap();
     for step in 1..500_u64 {
-        let intent = HandIntent { pose_in_device: pose([0.03, 0.01, 0.0], [0.0, 0.4, 0.0]), gripper: 0.5 };
+        let intent = HandIntent::at(pose([0.03, 0.01, 0.0], [0.0, 0.4, 0.0]), 0.5);
         let wrench = Wrench::from_force(Vector3::new(0.3, 0.0, -1.0));
         for device in [&mut bare as &mut dyn HapticDevice, &mut remote] {
             device.set_intent(step * MS, &intent);
@@ -193,7 +193,7 @@ fn a_hand_that_is_given_back_moves_by_less_than_a_tenth_of_a_millimetre() {
     assert!((shown - Vector3::new(0.03, 1e-3, 0.0)).norm() < 1e-9, "{shown}");
     // An intent is for the hand as it is shown.
     let at = bench.shown.state.pose_in_device;
-    bench.device.set_intent(bench.now_ns, &HandIntent { pose_in_device: at, gripper: 0.0 });
+    bench.device.set_intent(bench.now_ns, &HandIntent::at(at, 0.0));
     let Desk { state, intent, .. } = desk.lock().unwrap().clone();
     let apart = intent.unwrap().pose_in_device.translation.vector - state.pose_in_device.translation.vector;
     assert!(apart.norm() < 1e-9);

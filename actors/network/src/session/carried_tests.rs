@@ -28,7 +28,7 @@ fn assert_moves(bench: &mut Bench, by: f64) {
     let mut goal = bench.station.device.shown.expect("it is shown").pose_in_device;
     goal.translation.vector.x += by;
     for _ in 0..1_500 {
-        bench.step(Some(HandIntent { pose_in_device: goal, gripper: 0.2 }));
+        bench.step(Some(HandIntent::at(goal, 0.2)));
         assert_eq!(bench.host.device.hand.presence(), Presence::Live(1), "the hand is never stale");
     }
     let (here, there) = (bench.host.device.x(), bench.station.device.x());
@@ -143,12 +143,12 @@ fn behind_a_stream_that_stalled_comes_the_present_pose_and_no_queue_of_old_ones(
     let mut goal = bench.station.device.shown.expect("it is shown").pose_in_device;
     for step in 0..4_000 {
         goal.translation.vector.x += if step % 2_000 < 1_000 { 2e-5 } else { -2e-5 };
-        bench.step(Some(HandIntent { pose_in_device: goal, gripper: 0.2 }));
+        bench.step(Some(HandIntent::at(goal, 0.2)));
     }
     bench.wire.fault(&trocar_kernel::spec::FaultOrder { begins: false, ..order });
     // Some silences were so long that the hand came back through its clutch, and was placed anew.
     for _ in 0..4_100 {
-        bench.step(Some(HandIntent { pose_in_device: goal, gripper: 0.2 }));
+        bench.step(Some(HandIntent::at(goal, 0.2)));
     }
     let (here, there) = (bench.host.device.x(), bench.station.device.x());
     assert!((here - there).abs() < 2e-4, "{here} and {there}");

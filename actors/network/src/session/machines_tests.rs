@@ -353,7 +353,7 @@ fn a_hand_begins_where_the_host_has_it_and_moves_both_ends_alike() {
     let mut goal = bench.station.device.shown.expect("it is shown").pose_in_device;
     goal.translation.vector.x += 0.02;
     for _ in 0..1_500 {
-        bench.step(Some(HandIntent { pose_in_device: goal, gripper: 0.2 }));
+        bench.step(Some(HandIntent::at(goal, 0.2)));
     }
     let (here, there) = (bench.host.device.x(), bench.station.device.x());
     assert!((there - goal.translation.vector.x).abs() < 1e-3, "the device follows");
@@ -372,7 +372,7 @@ fn after_a_break_the_station_is_back_with_what_it_missed_and_its_hand_is_at_one_
     let mut goal = bench.station.device.shown.expect("it is shown").pose_in_device;
     goal.translation.vector.x += 0.02;
     for _ in 0..300 {
-        bench.step(Some(HandIntent { pose_in_device: goal, gripper: 0.2 }));
+        bench.step(Some(HandIntent::at(goal, 0.2)));
     }
     let took = bench.run_until(5_000, Bench::is_running);
     assert!(took < 1_500, "{took} ms");

@@ -1,8 +1,8 @@
 //! Own rows: what a station writes itself of the hands that it serves, and so is never sent to it.
 
 use trocar_scene::{
-    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, Registry,
-    Snapshot, StationContactModel,
+    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, PressTarget,
+    Registry, Snapshot, StationContactModel,
 };
 
 use super::instrument_follower;
@@ -41,6 +41,7 @@ fn of_hand(registry: &Registry, scene: &Snapshot, hand: Entity, moves: bool) -> 
         registry.id::<DeviceForce>(),
         registry.id::<HapticStatus>(),
         registry.id::<HandTarget>().filter(|_| moves),
+        registry.id::<PressTarget>().filter(|_| moves),
     ];
     let instrument = scene.get::<Hand>(hand).map(|hand| hand.instrument);
     let of_instrument = [

@@ -29,7 +29,7 @@ fn run(
     for step in 0..ms {
         let now_ns = step * 1_000_000;
         let pose_in_device = Isometry3::translation(target(step as f64 * 1e-3), 0.0, 0.0);
-        hand.set_intent(now_ns, &HandIntent { pose_in_device, gripper: 0.2 });
+        hand.set_intent(now_ns, &HandIntent::at(pose_in_device, 0.2));
         shown.push(hand.read(now_ns).expect("it is read"));
         hand.write(now_ns, &Wrench::from_force(force)).expect("it is there");
         peer.step(SimTime(now_ns));

@@ -139,7 +139,7 @@ pub(super) fn allocations() -> Rows {
         for (index, device) in devices.iter_mut().enumerate() {
             // Device and driver are other threads of a session, and are not counted here.
             let sample = hands_at(first_hand(0), now)[index % HANDS];
-            let intent = HandIntent { pose_in_device: sample.state.pose_in_device, gripper: 0.0 };
+            let intent = HandIntent::at(sample.state.pose_in_device, 0.0);
             if index >= HANDS {
                 device.set_intent(now.as_nanos(), &intent);
             }
