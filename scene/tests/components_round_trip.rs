@@ -391,15 +391,21 @@ fn tele_surgery(formats: &mut Formats) {
         speed_max: 0.133,
         contact_share: 0.49,
         limited: 3,
+        stops: 1,
+        silences: 2,
+        energised: 4.5,
         ..TeleoperationFigures::default()
     };
     let value = Teleoperation {
+        end: TeleoperationEnd::Console,
         state: SlaveState::ReleasePedal,
+        pedals: EnergyPedal::Coagulate,
         master_in_world: pose(),
         slave_in_world: pose(),
         at: SimTime(7),
         applied: SimTime(5),
         round_trip: 0.15,
+        force_in_world: v(0.3),
         protected: true,
         figures,
     };

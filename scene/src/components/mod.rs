@@ -52,7 +52,9 @@ pub use telementoring::{
     LABEL_TEXT_MAX, LABELS_MAX, MentorLabel, MentorPointer, MentorStroke, PictureFreeze, SECTION_PLACES_MAX,
     SECTIONS_MAX, SIGNATURE_NAME_MAX, STROKE_WIDTH_MAX, Signature, TakeOverRequest, TakeOverStep,
 };
-pub use teleoperation::{SlaveOrder, SlaveState, Teleoperation, TeleoperationFigures};
+pub use teleoperation::{
+    EnergyPedal, SlaveOrder, SlaveState, Teleoperation, TeleoperationEnd, TeleoperationFigures,
+};
 pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 

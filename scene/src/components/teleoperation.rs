@@ -1,5 +1,6 @@
 //! Tele-surgery: a hand whose instrument follows poses that have come over a network.
 
+use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +42,34 @@ impl SlaveState {
             Self::Unplugged => "unplugged",
         }
     }
+}
+
+/// What of a tele-operation is in this session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TeleoperationEnd {
+    /// The master's device, and the slave: a packet reflector is between them.
+    #[default]
+    Both,
+    /// The slave; its master is a console elsewhere.
+    Slave,
+    /// The master's console; its slave is a robot elsewhere.
+    Console,
+}
+
+/// The pedals of an instrument's current, as they count.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EnergyPedal {
+    /// There are none.
+    #[default]
+    None,
+    /// All are up.
+    Released,
+    /// The instrument's own current is on.
+    Energy,
+    /// The instrument coagulates.
+    Coagulate,
 }
 
 /// How well a slave has followed, and what its path did, since the session's start. What is unknown is `None`.
@@ -86,6 +115,12 @@ pub struct TeleoperationFigures {
     pub contact_share: f64,
     /// Steps in which a limit of speed, workspace or force held the slave back.
     pub limited: u64,
+    /// Emergency stops.
+    pub stops: u64,
+    /// Silences of the path of 100 ms or more.
+    pub silences: u64,
+    /// Time with the slave's current on \[s\].
+    pub energised: f64,
 }
 
 /// A hand that is a master, and the instrument that is its slave; on the hand. The network's actor writes it.
@@ -93,8 +128,12 @@ pub struct TeleoperationFigures {
 #[component(name = "teleoperation", record = RecordPolicy::sampled(50.0, 1e-7), check = Self::validate, schema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Teleoperation {
+    /// What of it is in this session.
+    pub end: TeleoperationEnd,
     /// What the slave does.
     pub state: SlaveState,
+    /// The pedals of the current, as they count at the slave; of a robot elsewhere, as they were sent.
+    pub pedals: EnergyPedal,
     /// `world_from_tip` of the master: where the instrument would be without the path.
     pub master_in_world: Pose,
     /// `world_from_tip` of the slave's command, at the same time.
@@ -103,8 +142,11 @@ pub struct Teleoperation {
     pub at: SimTime,
     /// Time stamp of the master's pose that the slave applies.
     pub applied: SimTime,
-    /// Round trip of the newest packet \[s\].
+    /// Round trip of the newest packet \[s\]; 0 where only the other end knows it.
     pub round_trip: f64,
+    /// Force at the slave, in world \[N\].
+    #[schemars(with = "[f64; 3]")]
+    pub force_in_world: Vector3<f64>,
     /// Whether strangers can neither read nor forge the packets.
     pub protected: bool,
     /// All of it in numbers.
@@ -112,6 +154,25 @@ pub struct Teleoperation {
 }
 
 impl Teleoperation {
+    /// What a person at it has to know, in words: `following, current on, 151 ms behind, 0.42 N`.
+    pub fn words(&self) -> String {
+        let mut words = self.state.words().to_owned();
+        match self.pedals {
+            EnergyPedal::Energy => words += ", current on",
+            EnergyPedal::Coagulate => words += ", coagulating",
+            EnergyPedal::Released => words += ", current off",
+            EnergyPedal::None => {}
+        }
+        if self.round_trip > 0.0 {
+            words += &format!(", {:.1} ms behind", self.round_trip * 1e3);
+        }
+        words += &format!(", {:.2} N", self.force_in_world.norm());
+        if !self.protected {
+            words += ", unprotected";
+        }
+        words
+    }
+
     fn validate(&self) -> Result<(), ComponentError> {
         super::graph::check_rotation(&self.master_in_world.rotation)?;
         super::graph::check_rotation(&self.slave_in_world.rotation)?;

@@ -53,7 +53,7 @@ pub mod robot;
 mod robot_link;
 
 pub use console::{Console, ConsoleConfig, ConsoleHand, RobotReport};
-pub use console_link::{ConsoleEnd, ConsoleLink, Surgeon};
+pub use console_link::{ConsoleArm, ConsoleLink, ConsoleReport, LedHand};
 pub use packet::{ConsolePacket, PacketError, RobotPacket, Rotations};
 pub use robot::{Condition, Refusal, Robot, RobotConfig, RobotCounts, Verdict};
 pub use robot_link::{ArmEnd, ArmPost, CONSOLE_LEAVES_AFTER, RobotLink};

@@ -1,5 +1,8 @@
 //! Robot of ITP as a link of hands: datagrams of one console in, both arms to whoever moves them, and replies back.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use nalgebra::Vector3;
 use triple_buffer::{Input, Output, triple_buffer};
 use trocar_scene::SimTime;
@@ -29,6 +32,7 @@ pub struct ArmPost {
 pub struct ArmEnd {
     posts: Output<Option<ArmPost>>,
     forces: Input<Vector3<f64>>,
+    stop: Arc<AtomicBool>,
 }
 
 impl ArmEnd {
@@ -41,16 +45,24 @@ impl ArmEnd {
     pub fn feel(&mut self, force_in_robot: &Vector3<f64>) {
         self.forces.write(*force_in_robot);
     }
+
+    /// Emergency stop of this arm, or its end. The robot stands, and says so in its replies, while any of its arms is
+    /// stopped.
+    pub fn set_stop(&mut self, stop: bool) {
+        self.stop.store(stop, Ordering::Release);
+    }
 }
 
 struct LinkedArm {
     posts: Input<Option<ArmPost>>,
     forces: Output<Vector3<f64>>,
+    stop: Arc<AtomicBool>,
 }
 
 /// The link.
 pub struct RobotLink<A> {
     robot: Robot,
+    condition: Condition,
     arms: [LinkedArm; ARMS],
     /// Who may be the console.
     admits: Box<dyn Fn(&A) -> bool + Send>,
@@ -77,11 +89,14 @@ impl<A: Copy + PartialEq> RobotLink<A> {
         let arm = || {
             let (posts_in, posts) = triple_buffer(&None);
             let (forces_in, forces) = triple_buffer(&Vector3::zeros());
-            (LinkedArm { posts: posts_in, forces }, ArmEnd { posts, forces: forces_in })
+            let stop = Arc::<AtomicBool>::default();
+            let linked = LinkedArm { posts: posts_in, forces, stop: stop.clone() };
+            (linked, ArmEnd { posts, forces: forces_in, stop })
         };
         let ((left, left_end), (right, right_end)) = (arm(), arm());
         let link = Self {
             robot,
+            condition: Condition::Ready,
             arms: [left, right],
             admits: Box::new(admits),
             reply_to: Box::new(reply_to),
@@ -89,6 +104,16 @@ impl<A: Copy + PartialEq> RobotLink<A> {
             posted: 0,
         };
         Ok((link, [left_end, right_end]))
+    }
+
+    /// Stops the robot, or makes it ready again, as its arms ask.
+    fn obey(&mut self) {
+        let stop = self.arms.iter().any(|arm| arm.stop.load(Ordering::Acquire));
+        let asked = if stop { Condition::Stopped } else { Condition::Ready };
+        if asked != self.condition {
+            self.condition = asked;
+            self.robot.set_condition(asked);
+        }
     }
 
     fn post(&mut self) {
@@ -119,6 +144,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for RobotLink<A> {
         if is_other || !(self.admits)(&from) {
             return;
         }
+        self.obey();
         // The robot counts what it refuses, and nothing is answered to that.
         if self.robot.receive(datagram, now).is_err() {
             return;
@@ -133,6 +159,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for RobotLink<A> {
 
     fn tick(&mut self, now: SimTime, _: &mut dyn FnMut(A, &[u8]) -> bool) {
         let followed = self.robot.runlevel();
+        self.obey();
         self.robot.poll(now);
         if self.robot.runlevel() != followed {
             self.post();

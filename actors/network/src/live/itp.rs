@@ -12,7 +12,7 @@ use trocar_kernel::runtime::Clock;
 
 use super::hands_thread::HandsThread;
 use super::sockets::{SocketError, datagrams};
-use crate::itp::{ARMS, ArmEnd, ConfigError, ConsoleConfig, ConsoleEnd, ConsoleLink, RobotConfig, RobotLink};
+use crate::itp::{ARMS, ArmEnd, ConfigError, ConsoleArm, ConsoleConfig, ConsoleLink, RobotConfig, RobotLink};
 
 /// Where a robot listens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -33,7 +33,7 @@ pub enum ItpPortError {
     /// Somebody else could reach it.
     #[error(
         "ITP protects nothing: whoever reaches the port moves the robot. It stays on the loopback unless both ends are \
-         named: bind=OWN-ADDRESS and peer=ADDRESS-OF-THE-CONSOLE"
+         named: bind=OWN-ADDRESS beside the other end's, at the robot peer=ADDRESS-OF-THE-CONSOLE"
     )]
     Unprotected,
     /// The port.
@@ -104,7 +104,7 @@ impl RobotPort {
 
 /// A console of a robot somewhere, with a thread of its own that sends a packet a millisecond; dropping it ends both.
 pub struct ConsolePort {
-    end: ConsoleEnd,
+    arms: Mutex<[Option<ConsoleArm>; ARMS]>,
     _thread: HandsThread,
 }
 
@@ -121,14 +121,14 @@ impl ConsolePort {
         let peer = robot.ip().to_canonical();
         let own = ItpAddress { port: 0, bind, peer: Some(peer), reply_port: None }.own()?;
         let admits = move |from: &SocketAddr| from.ip().to_canonical() == peer;
-        let (link, end) = ConsoleLink::new(config, robot, admits)?;
+        let (link, [left, right]) = ConsoleLink::new(config, robot, admits)?;
         let thread = HandsThread::spawn(datagrams(own, 0)?, Box::new(link), Clock::start())?;
-        Ok(Self { end, _thread: thread })
+        Ok(Self { arms: Mutex::new([Some(left), Some(right)]), _thread: thread })
     }
 
-    /// What the surgeon does, and what the robot replies.
-    pub fn end(&mut self) -> &mut ConsoleEnd {
-        &mut self.end
+    /// An arm of the robot (0 left, 1 right), once.
+    pub fn take(&self, arm: usize) -> Option<ConsoleArm> {
+        self.arms.lock().unwrap_or_else(PoisonError::into_inner).get_mut(arm)?.take()
     }
 }
 

@@ -6,9 +6,10 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use trocar_devices::{HapticDevice, Wrench};
+use trocar_scene::SimTime;
 
 use super::*;
-use crate::itp::{Runlevel, Surgeon};
+use crate::itp::{ConsoleHand, LedHand, Runlevel};
 use crate::teleoperation::{ItpHand, SlaveConfig};
 
 fn loopback() -> ItpAddress {
@@ -74,22 +75,32 @@ fn our_console_moves_a_robot_in_python_over_a_real_socket_and_hears_its_forces()
     let first = lines.next().expect("its port").expect("text");
     let digits: String = first.chars().filter(char::is_ascii_digit).collect();
     let robot = SocketAddr::from((Ipv4Addr::LOCALHOST, digits.parse().expect("a port")));
-    let mut port = ConsolePort::open(robot, None, ConsoleConfig::default()).expect("the loopback");
+    let port = ConsolePort::open(robot, None, ConsoleConfig::default()).expect("the loopback");
+    let mut arm = port.take(0).expect("the left arm");
+    assert!(port.take(0).is_none(), "an arm has one hand");
     // With the pedal up until the robot is heard; down where the hands are until it follows; then 10 mm along x.
     let printed = std::thread::spawn(move || lines.map(|line| line.expect("text")).last());
-    let mut surgeon = Surgeon::at_rest();
-    let mut farthest = 0.0_f64;
+    let hand = ConsoleHand {
+        pose_in_console: nalgebra::Isometry3::identity(),
+        jaw: 0.0,
+        squeeze: 0.0,
+        buttons: 0,
+    };
+    let mut led = LedHand { hand, pedal_down: false };
+    let (mut farthest, mut longest) = (0.0_f64, None);
     while !printed.is_finished() {
-        port.end().lead(&surgeon);
-        if let Some(report) = port.end().report() {
-            farthest = farthest.min(report.forces_in_robot[0].x);
-            surgeon.pedal_down = true;
-            if report.runlevel == Some(Runlevel::PedalDown) {
-                surgeon.hands[0].pose_in_console.translation.x = 0.010;
+        arm.lead(Some(led));
+        if let Some(report) = arm.report() {
+            farthest = farthest.min(report.robot.forces_in_robot[0].x);
+            longest = longest.max(report.round_trip);
+            led.pedal_down = true;
+            if report.robot.runlevel == Some(Runlevel::PedalDown) {
+                led.hand.pose_in_console.translation.x = 0.010;
             }
         }
         std::thread::sleep(Duration::from_millis(1));
     }
+    assert!(longest.is_some_and(|trip| trip > SimTime::ZERO), "{longest:?}");
     child.wait().expect("it ends");
     let last = printed.join().expect("it did not panic").expect("it heard packets");
     assert_eq!(numbers(&last, "position_um"), [10_000, 0, 0, 0, 0, 0], "{last}");

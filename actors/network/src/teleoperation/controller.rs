@@ -1,13 +1,15 @@
-//! The actor of reflected hands: it shows in the scene what masters and slaves do, measures how well they track, and tells
-//! slaves of emergency stops.
+//! The actor of tele-operated hands: it shows in the scene what masters and slaves do, measures how well they track, and
+//! tells slaves of emergency stops.
 
 use std::sync::{Arc, Mutex, TryLockError};
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::kinematics::hand_rig::HandRig;
+use trocar_devices::Pedals;
 use trocar_scene::{
-    Access, Commands, Controller, ControllerError, Entity, EntitySet, Hand, Instrument, InstrumentForce,
-    Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation, TeleoperationFigures, Tick,
+    Access, Commands, Controller, ControllerError, EnergyPedal, Entity, EntitySet, Hand, Instrument,
+    InstrumentForce, Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation,
+    TeleoperationEnd, TeleoperationFigures, Tick,
 };
 
 use super::exchange::{LinkReport, SlaveReport, WatchedHand};
@@ -26,16 +28,16 @@ struct Watched {
 
 /// What all lives of the actor share: the ends of its hands and of their link, and what was measured so far.
 #[derive(Clone)]
-pub struct ReflectedWatch(Arc<Mutex<Watch>>);
+pub struct TeleoperationWatch(Arc<Mutex<Watch>>);
 
 struct Watch {
     hands: Vec<Watched>,
-    link: WatchedLink,
+    link: Option<WatchedLink>,
 }
 
-impl ReflectedWatch {
-    /// Hands with their names and entities, and their link.
-    pub fn new(hands: Vec<(String, Entity, WatchedHand)>, link: WatchedLink) -> Self {
+impl TeleoperationWatch {
+    /// Hands with their names and entities, and the link of those that are reflected.
+    pub fn new(hands: Vec<(String, Entity, WatchedHand)>, link: Option<WatchedLink>) -> Self {
         let watched = |(name, entity, end)| Watched {
             name,
             entity,
@@ -49,17 +51,17 @@ impl ReflectedWatch {
 }
 
 /// The actor.
-pub struct ReflectedController {
-    watch: ReflectedWatch,
+pub struct TeleoperationController {
+    watch: TeleoperationWatch,
     hands: Vec<Entity>,
 }
 
-impl ReflectedController {
+impl TeleoperationController {
     /// A life of the actor.
     ///
     /// # Errors
     /// When an earlier life hangs in the middle of a tick.
-    pub fn new(watch: &ReflectedWatch) -> Result<Self, ControllerError> {
+    pub fn new(watch: &TeleoperationWatch) -> Result<Self, ControllerError> {
         let hands = match watch.0.try_lock() {
             Ok(watch) => watch.hands.iter().map(|hand| hand.entity).collect(),
             // Whoever panicked has measured a little less.
@@ -74,7 +76,7 @@ impl ReflectedController {
     }
 }
 
-impl Controller for ReflectedController {
+impl Controller for TeleoperationController {
     fn access(&self) -> Access {
         Access::new()
             .reads::<Hand>()
@@ -95,13 +97,14 @@ impl Controller for ReflectedController {
             // Another life of this actor is at it.
             Err(TryLockError::WouldBlock) => return Ok(()),
         };
-        let link = watch.link.report();
+        let reflected = watch.link.as_mut().map(WatchedLink::report).unwrap_or_default();
         let mut measured = Measured::default();
         for hand in &mut watch.hands {
             let order = scene.get::<SlaveOrder>(hand.entity).copied().unwrap_or_default();
             hand.end.control.set_stop(order.stop);
             let Some(report) = *hand.end.reports.read() else { continue };
             let Ok(rig) = HandRig::read(scene, hand.entity) else { continue };
+            let link = report.link.unwrap_or(reflected);
             let row = hand.row(&report, &link, &rig, scene);
             tell(&hand.name, &row.figures, &mut measured);
             out.put(hand.entity, row);
@@ -130,6 +133,8 @@ impl Watched {
     ) -> Teleoperation {
         let master = self.tip(0, rig, &report.master_in_device);
         let slave = report.slave_in_device.map(|slave| self.tip(1, rig, &slave));
+        // A slave whose master is elsewhere is compared with nothing, and one elsewhere is not seen.
+        let master = if report.end == TeleoperationEnd::Slave { slave.unwrap_or(master) } else { master };
         if let Some(slave) = &slave {
             let force = scene.get::<InstrumentForce>(rig.instrument).map_or(0.0, |force| force.force.norm());
             self.meter.look(&Look {
@@ -155,20 +160,38 @@ impl Watched {
             applied_error_max: known.then_some(largest),
             applied_error_rms: known.then(|| (squares / compared as f64).sqrt()),
             limited: report.limited,
+            stops: report.stops,
+            silences: report.silences,
+            energised: report.energised_secs,
             ..TeleoperationFigures::default()
         };
         self.meter.fill(&mut figures);
+        if report.end != TeleoperationEnd::Both {
+            (figures.rms, figures.constant_lag, figures.constant_lag_rms) = (None, None, None);
+        }
         Teleoperation {
+            end: report.end,
             state: report.state,
+            pedals: pedal(report.pedals),
             master_in_world: pose(&master),
             slave_in_world: pose(&slave.unwrap_or(master)),
             at: report.at,
             applied: report.applied.unwrap_or(SimTime::ZERO),
             round_trip: link.newest.as_secs_f64(),
-            // Its packets are sealed with a key that never leaves the process.
-            protected: true,
+            force_in_world: rig.registration.world_from_device().rotation * report.force_in_device,
+            // Packets of a reflected hand are sealed with a key that never leaves the process; those of ITP are open.
+            protected: report.end == TeleoperationEnd::Both,
             figures,
         }
+    }
+}
+
+fn pedal(pedals: Pedals) -> EnergyPedal {
+    match pedals {
+        Pedals::None => EnergyPedal::None,
+        Pedals::Released => EnergyPedal::Released,
+        Pedals::Energy => EnergyPedal::Energy,
+        Pedals::Coagulate => EnergyPedal::Coagulate,
     }
 }
 
@@ -193,6 +216,7 @@ fn tell(hand: &str, figures: &TeleoperationFigures, measured: &mut Measured) {
         ("speed_max_m_per_s", Some(figures.speed_max)),
         ("contact_share", Some(figures.contact_share)),
         ("packets_received", Some(figures.received as f64)),
+        ("energised_s", Some(figures.energised)),
     ];
     for (name, value) in known {
         if let Some(value) = value {

@@ -3,10 +3,10 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use triple_buffer::{Input, Output, triple_buffer};
-use trocar_devices::DeviceState;
-use trocar_scene::{SimTime, SlaveState};
+use trocar_devices::{DeviceState, Pedals};
+use trocar_scene::{SimTime, SlaveState, TeleoperationEnd};
 
 use crate::hand_sample::HandSample;
 
@@ -33,10 +33,12 @@ pub struct Arrival {
 }
 
 /// What the device tells of its slave.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SlaveReport {
     /// When.
     pub at: SimTime,
+    /// What of it is here.
+    pub end: TeleoperationEnd,
     /// The master then.
     pub master_in_device: Isometry3<f64>,
     /// The slave then; none before it has a place.
@@ -50,6 +52,18 @@ pub struct SlaveReport {
     pub errors: (u64, f64, f64),
     /// Steps in which a limit held the slave back.
     pub limited: u64,
+    /// The pedals of the current, as they count at the slave.
+    pub pedals: Pedals,
+    /// Force at the slave, along the device's axes \[N\].
+    pub force_in_device: Vector3<f64>,
+    /// Emergency stops so far.
+    pub stops: u64,
+    /// Silences so far.
+    pub silences: u64,
+    /// Time with the current on \[s\].
+    pub energised_secs: f64,
+    /// What is known of the path, where it is not that of a reflected link.
+    pub link: Option<LinkReport>,
 }
 
 /// What the link tells of the path.
@@ -91,8 +105,20 @@ impl SlaveControl {
 pub(super) struct DeviceEnd {
     pub masters: Input<Option<MasterSample>>,
     pub arrivals: Output<Option<Arrival>>,
+    pub told: ToldHand,
+}
+
+/// What a device tells its actor, and is told by it.
+pub(super) struct ToldHand {
     pub reports: Input<Option<SlaveReport>>,
     pub control: SlaveControl,
+}
+
+/// The two ends between a device and its actor.
+pub(super) fn watched() -> (ToldHand, WatchedHand) {
+    let (reports_in, reports) = triple_buffer(&None);
+    let control = SlaveControl::default();
+    (ToldHand { reports: reports_in, control: control.clone() }, WatchedHand { reports, control })
 }
 
 /// The link's end of a hand.
@@ -112,8 +138,7 @@ pub struct WatchedHand {
 pub(super) fn exchange(hand: u8) -> (DeviceEnd, LinkedHand, WatchedHand) {
     let (masters_in, masters) = triple_buffer(&None);
     let (arrivals_in, arrivals) = triple_buffer(&None);
-    let (reports_in, reports) = triple_buffer(&None);
-    let control = SlaveControl::default();
-    let device = DeviceEnd { masters: masters_in, arrivals, reports: reports_in, control: control.clone() };
-    (device, LinkedHand { hand, masters, arrivals: arrivals_in }, WatchedHand { reports, control })
+    let (told, watched) = watched();
+    let device = DeviceEnd { masters: masters_in, arrivals, told };
+    (device, LinkedHand { hand, masters, arrivals: arrivals_in }, watched)
 }

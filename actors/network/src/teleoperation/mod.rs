@@ -9,9 +9,9 @@
 //! ```
 //!
 //! [`ReflectedHand`] is a device like any other, below its driver; [`ReflectedLink`] is a [`HandsLink`] with the drivers of
-//! all of them, over sockets or in virtual time; [`ReflectedController`] is the actor that shows and measures. [`Slave`] is
+//! all of them, over sockets or in virtual time; [`TeleoperationController`] is the actor that shows and measures. [`Slave`] is
 //! the robot: speed, workspace, force, pedal, emergency stop, scaling and clutch. [`internet_path`] makes a trace of round
-//! trips. [`ItpHand`] is a hand that a console of another make moves.
+//! trips. [`ItpHand`] is a hand that a console of another make moves, [`ItpMaster`] one that moves a robot of another make.
 //!
 //! [`HandsLink`]: crate::hands_link::HandsLink
 
@@ -21,6 +21,7 @@ mod exchange;
 mod force_limit;
 pub mod internet_path;
 mod itp_hand;
+mod itp_master;
 mod pose_history;
 mod reflected_hand;
 mod reflected_link;
@@ -28,11 +29,12 @@ mod slave;
 mod tracking;
 mod tremor_filter;
 
-pub use controller::{ReflectedController, ReflectedWatch};
+pub use controller::{TeleoperationController, TeleoperationWatch};
 pub use delay_histogram::DelayHistogram;
 pub use exchange::{Arrival, LinkReport, LinkedHand, MasterSample, SlaveControl, SlaveReport, WatchedHand};
 pub use force_limit::{ForceLimit, GIVES_WAY_MAX, MOBILITY};
 pub use itp_hand::ItpHand;
+pub use itp_master::ItpMaster;
 pub use pose_history::PoseHistory;
 pub use reflected_hand::ReflectedHand;
 pub use reflected_link::{LinkError, ReflectedLink, WatchedLink};

@@ -7,9 +7,9 @@
 //!
 //! `read` and `write` allocate nothing, lock nothing and do not block, if the master's device does not.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
-use trocar_scene::{SimTime, SlaveState};
+use trocar_scene::SimTime;
 
 use super::exchange::{DeviceEnd, LinkedHand, MasterSample, SlaveReport, WatchedHand, exchange};
 use super::pose_history::PoseHistory;
@@ -26,7 +26,10 @@ pub struct ReflectedHand {
     /// What was sent.
     history: PoseHistory,
     read_at: Option<SimTime>,
-    report: SlaveReport,
+    master_in_device: Isometry3<f64>,
+    /// As in [`SlaveReport`].
+    errors: (u64, f64, f64),
+    force: Vector3<f64>,
 }
 
 impl ReflectedHand {
@@ -49,15 +52,9 @@ impl ReflectedHand {
             end,
             history: PoseHistory::default(),
             read_at: None,
-            report: SlaveReport {
-                at: SimTime::ZERO,
-                master_in_device: Isometry3::identity(),
-                slave_in_device: None,
-                state: SlaveState::Waiting,
-                applied: None,
-                errors: (0, 0.0, 0.0),
-                limited: 0,
-            },
+            master_in_device: Isometry3::identity(),
+            errors: (0, 0.0, 0.0),
+            force: Vector3::zeros(),
         };
         Ok((device, linked, watched))
     }
@@ -72,7 +69,7 @@ impl ReflectedHand {
             return;
         }
         self.history.push(now, state.pose_in_device);
-        self.report.master_in_device = state.pose_in_device;
+        self.master_in_device = state.pose_in_device;
         self.end.masters.write(Some(MasterSample { sampled_at: now, state }));
     }
 
@@ -83,7 +80,7 @@ impl ReflectedHand {
             return;
         };
         let error = (slave.pose_in_device.translation.vector - wanted.translation.vector).norm();
-        let (count, squares, largest) = &mut self.report.errors;
+        let (count, squares, largest) = &mut self.errors;
         *count += 1;
         *squares += error * error;
         *largest = largest.max(error);
@@ -108,7 +105,7 @@ impl HapticDevice for ReflectedHand {
             self.send(now, state);
         }
         self.read_at = Some(now);
-        self.slave.set_stop(now, self.end.control.is_stopped());
+        self.slave.set_stop(now, self.end.told.control.is_stopped());
         if self.end.arrivals.update()
             && let Some(arrival) = *self.end.arrivals.output_buffer()
         {
@@ -116,17 +113,19 @@ impl HapticDevice for ReflectedHand {
         }
         let state = self.slave.step(now);
         self.compare(&state);
-        self.report.at = now;
-        self.report.state = self.slave.state(now);
-        self.report.applied = self.slave.applied();
-        self.report.slave_in_device = self.slave.applied().map(|_| state.pose_in_device);
-        self.report.limited = self.slave.limited();
-        self.end.reports.write(Some(self.report));
+        let report = SlaveReport {
+            master_in_device: self.master_in_device,
+            errors: self.errors,
+            force_in_device: self.force,
+            ..self.slave.report(now, &state)
+        };
+        self.end.told.reports.write(Some(report));
         // Whoever unplugs the master's device is told at once; the slave stands.
         master.map(|_| state)
     }
 
     fn write(&mut self, now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError> {
+        self.force = wrench.force;
         self.slave.feel(&wrench.force);
         self.master.write(now_ns, &Wrench::ZERO)
     }

@@ -11,6 +11,8 @@
 //! - an emergency stop holds it at once; it follows again only when the stop has ended, and the pedal was released and
 //!   pressed;
 //! - after 100 ms of silence it stops, and follows again only when the pedal was released and pressed;
+//! - the pedals of its current travel with the poses, and count as they arrive; silence, a stop and the clutch switch the
+//!   current off, and each pedal must then be released and pressed again;
 //! - it moves no faster, no farther and pushes no harder than [`SlaveConfig`] says;
 //! - motions are scaled, rotations and jaws are not.
 //!
@@ -19,10 +21,10 @@
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-use trocar_devices::{Capabilities, DeviceState, Workspace};
+use trocar_devices::{Capabilities, DeviceState, HAS_PEDALS, Pedals, Workspace};
 use trocar_scene::{SimTime, SlaveState};
 
-use super::exchange::Arrival;
+use super::exchange::{Arrival, SlaveReport};
 use super::force_limit::ForceLimit;
 use super::tremor_filter::CUTOFF_HZ;
 use crate::hand_sample::HandSample;
@@ -154,7 +156,12 @@ pub struct Slave {
     /// When it stepped last, by a clock that goes on by no less than a period at each step.
     paced: Option<SimTime>,
     shown: Option<DeviceState>,
+    /// Whether the master has pedals.
+    has_pedals: bool,
     limited: u64,
+    stops: u64,
+    /// Time with the current on \[s\].
+    energised_secs: f64,
 }
 
 impl Slave {
@@ -175,7 +182,10 @@ impl Slave {
             applied: None,
             paced: None,
             shown: None,
+            has_pedals: false,
             limited: 0,
+            stops: 0,
+            energised_secs: 0.0,
             config,
         })
     }
@@ -184,6 +194,7 @@ impl Slave {
     pub fn admit(&mut self, now: SimTime, arrival: &Arrival) {
         let Arrival { sampled_at, arrived_at, sample, .. } = arrival;
         self.heard = Some(*arrived_at);
+        self.has_pedals |= sample.state.buttons & HAS_PEDALS != 0;
         let pedal_down = self.config.pedal.is_none_or(|pedal| sample.state.buttons & (1 << pedal) != 0);
         if !pedal_down {
             self.release_first = false;
@@ -205,9 +216,19 @@ impl Slave {
         }
     }
 
+    /// Its master lets it stand, as of `now`. `heard`: because that was said, and not because nothing was.
+    pub fn rest(&mut self, now: SimTime, heard: bool) {
+        if heard {
+            self.heard = Some(now);
+            self.release_first = false;
+        }
+        self.hold(now);
+    }
+
     /// Stops the slave at once, or ends a stop.
     pub fn set_stop(&mut self, now: SimTime, stop: bool) {
         if stop && !self.stopped {
+            self.stops += 1;
             self.release_first = true;
             self.hold(now);
         }
@@ -224,6 +245,10 @@ impl Slave {
         let before = self.door.statistics().speed_limited + self.door.statistics().clamped_workspace;
         let paced = self.paced.map_or(now, |before| now.max((before + PERIOD).min(now + PERIOD)));
         let mut state = self.door.step(paced);
+        if self.has_pedals {
+            // Pedals that are not heard of are up; a hand without any would be switched by others.
+            state.buttons |= HAS_PEDALS;
+        }
         let after = self.door.statistics().speed_limited + self.door.statistics().clamped_workspace;
         if self.door.standing() == Standing::Silent {
             self.release_first = true;
@@ -240,8 +265,27 @@ impl Slave {
         if !self.follows() {
             (state.linear_velocity, state.angular_velocity) = (Vector3::zeros(), Vector3::zeros());
         }
+        if matches!(Pedals::of(state.buttons), Pedals::Energy | Pedals::Coagulate) {
+            self.energised_secs += secs;
+        }
         self.shown = Some(state);
         state
+    }
+
+    /// What is told of it, while it shows this state. What it does not know is as in an empty report.
+    pub fn report(&self, now: SimTime, shown: &DeviceState) -> SlaveReport {
+        SlaveReport {
+            at: now,
+            slave_in_device: self.applied.map(|_| shown.pose_in_device),
+            state: self.state(now),
+            applied: self.applied,
+            pedals: Pedals::of(shown.buttons),
+            limited: self.limited,
+            stops: self.stops,
+            silences: self.door.statistics().silences,
+            energised_secs: self.energised_secs,
+            ..SlaveReport::default()
+        }
     }
 
     /// What it does.

@@ -22,7 +22,7 @@ use trocar_network::live::reflected::{OwnReflector, socket};
 use trocar_network::lockstep::ReflectedPeer;
 use trocar_network::reflector::Reflector;
 use trocar_network::teleoperation::{
-    LinkedHand, ReflectedController, ReflectedHand, ReflectedLink, ReflectedWatch, SlaveConfig, WatchedHand,
+    LinkedHand, TeleoperationController, ReflectedHand, ReflectedLink, TeleoperationWatch, SlaveConfig, WatchedHand,
     WatchedLink, internet_path,
 };
 use trocar_scene::scenario::Scenario;
@@ -219,9 +219,9 @@ impl ReflectedHands {
             let (link, watch) = link(address, self.linked, expected)?;
             (NetworkPart::Reflected { socket: socket(&address)?, link, own }, watch)
         };
-        let watch = ReflectedWatch::new(self.watched, watch);
+        let watch = TeleoperationWatch::new(self.watched, watch);
         let factory = move |_: &BuildContext<'_>| {
-            Ok(Box::new(ReflectedController::new(&watch)?) as Box<dyn Controller>)
+            Ok(Box::new(TeleoperationController::new(&watch)?) as Box<dyn Controller>)
         };
         Ok(Some(ReflectedPart { actor: Arc::new(factory), part }))
     }
