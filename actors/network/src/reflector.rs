@@ -38,6 +38,7 @@ impl<A: Clone> Message for Parcel<A> {
 }
 
 /// One direction of a path, with the datagrams under way.
+#[derive(Clone)]
 pub struct Reflector<A> {
     link: LinkFaults<Parcel<A>>,
     received: u64,

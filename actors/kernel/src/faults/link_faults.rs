@@ -121,14 +121,14 @@ impl ActiveFault {
     }
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Waiting<M> {
     due: SimTime,
     message: M,
 }
 
 /// The active faults of one link, and its messages in flight.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LinkFaults<M> {
     active: Vec<ActiveFault>,
     /// Messages in flight, ordered by due time.

@@ -181,6 +181,15 @@ impl OneWay {
         self.phase as u8
     }
 
+    /// A copy, for opening alone: two that seal would use the same nonces.
+    pub fn copied_to_open(&self) -> Self {
+        let cipher = match &self.cipher {
+            Cipher::Aead { key, iv } => Cipher::Aead { key: key.clone(), iv: *iv },
+            Cipher::Checksum { direction } => Cipher::Checksum { direction: *direction },
+        };
+        Self { cipher, ..*self }
+    }
+
     /// Whether `next` may follow this one.
     pub fn check_successor(&self, next: &Self) -> Result<(), RekeyError> {
         if next.connection != self.connection {

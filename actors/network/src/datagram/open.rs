@@ -130,6 +130,22 @@ impl Opener {
         }
     }
 
+    /// A copy that opens what this one would, for a session that is copied with all that is under way. Its sender goes on
+    /// under a key of its own.
+    pub fn copied(&self) -> Self {
+        let key = |key: &Option<OneWay>| key.as_ref().map(OneWay::copied_to_open);
+        Self {
+            current: self.current.copied_to_open(),
+            next: key(&self.next),
+            previous: self.previous.as_ref().map(|(key, until)| (key.copied_to_open(), *until)),
+            retired: None,
+            grace: self.grace,
+            window: self.window.clone(),
+            counts: self.counts,
+            forgeries: self.forgeries,
+        }
+    }
+
     /// Knows the next phase's key from now on. If one was waiting to be used, that one becomes the present key: both
     /// sides agree on a further key only after the sender has taken the one before.
     ///

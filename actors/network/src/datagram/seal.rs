@@ -56,6 +56,11 @@ impl Sealer {
         Self { key: key.0, sequence: 1, first: 1 }
     }
 
+    /// A sealer that goes on where another one of the connection is, under a key of its own.
+    pub fn going_on(key: SendKey, sequence: u64) -> Self {
+        Self { key: key.0, sequence, first: sequence }
+    }
+
     /// Seals under the next phase's key from now on. The other side must have been given it before; numbers go on.
     ///
     /// # Errors

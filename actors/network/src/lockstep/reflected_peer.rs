@@ -8,18 +8,28 @@ use trocar_scene::SimTime;
 
 use crate::hands_link::HandsLink;
 use crate::reflector::{Parcel, Reflector};
+use crate::teleoperation::{LinkError, LinkedHand, ReflectedLink, WatchedLink};
 
 /// A link over a reflector, both stepped every millisecond.
 pub struct ReflectedPeer {
     name: String,
-    link: Box<dyn HandsLink<()>>,
+    link: ReflectedLink<()>,
     reflector: Reflector<()>,
 }
 
 impl ReflectedPeer {
     /// The link at this reflector.
-    pub fn new(name: &str, link: Box<dyn HandsLink<()>>, reflector: Reflector<()>) -> Self {
+    pub fn new(name: &str, link: ReflectedLink<()>, reflector: Reflector<()>) -> Self {
         Self { name: name.to_owned(), link, reflector }
+    }
+
+    /// A copy in the same state for the hands of a copied session, with all that is under way.
+    ///
+    /// # Errors
+    /// [`LinkError`].
+    pub fn fork(&self, hands: Vec<LinkedHand>) -> Result<(Self, WatchedLink), LinkError> {
+        let (link, watched) = self.link.fork(hands)?;
+        Ok((Self { name: self.name.clone(), link, reflector: self.reflector.clone() }, watched))
     }
 }
 

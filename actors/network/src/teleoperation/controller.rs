@@ -1,7 +1,7 @@
 //! The actor of tele-operated hands: it shows in the scene what masters and slaves do, measures how well they track, and
 //! tells slaves of emergency stops.
 
-use std::sync::{Arc, Mutex, TryLockError};
+use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::kinematics::hand_rig::HandRig;
@@ -46,6 +46,23 @@ impl TeleoperationWatch {
             axes: [None; 2],
         };
         let hands = hands.into_iter().map(watched).collect();
+        Self(Arc::new(Mutex::new(Watch { hands, link })))
+    }
+}
+
+impl TeleoperationWatch {
+    /// The same for a copy of the session, with the ends of its hands in the same order, and of their link.
+    pub fn fork(&self, hands: Vec<WatchedHand>, link: Option<WatchedLink>) -> Self {
+        // Whoever panicked has measured a little less.
+        let watch = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let copied = watch.hands.iter().zip(hands).map(|(hand, end)| Watched {
+            name: hand.name.clone(),
+            entity: hand.entity,
+            end,
+            meter: hand.meter.clone(),
+            axes: hand.axes,
+        });
+        let hands = copied.collect();
         Self(Arc::new(Mutex::new(Watch { hands, link })))
     }
 }

@@ -125,7 +125,17 @@ pub(super) fn watched() -> (ToldHand, WatchedHand) {
 pub struct LinkedHand {
     pub(super) hand: u8,
     pub(super) masters: Output<Option<MasterSample>>,
-    pub(super) arrivals: Input<Option<Arrival>>,
+    arrivals: Input<Option<Arrival>>,
+    /// What was told last.
+    pub(super) arrived: Option<Arrival>,
+}
+
+impl LinkedHand {
+    /// Tells the device of what has come.
+    pub(super) fn tell(&mut self, arrival: Option<Arrival>) {
+        self.arrived = arrival;
+        self.arrivals.write(arrival);
+    }
 }
 
 /// The actor's end of a hand.
@@ -140,5 +150,5 @@ pub(super) fn exchange(hand: u8) -> (DeviceEnd, LinkedHand, WatchedHand) {
     let (arrivals_in, arrivals) = triple_buffer(&None);
     let (told, watched) = watched();
     let device = DeviceEnd { masters: masters_in, arrivals, told };
-    (device, LinkedHand { hand, masters, arrivals: arrivals_in }, watched)
+    (device, LinkedHand { hand, masters, arrivals: arrivals_in, arrived: None }, watched)
 }

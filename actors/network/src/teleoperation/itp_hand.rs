@@ -51,7 +51,8 @@ impl ItpHand {
     /// [`SlaveError`] when a figure of the slave is out of range.
     pub fn new(arm: ArmEnd, config: SlaveConfig) -> Result<Self, SlaveError> {
         let device = Self::device();
-        let slave = Slave::new(0, config, &device)?;
+        // The robot's arm stands while the pedal is up, and counts its increments from there.
+        let slave = Slave::new(0, config, &device)?.mirroring();
         let (told, watched) = watched();
         Ok(Self {
             capabilities: config.capabilities(&device),
@@ -124,6 +125,7 @@ impl HapticDevice for ItpHand {
         let report = SlaveReport {
             end: TeleoperationEnd::Slave,
             force_in_device: self.force,
+            silences: self.taken.map_or(0, |post| post.counts.silences),
             link: Some(self.taken.map_or_else(LinkReport::default, |post| link(&post.counts))),
             ..self.slave.report(now, &state)
         };

@@ -50,7 +50,7 @@ impl Bench {
         self.master.set_intent(now.as_nanos(), &self.aim);
         self.master.read(now.as_nanos()).expect("it is there");
         let (is_cut, [there, back]) = (self.is_cut, &mut self.ways);
-        let mut queue = |way: &mut VecDeque<(u64, Vec<u8>)>, bytes: &[u8]| {
+        let queue = |way: &mut VecDeque<(u64, Vec<u8>)>, bytes: &[u8]| {
             if !is_cut {
                 way.push_back((ms + WAY_MS, bytes.to_vec()));
             }
@@ -144,7 +144,8 @@ fn an_emergency_stop_holds_the_robot_tells_the_console_and_switches_its_current_
     // The foot is on the pedal of the current all the while.
     let shown = bench.step();
     assert_eq!(Pedals::of(shown.buttons), Pedals::Released);
-    assert!((shown.pose_in_device.translation.x - later.pose_in_device.translation.x).abs() < 1e-5, "no jump");
+    let moved = shown.pose_in_device.translation.x - later.pose_in_device.translation.x;
+    assert!(moved.abs() < 1e-3, "what came in the millisecond of the stop: {moved}");
     bench.press(Pedals::Released);
     bench.run(10);
     bench.press(Pedals::Energy);
@@ -172,7 +173,7 @@ fn a_path_that_falls_silent_switches_the_current_off_and_a_foot_has_to_press_aga
     bench.run(300);
     assert_eq!(bench.states(), [SlaveState::Silent; 2]);
     let told = bench.at_robot.reports.read().expect("it is told");
-    assert!(told.silences >= 1 || told.link.expect("it is known").received > 0, "{told:?}");
+    assert_eq!(told.silences, 1);
     bench.is_cut = false;
     bench.run(1_000);
     assert_eq!(bench.states(), [SlaveState::ReleasePedal, SlaveState::PedalUp], "both feet are still down");

@@ -7,6 +7,8 @@
 //!
 //! `read` and `write` allocate nothing, lock nothing and do not block, if the master's device does not.
 
+use std::any::Any;
+
 use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
 use trocar_scene::SimTime;
@@ -18,6 +20,7 @@ use super::tremor_filter::TremorFilter;
 
 /// A device behind a path.
 pub struct ReflectedHand {
+    number: u8,
     capabilities: Capabilities,
     master: Box<dyn HapticDevice>,
     filter: Option<TremorFilter>,
@@ -25,7 +28,14 @@ pub struct ReflectedHand {
     end: DeviceEnd,
     /// What was sent.
     history: PoseHistory,
+    /// When the newest arrival that was taken was sent.
+    taken: Option<SimTime>,
     read_at: Option<SimTime>,
+    /// What was written last.
+    sampled: Option<MasterSample>,
+    report: Option<SlaveReport>,
+    /// Ends of a copy that nobody has yet.
+    free: Option<(LinkedHand, WatchedHand)>,
     master_in_device: Isometry3<f64>,
     /// As in [`SlaveReport`].
     errors: (u64, f64, f64),
@@ -45,18 +55,28 @@ impl ReflectedHand {
         let slave = Slave::new(hand, config, master.capabilities())?;
         let (end, linked, watched) = exchange(hand);
         let device = Self {
+            number: hand,
             capabilities: config.capabilities(master.capabilities()),
             master,
             filter: config.tremor_cutoff_hz.map(TremorFilter::new),
             slave,
             end,
             history: PoseHistory::default(),
+            taken: None,
             read_at: None,
+            sampled: None,
+            report: None,
+            free: None,
             master_in_device: Isometry3::identity(),
             errors: (0, 0.0, 0.0),
             force: Vector3::zeros(),
         };
         Ok((device, linked, watched))
+    }
+
+    /// The ends of the link and of the actor of a copy, once: it is of no use before they are where they belong.
+    pub fn take_ends(&mut self) -> Option<(LinkedHand, WatchedHand)> {
+        self.free.take()
     }
 
     /// Brings the master's pose on its way.
@@ -70,7 +90,8 @@ impl ReflectedHand {
         }
         self.history.push(now, state.pose_in_device);
         self.master_in_device = state.pose_in_device;
-        self.end.masters.write(Some(MasterSample { sampled_at: now, state }));
+        self.sampled = Some(MasterSample { sampled_at: now, state });
+        self.end.masters.write(self.sampled);
     }
 
     /// Compares the slave with the master's pose whose time stamp it applies.
@@ -106,9 +127,8 @@ impl HapticDevice for ReflectedHand {
         }
         self.read_at = Some(now);
         self.slave.set_stop(now, self.end.told.control.is_stopped());
-        if self.end.arrivals.update()
-            && let Some(arrival) = *self.end.arrivals.output_buffer()
-        {
+        if let Some(arrival) = self.end.arrivals.read().filter(|arrival| self.taken != Some(arrival.sent_at)) {
+            self.taken = Some(arrival.sent_at);
             self.slave.admit(now, &arrival);
         }
         let state = self.slave.step(now);
@@ -119,7 +139,8 @@ impl HapticDevice for ReflectedHand {
             force_in_device: self.force,
             ..self.slave.report(now, &state)
         };
-        self.end.told.reports.write(Some(report));
+        self.report = Some(report);
+        self.end.told.reports.write(self.report);
         // Whoever unplugs the master's device is told at once; the slave stands.
         master.map(|_| state)
     }
@@ -137,6 +158,47 @@ impl HapticDevice for ReflectedHand {
     fn close(&mut self) {
         self.slave.feel(&Wrench::ZERO.force);
         self.master.close();
+    }
+
+    fn fork(&self) -> Option<Box<dyn HapticDevice>> {
+        let master = self.master.fork()?;
+        let (mut end, linked, watched) = exchange(self.number);
+        end.masters.write(self.sampled);
+        end.told.reports.write(self.report);
+        end.told.control.set_stop(self.end.told.control.is_stopped());
+        Some(Box::new(Self {
+            number: self.number,
+            capabilities: self.capabilities.clone(),
+            master,
+            filter: self.filter.clone(),
+            slave: self.slave.clone(),
+            end,
+            history: self.history.clone(),
+            taken: self.taken,
+            read_at: self.read_at,
+            sampled: self.sampled,
+            report: self.report,
+            free: Some((linked, watched)),
+            ..*self
+        }))
+    }
+
+    fn as_any(&mut self) -> Option<&mut dyn Any> {
+        Some(self)
+    }
+
+    /// With nothing under way: the slave stands for a round trip, and then goes to where its master is.
+    fn resume(&mut self, now_ns: u64, state: &DeviceState, intent: &HandIntent) {
+        let at_master = DeviceState {
+            pose_in_device: intent.pose_in_device,
+            gripper: intent.gripper,
+            buttons: intent.buttons,
+            connected: true,
+            ..DeviceState::unknown()
+        };
+        self.master.resume(now_ns, &at_master, intent);
+        self.slave.resume(SimTime(now_ns), state);
+        self.read_at = Some(SimTime(now_ns));
     }
 }
 

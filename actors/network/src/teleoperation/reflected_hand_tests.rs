@@ -1,8 +1,9 @@
 //! Tests of a reflected hand over a virtual hand, its link and a reflector.
 
 use nalgebra::Vector3;
-use trocar_devices::{VirtualHand, VirtualHandConfig};
+use trocar_devices::{Pedals, VirtualHand, VirtualHandConfig};
 use trocar_kernel::spec::Peer;
+use trocar_scene::SlaveState;
 
 use super::super::reflected_link::ReflectedLink;
 use super::*;
@@ -23,7 +24,7 @@ fn run(
         ReflectedHand::new(0, config, Box::new(master)).expect("it is valid");
     let (link, _watch) = ReflectedLink::new((), vec![linked], None).expect("a key");
     let path = Impairments::delay(SimTime::from_millis(80));
-    let mut peer = ReflectedPeer::new("path", Box::new(link), Reflector::new(&path, 1));
+    let mut peer = ReflectedPeer::new("path", link, Reflector::new(&path, 1));
     hand.open(0).expect("a virtual hand is there");
     let (mut shown, mut reports) = (Vec::new(), Vec::new());
     for step in 0..ms {
@@ -95,7 +96,68 @@ fn an_unplugged_master_is_told_and_its_slave_stands() {
         ReflectedHand::new(0, SlaveConfig::default(), Box::new(master)).expect("it is valid");
     assert_eq!(hand.read(0), Err(DeviceError::NotOpen));
     assert_eq!(hand.write(0, &Wrench::ZERO), Err(DeviceError::NotOpen));
-    assert!(hand.fork().is_none(), "a path exists only once");
     hand.open(0).expect("it is there");
     assert!(!hand.read(1_000_000).expect("it is read").connected);
+}
+
+#[test]
+fn a_copy_goes_on_as_the_original_would_with_what_is_under_way() {
+    let master = VirtualHand::new(VirtualHandConfig::default()).expect("the defaults are valid");
+    let (mut hand, linked, mut watched) =
+        ReflectedHand::new(0, SlaveConfig::default(), Box::new(master)).expect("it is valid");
+    let (link, _watch) = ReflectedLink::new((), vec![linked], None).expect("a key");
+    let path = Impairments { delay: SimTime::from_millis(80), loss: 0.1, reorder: 0.1, ..Impairments::default() };
+    let mut peer = ReflectedPeer::new("path", link, Reflector::new(&path, 1));
+    hand.open(0).expect("a virtual hand is there");
+    let step = |hand: &mut dyn HapticDevice, peer: &mut ReflectedPeer, ms: u64| {
+        let now_ns = ms * 1_000_000;
+        let pose_in_device = Isometry3::translation(swing(ms as f64 * 1e-3), 0.0, 0.0);
+        // The foot goes up and down.
+        let pedals = if ms / 50 % 2 == 0 { Pedals::Released } else { Pedals::Energy };
+        let buttons = pedals.buttons();
+        hand.set_intent(now_ns, &HandIntent { buttons, ..HandIntent::at(pose_in_device, 0.2) });
+        let shown = hand.read(now_ns).expect("it is read");
+        peer.step(SimTime(now_ns));
+        shown
+    };
+    (0..500).for_each(|ms| _ = step(&mut hand, &mut peer, ms));
+    let mut copy = hand.fork().expect("its master can be copied");
+    let ends = copy.as_any().and_then(|any| any.downcast_mut::<ReflectedHand>()).map(ReflectedHand::take_ends);
+    let (linked, mut copy_watched) = ends.flatten().expect("its ends are free");
+    let (mut copy_peer, _watch) = peer.fork(vec![linked]).expect("a key");
+    let mut energised = 0;
+    for ms in 500..1_000 {
+        let (one, other) = (step(&mut hand, &mut peer, ms), step(&mut *copy, &mut copy_peer, ms));
+        assert_eq!(one, other, "at {ms} ms");
+        energised += u32::from(Pedals::of(one.buttons) == Pedals::Energy);
+        assert_eq!(watched.reports.read(), copy_watched.reports.read(), "at {ms} ms");
+    }
+    assert!((200..300).contains(&energised), "{energised} ms");
+}
+
+#[test]
+fn what_goes_on_from_a_state_stands_a_round_trip_and_then_goes_to_its_master_without_a_jump() {
+    let master = VirtualHand::new(VirtualHandConfig::default()).expect("the defaults are valid");
+    let (mut hand, linked, _watched) =
+        ReflectedHand::new(0, SlaveConfig::default(), Box::new(master)).expect("it is valid");
+    let (link, _watch) = ReflectedLink::new((), vec![linked], None).expect("a key");
+    let path = Impairments::delay(SimTime::from_millis(80));
+    let mut peer = ReflectedPeer::new("path", link, Reflector::new(&path, 1));
+    let shown = DeviceState {
+        pose_in_device: Isometry3::translation(0.01, 0.0, 0.0),
+        connected: true,
+        ..DeviceState::unknown()
+    };
+    let intent = HandIntent::at(Isometry3::translation(0.03, 0.0, 0.0), 0.2);
+    hand.resume(0, &shown, &intent);
+    hand.open(0).expect("it is there");
+    let mut before = 0.01;
+    for ms in 1..200 {
+        let x = hand.read(ms * 1_000_000).expect("it is read").pose_in_device.translation.x;
+        peer.step(SimTime::from_millis(ms));
+        assert!(ms > 81 || (x - 0.01).abs() < 1e-9, "{x} at {ms} ms");
+        assert!((x - before).abs() < 1.1e-3, "a meter a second at most: {x} after {before}");
+        before = x;
+    }
+    assert!((before - 0.03).abs() < 1e-4, "{before}");
 }

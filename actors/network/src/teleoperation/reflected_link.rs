@@ -12,7 +12,7 @@ use trocar_scene::SimTime;
 
 use super::delay_histogram::DelayHistogram;
 use super::exchange::{Arrival, LinkReport, LinkedHand};
-use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Hands, Keys, Opener, Sealer, Side};
+use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Hands, Keys, Opener, ReceiveKey, Sealer, SendKey, Side};
 use crate::hand_sample::HandSample;
 use crate::hands_link::HandsLink;
 use crate::impairments::DelayTrace;
@@ -31,6 +31,8 @@ const ROUND_TRIP_MAX: SimTime = SimTime::from_millis(120_000);
 /// Both ends of a reflected path.
 pub struct ReflectedLink<A> {
     reflector: A,
+    /// Number of the key.
+    phase: u32,
     sealer: Sealer,
     opener: Opener,
     arrived: Hands,
@@ -83,23 +85,15 @@ impl<A: Copy + PartialEq> ReflectedLink<A> {
         if hands.len() > HANDS_MAX {
             return Err(LinkError::TooManyHands(hands.len()));
         }
-        let mut secret = [0; 32];
-        SystemRandom::new().fill(&mut secret).map_err(|_| LinkError::NoRandomness)?;
-        let derive = |label: &[u8], context: &[u8], out: &mut [u8]| {
-            blake3::Hasher::new_keyed(&secret).update(label).update(context).finalize_xof().fill(out);
-            Ok::<(), LinkError>(())
-        };
-        // Twice the same keys: one machine is both ends.
-        let client = Keys::from_exporter(CONNECTION, 0, derive)?;
-        let server = Keys::from_exporter(CONNECTION, 0, derive)?;
-        let (send, _) = client.split(Side::Client);
-        let (_, receive) = server.split(Side::Server);
+        let (send, receive) = keys(0)?;
         let (reports, watched) = triple_buffer(&LinkReport::default());
         let samples = hands.iter().map(|hand| HandSample::unknown(hand.hand)).collect();
         let link = Self {
             reflector,
+            phase: 0,
             sealer: Sealer::new(send),
-            opener: Opener::new(receive, SimTime::ZERO),
+            // What is under way when a copy of the link takes a key of its own is to arrive.
+            opener: Opener::new(receive, ROUND_TRIP_MAX),
             arrived: Hands::default(),
             sampled: vec![None; hands.len()],
             samples,
@@ -121,6 +115,42 @@ impl<A: Copy + PartialEq> ReflectedLink<A> {
         let trace = self.trace.as_ref()?;
         let step = sent_at.since(self.begun?).as_nanos() / trace.every.as_nanos();
         trace.delays.get((step % trace.delays.len() as u64) as usize).copied()
+    }
+
+    /// A copy in the same state, for a copy of its session: the same packets are under way to it, and it goes on to send
+    /// under a key of its own. `hands` are those of the copied devices, in the same order.
+    ///
+    /// # Errors
+    /// [`LinkError`].
+    pub fn fork(&self, mut hands: Vec<LinkedHand>) -> Result<(Self, WatchedLink), LinkError> {
+        let phase = self.phase.wrapping_add(1);
+        let (send, receive) = keys(phase)?;
+        let mut opener = self.opener.copied();
+        // Of the same connection, and of the next phase: it is taken.
+        opener.rekey(SimTime::ZERO, receive).map_err(|_| LinkError::NoRandomness)?;
+        for (copy, hand) in hands.iter_mut().zip(&self.hands) {
+            copy.tell(hand.arrived);
+        }
+        let (reports, watched) = triple_buffer(&self.report);
+        let link = Self {
+            reflector: self.reflector,
+            phase,
+            sealer: Sealer::going_on(send, self.sealer.next_sequence()),
+            opener,
+            arrived: Hands::default(),
+            hands,
+            samples: self.samples.clone(),
+            sampled: self.sampled.clone(),
+            newest: self.newest,
+            trace: self.trace.clone(),
+            begun: self.begun,
+            round_trips: self.round_trips.clone(),
+            errors: self.errors.clone(),
+            report: self.report,
+            report_due: self.report_due,
+            reports,
+        };
+        Ok((link, WatchedLink(watched)))
     }
 
     fn measure(&mut self, now: SimTime, sent_at: SimTime) {
@@ -148,6 +178,21 @@ impl<A: Copy + PartialEq> ReflectedLink<A> {
     }
 }
 
+/// A key for both ends of a path, since one machine is both, that never leaves the process.
+fn keys(phase: u32) -> Result<(SendKey, ReceiveKey), LinkError> {
+    let mut secret = [0; 32];
+    SystemRandom::new().fill(&mut secret).map_err(|_| LinkError::NoRandomness)?;
+    let derive = |label: &[u8], context: &[u8], out: &mut [u8]| {
+        blake3::Hasher::new_keyed(&secret).update(label).update(context).finalize_xof().fill(out);
+        Ok::<(), LinkError>(())
+    };
+    let client = Keys::from_exporter(CONNECTION, phase, derive)?;
+    let server = Keys::from_exporter(CONNECTION, phase, derive)?;
+    let (send, _) = client.split(Side::Client);
+    let (_, receive) = server.split(Side::Server);
+    Ok((send, receive))
+}
+
 impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
     fn receive(&mut self, now: SimTime, from: A, datagram: &mut [u8], _: &mut dyn FnMut(A, &[u8]) -> bool) {
         if from != self.reflector {
@@ -169,7 +214,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
         for sample in self.arrived.samples() {
             let Some(hand) = self.hands.iter_mut().find(|hand| hand.hand == sample.hand) else { continue };
             let age = SimTime::from_micros(u64::from(sample.age_us));
-            hand.arrivals.write(Some(Arrival {
+            hand.tell(Some(Arrival {
                 sampled_at: SimTime(header.sent_at.as_nanos().saturating_sub(age.as_nanos())),
                 sent_at: header.sent_at,
                 arrived_at: now,

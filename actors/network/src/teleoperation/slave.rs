@@ -146,6 +146,8 @@ pub struct Slave {
     force_limit: ForceLimit,
     /// Force on the slave, along the device's axes \[N\].
     force: Vector3<f64>,
+    /// Whether it goes to the very places that it is told, because its master has a clutch of its own.
+    mirrors: bool,
     stopped: bool,
     pedal_down: bool,
     /// Whether the pedal must be seen up before it counts as down.
@@ -175,6 +177,7 @@ impl Slave {
             door: Door::new(hand, config.limits(), &config.capabilities(device))?,
             force_limit: ForceLimit::default(),
             force: Vector3::zeros(),
+            mirrors: false,
             stopped: false,
             pedal_down: false,
             release_first: false,
@@ -188,6 +191,13 @@ impl Slave {
             energised_secs: 0.0,
             config,
         })
+    }
+
+    /// The same for a master whose poses stand still while its own pedal is up, so that they are where the slave has to be.
+    pub fn mirroring(self) -> Self {
+        let mut slave = Self { mirrors: true, ..self };
+        slave.door.set_mirroring(true);
+        slave
     }
 
     /// Takes the newest sample that has arrived.
@@ -211,6 +221,7 @@ impl Slave {
         self.door.set_holding(true);
         // The door counts what it refuses.
         if self.door.admit(now, *arrived_at, &HandSample { state, ..*sample }).is_ok() {
+            self.door.set_mirroring(self.mirrors);
             self.pedal_down = true;
             self.applied = Some(*sampled_at);
         }
@@ -286,6 +297,15 @@ impl Slave {
             energised_secs: self.energised_secs,
             ..SlaveReport::default()
         }
+    }
+
+    /// Goes on from this state, as after a break: it stands there, and goes to where its master is as soon as that is heard.
+    pub fn resume(&mut self, now: SimTime, state: &DeviceState) {
+        self.has_pedals |= state.buttons & HAS_PEDALS != 0;
+        self.applied.get_or_insert(now);
+        self.shown = Some(*state);
+        self.door.open(now, Some(state));
+        self.door.set_mirroring(true);
     }
 
     /// What it does.

@@ -1,7 +1,7 @@
 //! Tests of the slave, one for each of its guarantees.
 
 use nalgebra::UnitQuaternion;
-use trocar_devices::{HapticDevice, VirtualHand, VirtualHandConfig};
+use trocar_devices::{HapticDevice, PEDAL_COAGULATE, PEDAL_ENERGY, VirtualHand, VirtualHandConfig};
 
 use super::*;
 
@@ -115,6 +115,63 @@ fn without_a_pedal_it_goes_on_after_silence_from_where_it_is() {
     let back = bench.step(Isometry3::translation(-0.05, 0.0, 0.0), 0).pose_in_device.translation.x;
     assert!((back - stands).abs() < 1e-9, "{back} after {stands}");
     assert_eq!(bench.state(), SlaveState::Following);
+}
+
+const HERE: u32 = HAS_PEDALS;
+const CUT: u32 = HAS_PEDALS | PEDAL_ENERGY;
+const BURN: u32 = HAS_PEDALS | PEDAL_COAGULATE;
+
+/// The pedals that count in the next step, while the master presses these buttons.
+fn counting(bench: &mut Bench, buttons: u32) -> Pedals {
+    Pedals::of(bench.step(Isometry3::identity(), buttons).buttons)
+}
+
+#[test]
+fn pedals_of_the_current_count_as_they_arrive_and_time_with_it_is_counted() {
+    let mut bench = Bench::new(SlaveConfig::default());
+    assert_eq!(counting(&mut bench, HERE), Pedals::Released);
+    assert_eq!(counting(&mut bench, CUT), Pedals::Energy);
+    for _ in 0..99 {
+        assert_eq!(counting(&mut bench, BURN), Pedals::Coagulate);
+    }
+    assert_eq!(counting(&mut bench, HERE), Pedals::Released);
+    let report = bench.slave.report(SimTime::from_millis(bench.ms), &DeviceState::unknown());
+    assert!((report.energised_secs - 0.1).abs() < 1e-9, "{}", report.energised_secs);
+    assert_eq!((report.stops, report.silences), (0, 0));
+}
+
+#[test]
+fn silence_switches_the_current_off_and_its_pedal_must_be_released_and_pressed_again() {
+    let mut bench = Bench::new(SlaveConfig::default());
+    counting(&mut bench, HERE);
+    counting(&mut bench, CUT);
+    let off = (1..200).find(|_| Pedals::of(bench.silence().buttons) != Pedals::Energy).expect("it goes off");
+    assert_eq!(off, 100, "milliseconds");
+    assert_eq!(Pedals::of(bench.silence().buttons), Pedals::Released, "that it has pedals is still known");
+    for _ in 0..50 {
+        assert_eq!(counting(&mut bench, CUT), Pedals::Released);
+    }
+    assert_eq!(bench.slave.report(SimTime::from_millis(bench.ms), &DeviceState::unknown()).silences, 1);
+    counting(&mut bench, HERE);
+    assert_eq!(counting(&mut bench, CUT), Pedals::Energy);
+}
+
+#[test]
+fn a_stop_and_the_clutch_switch_the_current_off_at_once_until_its_pedal_is_pressed_again() {
+    let mut bench = Bench::new(pedalled());
+    counting(&mut bench, HERE | PEDAL);
+    assert_eq!(counting(&mut bench, CUT | PEDAL), Pedals::Energy);
+    assert_eq!(counting(&mut bench, CUT), Pedals::Released, "the clutch");
+    assert_eq!(counting(&mut bench, CUT | PEDAL), Pedals::Released);
+    counting(&mut bench, HERE | PEDAL);
+    assert_eq!(counting(&mut bench, CUT | PEDAL), Pedals::Energy);
+    bench.slave.set_stop(SimTime::from_millis(bench.ms), true);
+    assert_eq!(Pedals::of(bench.silence().buttons), Pedals::Released, "the stop");
+    bench.slave.set_stop(SimTime::from_millis(bench.ms), false);
+    counting(&mut bench, CUT);
+    assert_eq!(counting(&mut bench, CUT | PEDAL), Pedals::Released, "it was not released meanwhile");
+    counting(&mut bench, HERE | PEDAL);
+    assert_eq!(counting(&mut bench, CUT | PEDAL), Pedals::Energy);
 }
 
 #[test]
