@@ -192,6 +192,17 @@ pub struct RunArgs {
     /// the session starts: for scenarios such as `tele-liver`
     #[arg(long, value_name = "REFLECTOR", conflicts_with = "lockstep", help_heading = "Session")]
     pub reflector: Option<String>,
+    /// A hand that leads a robot elsewhere, as at a surgeon's console: NAME=itp:HOST:PORT, with arm=left|right, pedal=BUTTON,
+    /// dialect=raven|raven-sim, scale= and bind= after commas. The session is then that console alone, without the physics;
+    /// the protocol (ITP) is unprotected
+    #[arg(
+        long = "console",
+        value_name = "NAME=ROBOT",
+        value_parser = hand,
+        conflicts_with_all = ["lockstep", "reflector"],
+        help_heading = "Session"
+    )]
+    pub consoles: Vec<(String, String)>,
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,

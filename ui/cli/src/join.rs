@@ -66,6 +66,7 @@ fn take_part(
         faults: None,
         resume: None,
         reflector: None,
+        consoles: Vec::new(),
         pictures: view.pictures.clone(),
         record: view.record.clone(),
         record_exact: false,

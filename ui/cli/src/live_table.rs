@@ -228,12 +228,10 @@ fn stations(scene: &Snapshot) -> Vec<String> {
 /// What the slaves of a tele-operation do.
 fn slaves(scene: &Snapshot) -> Vec<String> {
     let line = |(hand, row): (_, &Teleoperation)| {
-        let seal = if row.protected { "" } else { "  unprotected" };
         format!(
-            "slave of {}: {}  {:.1} ms behind  {} packets of {}{seal}",
+            "slave of {}: {}  {} packets of {}",
             printable(&scene.name(hand)),
-            row.state.words(),
-            row.round_trip * 1e3,
+            row.words(),
             row.figures.received,
             row.figures.sent,
         )

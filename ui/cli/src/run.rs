@@ -167,6 +167,7 @@ fn attempt(
     options.network = network.clone();
     let address = |text: &String| reflect::address("--reflector", text);
     options.reflector = args.reflector.as_ref().map(address).transpose()?;
+    options.consoles = args.consoles.clone();
     options.begin = network.station().map_or(options.begin, |station| station.now());
     options.resume = resumed(app, args, number)?;
     if options.resume.as_ref().is_some_and(Resumed::is_too_coarse) {

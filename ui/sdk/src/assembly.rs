@@ -23,8 +23,9 @@ use crate::hands::{HandPort, OpenedHand};
 use crate::kind::{Blueprint, KindContext};
 use crate::kinds::{MANUAL, plain};
 use crate::network::{
-    self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, REFLECTOR,
-    REFLECTOR_HZ, ReflectedHands, ReflectedPart, STATION_WRITER, Sharing, StationHands, TakingPart,
+    self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, ReflectedOrigin,
+    STATION_WRITER, Sharing, StationHands, TELEOPERATION, TELEOPERATION_HZ, TakingPart, TeleoperatedHands,
+    TeleoperationPart,
 };
 use crate::options::RunOptions;
 use crate::play;
@@ -54,6 +55,8 @@ pub struct Assembly {
     pub(crate) plan: Arc<SessionPlan>,
     /// Actors that join when the session runs live.
     pub(crate) actors: Vec<ActorKind>,
+    /// The reflected hands, for branches and resets.
+    pub(crate) reflected: Option<ReflectedOrigin>,
 }
 
 impl Assembly {
@@ -68,7 +71,10 @@ impl Assembly {
         let sharing = options.network.sharing(scenario)?;
         let own_part = station.map(|_| own_part(app, scenario, options, sharing));
         let scenario = own_part.as_ref().unwrap_or(scenario);
-        let mut network_hands = WrappedHands::new(&options.network, sharing, reflected(scenario, options)?);
+        let console = (!options.consoles.is_empty()).then(|| network::console_part(scenario, options));
+        let mut network_hands =
+            WrappedHands::new(&options.network, sharing, teleoperated(scenario, options)?);
+        let scenario = console.as_ref().unwrap_or(scenario);
         let mut hands = open_hands(app, scenario, options, &mut network_hands)?;
         if let Some(resumed) = &options.resume {
             hands.iter_mut().for_each(|hand| hand.go_on(resumed.scene(), resumed.time()));
@@ -144,9 +150,13 @@ impl Assembly {
             network.push(part);
             last = Some(last_word);
         }
-        if let Some(ReflectedPart { actor, part }) = network_hands.take_reflected().part(options.lockstep)? {
-            roles.push(Role::new(REFLECTOR, roles.len() as u16 + 1, REFLECTOR_HZ, network_actor(actor)));
-            network.push(part);
+        let mut reflected = None;
+        let teleoperated = network_hands.take_teleoperated().part(options.lockstep)?;
+        if let Some(TeleoperationPart { actor, part, origin }) = teleoperated {
+            let writer = roles.len() as u16 + 1;
+            roles.push(Role::new(TELEOPERATION, writer, TELEOPERATION_HZ, network_actor(actor)));
+            network.extend(part);
+            reflected = origin;
         }
 
         let plan = SessionPlan {
@@ -159,15 +169,16 @@ impl Assembly {
             fault_targets,
         };
         let spec = plan.first((options.seed, begin), &ports);
-        Ok(Self { spec, hands, network, last_word: last, plan: Arc::new(plan), actors: app.actors.clone() })
+        let (plan, actors) = (Arc::new(plan), app.actors.clone());
+        Ok(Self { spec, hands, network, last_word: last, plan, actors, reflected })
     }
 }
 
-/// The hands behind a packet reflector. A station has none: its host has the reflector.
-fn reflected(scenario: &Scenario, options: &RunOptions) -> Result<ReflectedHands, NetworkError> {
+/// The tele-operated hands. A station has none behind a packet reflector: its host has that.
+fn teleoperated(scenario: &Scenario, options: &RunOptions) -> Result<TeleoperatedHands, NetworkError> {
     match options.network.station() {
-        Some(_) => Ok(ReflectedHands::default()),
-        None => ReflectedHands::of(scenario, options.reflector),
+        Some(_) => Ok(TeleoperatedHands::default()),
+        None => TeleoperatedHands::of(scenario, options),
     }
 }
 
@@ -249,14 +260,14 @@ fn own_part(app: &App, scenario: &Scenario, options: &RunOptions, sharing: Shari
 struct WrappedHands<'a> {
     network: &'a Network,
     sharing: Sharing,
-    reflected: ReflectedHands,
+    teleoperated: TeleoperatedHands,
     host: NetworkHands,
     station: StationHands,
 }
 
 impl<'a> WrappedHands<'a> {
-    fn new(network: &'a Network, sharing: Sharing, reflected: ReflectedHands) -> Self {
-        Self { network, sharing, reflected, host: NetworkHands::default(), station: StationHands::default() }
+    fn new(network: &'a Network, sharing: Sharing, teleoperated: TeleoperatedHands) -> Self {
+        Self { network, sharing, teleoperated, host: NetworkHands::default(), station: StationHands::default() }
     }
 
     fn wrap(
@@ -265,7 +276,7 @@ impl<'a> WrappedHands<'a> {
         entity: Entity,
         device: Box<dyn HapticDevice>,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
-        let device = self.reflected.wrap(name, entity, device)?;
+        let device = self.teleoperated.wrap(name, entity, device)?;
         match self.network {
             Network::None => Ok(device),
             Network::Host(_) | Network::LockstepHost(_) => self.host.wrap(name, entity, device, self.sharing),
@@ -273,8 +284,8 @@ impl<'a> WrappedHands<'a> {
         }
     }
 
-    fn take_reflected(&mut self) -> ReflectedHands {
-        std::mem::take(&mut self.reflected)
+    fn take_teleoperated(&mut self) -> TeleoperatedHands {
+        std::mem::take(&mut self.teleoperated)
     }
 
     fn take_host(&mut self) -> NetworkHands {

@@ -7,11 +7,12 @@ use thiserror::Error;
 use trocar_devices::HapticDevice;
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::lockstep::{LockstepSession, Moment};
-use trocar_kernel::spec::SessionSpec;
+use trocar_kernel::spec::{Factory, Peer, SessionSpec};
 use trocar_kernel::{BranchError as KernelError, SessionError};
 use trocar_scene::{SimTime, Snapshot, Store};
 
 use crate::hands::{HandPort, OpenedHand, SteppedHand};
+use crate::network::{NetworkError, ReflectedOrigin, TELEOPERATION};
 use crate::session::plan::{BoundToHands, SessionPlan};
 use crate::session::{Running, Session};
 
@@ -27,6 +28,9 @@ pub enum BranchError {
     /// A controller that is bound to the hands that it was made for.
     #[error("controller '{0}' does not say how it serves other hands: Blueprint::for_hands")]
     Controller(String),
+    /// The path of a hand behind a packet reflector.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
     /// The snapshot cannot be continued from.
     #[error(transparent)]
     Snapshot(#[from] KernelError),
@@ -43,6 +47,8 @@ pub(crate) struct Origin {
     pub seed: u64,
     /// Session time at the start.
     pub begin: SimTime,
+    /// The hands behind a packet reflector, whose link is made again for each copy.
+    pub reflected: Option<ReflectedOrigin>,
 }
 
 impl Origin {
@@ -53,6 +59,7 @@ impl Origin {
             prototypes: self.prototypes.iter().map(fork).collect(),
             seed: self.seed,
             begin: self.begin,
+            reflected: self.reflected.as_ref().map(ReflectedOrigin::again),
         }
     }
 
@@ -108,14 +115,17 @@ impl Session {
     /// [`BranchError`]; the session is unchanged.
     pub fn reset_with_seed(&mut self, seed: u64) -> Result<(), BranchError> {
         let (_, origin) = self.virtual_time()?;
-        let hands = origin
+        let mut hands = origin
             .prototypes(&self.hands)
             .map(|hand| {
                 hand.and_then(|(port, device)| OpenedHand::anew(port, device).ok_or_else(|| once(port)))
             })
             .collect::<Result<Vec<_>, _>>()?;
         let (ports, mut spec) = cast(origin, seed, Store::from_snapshot(&origin.plan.scene), &hands)?;
+        let mut reflected = origin.reflected.as_ref().map(ReflectedOrigin::again);
+        let path = reflected.as_mut().map(|reflected| reflected.anew(&mut hands)).transpose()?;
         spec.peers.extend(hands.into_iter().map(OpenedHand::into_peer));
+        join(path, &mut spec);
         let begun = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
         if let Running::Lockstep(before) = std::mem::replace(&mut self.running, begun) {
             // Closes its recording, if it has one.
@@ -124,7 +134,7 @@ impl Session {
         self.hands = ports;
         self.fences_raised = false;
         if let Some(origin) = &mut self.origin {
-            origin.seed = seed;
+            (origin.seed, origin.reflected) = (seed, reflected);
         }
         Ok(())
     }
@@ -189,7 +199,8 @@ impl Session {
     ///
     /// For the present snapshot this is [`Session::branch`]. For a past one, hands and drivers continue from their
     /// state in the scene: position and velocity as measured, the force as rendered, and the last energy account that
-    /// was written. The state hash continues from that of the snapshot if it is among the last 256 of this session;
+    /// was written. Of a hand behind a packet reflector nothing is under way: its slave stands for a round trip, and goes to
+    /// its master then. The state hash continues from that of the snapshot if it is among the last 256 of this session;
     /// otherwise it starts at the snapshot's scene.
     ///
     /// # Errors
@@ -200,9 +211,9 @@ impl Session {
     }
 
     /// The branch of `origin`, which differs from this session's at most in its plan.
-    fn branch_at(&self, moment: Moment, origin: Origin) -> Result<Self, BranchError> {
+    fn branch_at(&self, moment: Moment, mut origin: Origin) -> Result<Self, BranchError> {
         let (session, _) = self.virtual_time()?;
-        let hands = if moment.is_present() {
+        let mut hands = if moment.is_present() {
             let stepped = session.peers().filter_map(|peer| (peer as &dyn Any).downcast_ref::<SteppedHand>());
             let forks = self.hands.iter().zip(stepped);
             forks.map(|(port, hand)| hand.fork().ok_or_else(|| once(port))).collect::<Result<Vec<_>, _>>()?
@@ -214,7 +225,14 @@ impl Session {
         };
         let scene = Store::from_snapshot(moment.scene());
         let (ports, mut spec) = cast(&origin, origin.seed, scene, &hands)?;
+        let path = match &mut origin.reflected {
+            None => None,
+            Some(reflected) if moment.is_present() => Some(reflected.fork(session.peers(), &mut hands)?),
+            // What was under way then is not in the scene: slaves stand for a round trip.
+            Some(reflected) => Some(reflected.anew(&mut hands)?),
+        };
         spec.peers.extend(hands.into_iter().map(OpenedHand::into_peer));
+        join(path, &mut spec);
         let running = Running::Lockstep(Box::new(LockstepSession::resume(spec, moment)?));
         Ok(Self::new(running, ports, Vec::new(), Some(origin)))
     }
@@ -224,6 +242,15 @@ impl Session {
             (Running::Lockstep(session), Some(origin)) => Ok((session, origin)),
             _ => Err(BranchError::Live),
         }
+    }
+}
+
+/// Adds the path of reflected hands, whose actor is bound to it.
+fn join(path: Option<(Box<dyn Peer>, Factory)>, spec: &mut SessionSpec) {
+    let Some((peer, factory)) = path else { return };
+    spec.peers.push(peer);
+    if let Some(actor) = spec.controllers.iter_mut().find(|actor| actor.name == TELEOPERATION) {
+        actor.factory = factory;
     }
 }
 

@@ -100,6 +100,11 @@ impl OpenedHand {
         self.device.fork()
     }
 
+    /// The device.
+    pub(crate) fn device_mut(&mut self) -> &mut dyn HapticDevice {
+        self.device.as_mut()
+    }
+
     /// The session's handle.
     pub fn port(&self) -> &HandPort {
         &self.port

@@ -22,6 +22,8 @@ use trocar_input::{
 };
 use trocar_kernel::spec::{Factory, Fence};
 use trocar_kernel::supervision::RuntimeClass;
+use trocar_network::itp::UNPROTECTED_MODEL;
+use trocar_network::teleoperation::PATH_FIGURES;
 use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
 use trocar_simulator::controller::{
@@ -40,6 +42,10 @@ use crate::kind::{Blueprint, Kind, KindContext, KindInfo};
 pub(crate) const MANUAL: &str = "manual";
 /// The kind that moves a hand along the scenario's path. A person who plays takes its place.
 pub(crate) const PATH: &str = "path";
+/// The kind that serves a haptic device.
+pub(crate) const HAPTICS: &str = "haptics";
+/// The kind that moves instruments by their hands and by what they touch.
+pub(crate) const INSTRUMENTS: &str = "instruments";
 /// The kind of the virtual trainee. A person who plays takes its place.
 pub(crate) const AUTOPILOT: &str = "autopilot";
 
@@ -47,7 +53,7 @@ pub(crate) const AUTOPILOT: &str = "autopilot";
 pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
     vec![
         (
-            "haptics",
+            HAPTICS,
             KindInfo::new("serves a haptic device: instrument pose in, force out", 1_000.0),
             Arc::new(haptics),
         ),
@@ -127,7 +133,7 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             under_gravity(FluidController::new),
         ),
         (
-            "instruments",
+            INSTRUMENTS,
             KindInfo::new(
                 "puts instruments where their hands are, and tells hands what pushes them",
                 1_000.0,
@@ -389,7 +395,16 @@ fn cache_folder() -> Option<PathBuf> {
 }
 
 fn outcome(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
-    let config: OutcomeConfig = context.scenario.task.parse()?;
+    let mut config: OutcomeConfig = context.scenario.task.parse()?;
+    // Of a hand whose master is a console elsewhere only that console knows the path.
+    let elsewhere = context.hands.iter().filter(|hand| hand.capabilities.name == UNPROTECTED_MODEL);
+    for hand in elsewhere {
+        let is_of_path = |measure: &str| {
+            let figure = measure.strip_prefix(&hand.name).and_then(|rest| rest.strip_prefix('.'));
+            figure.is_some_and(|figure| PATH_FIGURES.contains(&figure))
+        };
+        config.expect.retain(|expected| !is_of_path(&expected.measure));
+    }
     config.check().map_err(|reason| context.scenario.task.error(reason))?;
     Ok(plain(RuntimeClass::Task, move |context| OutcomeController::new(&config, context)))
 }

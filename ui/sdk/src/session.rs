@@ -108,6 +108,7 @@ impl Session {
             prototypes: assembly.hands.iter().map(OpenedHand::prototype).collect(),
             seed: assembly.spec.seed,
             begin: assembly.spec.begin,
+            reflected: assembly.reflected,
         };
         let last_word = assembly.last_word;
         let mut spec = assembly.spec;

@@ -219,6 +219,18 @@ fn pose(isometry: &Isometry3<f64>) -> Pose {
     Pose::new(isometry.translation.vector, rotation)
 }
 
+/// Figures of the path between a master and its slave, by the names under which an exercise judges them. Only who has both
+/// ends knows them.
+pub const PATH_FIGURES: [&str; 7] = [
+    "round_trip_mean_s",
+    "round_trip_max_s",
+    "delay_error_p99_s",
+    "rms_m",
+    "constant_lag_rms_m",
+    "constant_lag_s",
+    "applied_error_max_m",
+];
+
 /// The figures by the names under which an exercise judges them: `right.round_trip_mean_s`.
 fn tell(hand: &str, figures: &TeleoperationFigures, measured: &mut Measured) {
     let known = [

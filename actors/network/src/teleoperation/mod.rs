@@ -29,7 +29,7 @@ mod slave;
 mod tracking;
 mod tremor_filter;
 
-pub use controller::{TeleoperationController, TeleoperationWatch};
+pub use controller::{PATH_FIGURES, TeleoperationController, TeleoperationWatch};
 pub use delay_histogram::DelayHistogram;
 pub use exchange::{Arrival, LinkReport, LinkedHand, MasterSample, SlaveControl, SlaveReport, WatchedHand};
 pub use force_limit::{ForceLimit, GIVES_WAY_MAX, MOBILITY};

@@ -26,6 +26,7 @@ const HEADINGS: [(&str, &[&str]); 5] = [
             "faults",
             "resume",
             "reflector",
+            "console",
         ],
     ),
     ("Window", &["window", "headless"]),

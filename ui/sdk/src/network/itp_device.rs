@@ -8,6 +8,7 @@
 //!
 //! Two hands with one port are the two arms of one robot.
 
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -15,7 +16,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use trocar_devices::{Capabilities, DeviceError, DeviceState, HapticDevice, Wrench};
 use trocar_network::itp::{Dialect, ROBOT_PORT, RobotConfig};
 use trocar_network::live::itp::{ItpAddress, RobotPort};
-use trocar_network::teleoperation::{ItpHand, SlaveConfig};
+use trocar_network::teleoperation::{ItpHand, SlaveConfig, WatchedHand};
 
 /// The form for users.
 pub(crate) const ITP_USAGE: &str = "itp:PORT";
@@ -70,6 +71,13 @@ impl ItpRobots {
         })?;
         let hand = ItpHand::new(arm, spec.slave).map_err(|error| error.to_string())?;
         Ok(ItpDevice { hand, _robot: robot })
+    }
+}
+
+impl ItpDevice {
+    /// The end of the actor that shows it, once.
+    pub fn take_watched(&mut self) -> Option<WatchedHand> {
+        self.hand.take_watched()
     }
 }
 
@@ -143,6 +151,10 @@ impl HapticDevice for ItpDevice {
 
     fn close(&mut self) {
         self.hand.close();
+    }
+
+    fn as_any(&mut self) -> Option<&mut dyn Any> {
+        Some(self)
     }
 }
 

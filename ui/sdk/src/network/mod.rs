@@ -18,6 +18,7 @@
 //! network on them.
 
 mod host;
+mod itp_console;
 mod itp_device;
 mod part;
 mod reflected;
@@ -41,10 +42,13 @@ use self::host::NetworkSettings;
 
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
+pub(crate) use itp_console::console_part;
 pub(crate) use itp_device::{ITP_ABOUT, ITP_USAGE, ItpRobots};
 pub use part::NetworkPart;
 pub(crate) use part::RunningPart;
-pub(crate) use reflected::{REFLECTOR, REFLECTOR_HZ, ReflectedHands, ReflectedPart};
+pub(crate) use reflected::{
+    ReflectedOrigin, TELEOPERATION, TELEOPERATION_HZ, TeleoperatedHands, TeleoperationPart,
+};
 pub use station::{JoinOptions, JoinProgress, Joining, Station, credential_of, join};
 pub(crate) use station::{STATION_WRITER, StationHands, stationed};
 

@@ -10,32 +10,36 @@
 //! Live the packets go over real sockets, to a reflector that the session starts on the loopback, or to one that
 //! [`RunOptions::reflector`](crate::run::RunOptions::reflector) names. In virtual time the same reflector is stepped inside the process.
 
+use std::any::Any;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
 use serde::Deserialize;
 use trocar_devices::HapticDevice;
-use trocar_kernel::spec::Factory;
-use trocar_network::hands_link::HandsLink;
+use trocar_kernel::spec::{Factory, Peer};
 use trocar_network::impairments::{DELAY_MAX, DelayTrace, Impairments};
 use trocar_network::live::reflected::{OwnReflector, socket};
 use trocar_network::lockstep::ReflectedPeer;
 use trocar_network::reflector::Reflector;
 use trocar_network::teleoperation::{
-    LinkedHand, TeleoperationController, ReflectedHand, ReflectedLink, TeleoperationWatch, SlaveConfig, WatchedHand,
-    WatchedLink, internet_path,
+    LinkError, LinkedHand, ReflectedHand, ReflectedLink, SlaveConfig, TeleoperationController,
+    TeleoperationWatch, WatchedHand, WatchedLink, internet_path,
 };
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{BuildContext, Controller, Entity, SimTime};
 
 use super::NetworkError;
 use super::host::NetworkSettings;
+use super::itp_console::{ItpConsoles, Led};
+use super::itp_device::ItpDevice;
 use super::part::NetworkPart;
+use crate::hands::OpenedHand;
+use crate::options::RunOptions;
 
-/// Name of the actor of reflected hands.
-pub(crate) const REFLECTOR: &str = "reflector";
+/// Name of the actor of tele-operated hands.
+pub(crate) const TELEOPERATION: &str = "teleoperation";
 /// Its ticks per second \[Hz\].
-pub(crate) const REFLECTOR_HZ: f64 = 250.0;
+pub(crate) const TELEOPERATION_HZ: f64 = 250.0;
 
 /// Table `[network.reflector]` of a scenario.
 #[derive(Debug, Deserialize)]
@@ -137,51 +141,81 @@ impl ReflectorSettings {
     }
 }
 
-/// The reflected hands of a session.
+/// The tele-operated hands of a session: those behind a packet reflector, those that consoles elsewhere move, and those that
+/// lead robots elsewhere.
 #[derive(Default)]
-pub(crate) struct ReflectedHands {
+pub(crate) struct TeleoperatedHands {
     settings: Option<ReflectorSettings>,
     reflector: Option<SocketAddr>,
+    consoles: ItpConsoles,
     linked: Vec<LinkedHand>,
-    watched: Vec<(String, Entity, WatchedHand)>,
+    reflected: Vec<(String, Entity, WatchedHand)>,
+    others: Vec<(String, Entity, WatchedHand)>,
 }
 
-/// The actor of reflected hands, and their link.
-pub(crate) struct ReflectedPart {
+/// The actor of tele-operated hands, and the link of those that are reflected.
+pub(crate) struct TeleoperationPart {
     /// Makes the actor.
     pub actor: Factory,
     /// The link.
-    pub part: NetworkPart,
+    pub part: Option<NetworkPart>,
+    /// What copies of the session need, in virtual time.
+    pub origin: Option<ReflectedOrigin>,
 }
 
-impl ReflectedHands {
-    /// Those that the scenario names; `reflector` is one that somebody else runs.
+/// What a session in virtual time knows of its reflected hands, for its copies.
+pub(crate) struct ReflectedOrigin {
+    settings: Arc<ReflectorSettings>,
+    hands: Vec<(String, Entity)>,
+    watch: TeleoperationWatch,
+}
+
+impl TeleoperatedHands {
+    /// Those that the scenario and the options name.
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub fn of(scenario: &Scenario, reflector: Option<SocketAddr>) -> Result<Self, NetworkError> {
+    pub fn of(scenario: &Scenario, options: &RunOptions) -> Result<Self, NetworkError> {
+        let consoles = ItpConsoles::of(scenario, options)?;
+        if !options.consoles.is_empty() {
+            // The way to the robot is the path.
+            return Ok(Self { consoles, ..Self::default() });
+        }
         let settings = NetworkSettings::of(scenario)?.reflector;
         if let Some(settings) = &settings {
             let located = |reason| NetworkError::Scenario(scenario.network.error(reason).to_string());
             settings.check(scenario).map_err(located)?;
-        } else if reflector.is_some() {
+        } else if options.reflector.is_some() {
             let reason = "no hand of this scenario goes through a packet reflector; a scenario names them in its \
                           table [network.reflector], such as tele-liver";
             return Err(NetworkError::Usage(reason.to_owned()));
         }
-        Ok(Self { settings, reflector, ..Self::default() })
+        Ok(Self { settings, reflector: options.reflector, consoles, ..Self::default() })
     }
 
-    /// Puts the path between a hand's device and its driver, if the hand is behind the reflector.
+    /// Puts a path between a hand's device and its driver, if the hand has one. A device that a console elsewhere moves has
+    /// its path already.
     ///
     /// # Errors
-    /// [`NetworkError`] when the slave's figures are out of range.
+    /// [`NetworkError`] when the slave's figures are out of range, or there is no robot to lead.
     pub fn wrap(
         &mut self,
         name: &str,
         entity: Entity,
-        device: Box<dyn HapticDevice>,
+        mut device: Box<dyn HapticDevice>,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
+        let elsewhere = device.as_any().and_then(|any| any.downcast_mut::<ItpDevice>());
+        if let Some(watched) = elsewhere.and_then(ItpDevice::take_watched) {
+            self.others.push((name.to_owned(), entity, watched));
+            return Ok(device);
+        }
+        let device = match self.consoles.wrap(name, device)? {
+            Led::Leads(device, watched) => {
+                self.others.push((name.to_owned(), entity, watched));
+                return Ok(device);
+            }
+            Led::Free(device) => device,
+        };
         let Some(settings) = self.settings.as_ref().filter(|all| all.hands.iter().any(|hand| hand == name))
         else {
             return Ok(device);
@@ -190,7 +224,7 @@ impl ReflectedHands {
         let (hand, linked, watched) = ReflectedHand::new(number, settings.slave, device)
             .map_err(|error| NetworkError::Scenario(format!("reflector: {error}")))?;
         self.linked.push(linked);
-        self.watched.push((name.to_owned(), entity, watched));
+        self.reflected.push((name.to_owned(), entity, watched));
         Ok(Box::new(hand))
     }
 
@@ -198,41 +232,106 @@ impl ReflectedHands {
     ///
     /// # Errors
     /// [`NetworkError`] when there is no port, or no key.
-    pub fn part(self, lockstep: bool) -> Result<Option<ReflectedPart>, NetworkError> {
-        let Some(settings) = self.settings.filter(|_| !self.linked.is_empty()) else { return Ok(None) };
+    pub fn part(self, lockstep: bool) -> Result<Option<TeleoperationPart>, NetworkError> {
+        let (linked, mut hands) = (self.linked, self.reflected);
+        let named: Vec<(String, Entity)> =
+            hands.iter().map(|(name, entity, _)| (name.clone(), *entity)).collect();
+        hands.extend(self.others);
+        if hands.is_empty() {
+            return Ok(None);
+        }
+        let Some(settings) = self.settings.filter(|_| !linked.is_empty()) else {
+            let watch = TeleoperationWatch::new(hands, None);
+            return Ok(Some(TeleoperationPart { actor: actor_of(&watch), part: None, origin: None }));
+        };
+        if lockstep {
+            let (peer, link) = peer(&settings, linked)?;
+            let watch = TeleoperationWatch::new(hands, Some(link));
+            let (actor, part) = (actor_of(&watch), Some(NetworkPart::Lockstep(peer)));
+            let origin = Some(ReflectedOrigin { settings: Arc::new(settings), hands: named, watch });
+            return Ok(Some(TeleoperationPart { actor, part, origin }));
+        }
         let path = settings.path();
-        let expected = settings.expected(&path);
-        let (part, watch) = if lockstep {
-            let (link, watch) = link((), self.linked, Some(expected))?;
-            let reflector = Reflector::new(&path, settings.seed);
-            let peer = ReflectedPeer::new("network.reflector", link, reflector);
-            (NetworkPart::Lockstep(Box::new(peer)), watch)
-        } else {
-            let (address, own, expected) = match self.reflector {
-                // The delays of somebody else's reflector are not known here.
-                Some(address) => (address, None, None),
-                None => {
-                    let own = OwnReflector::bind(path, settings.seed)?;
-                    (own.address(), Some(Box::new(own)), Some(expected))
-                }
-            };
-            let (link, watch) = link(address, self.linked, expected)?;
-            (NetworkPart::Reflected { socket: socket(&address)?, link, own }, watch)
+        let (address, own, expected) = match self.reflector {
+            // The delays of somebody else's reflector are not known here.
+            Some(address) => (address, None, None),
+            None => {
+                let expected = settings.expected(&path);
+                let own = OwnReflector::bind(path, settings.seed)?;
+                (own.address(), Some(Box::new(own)), Some(expected))
+            }
         };
-        let watch = TeleoperationWatch::new(self.watched, watch);
-        let factory = move |_: &BuildContext<'_>| {
-            Ok(Box::new(TeleoperationController::new(&watch)?) as Box<dyn Controller>)
-        };
-        Ok(Some(ReflectedPart { actor: Arc::new(factory), part }))
+        let (link, watched) = ReflectedLink::new(address, linked, expected).map_err(without_key)?;
+        let part = NetworkPart::Reflected { socket: socket(&address)?, link: Box::new(link), own };
+        let watch = TeleoperationWatch::new(hands, Some(watched));
+        Ok(Some(TeleoperationPart { actor: actor_of(&watch), part: Some(part), origin: None }))
     }
 }
 
-fn link<A: Copy + PartialEq + Send + 'static>(
-    reflector: A,
-    hands: Vec<LinkedHand>,
-    trace: Option<DelayTrace>,
-) -> Result<(Box<dyn HandsLink<A>>, WatchedLink), NetworkError> {
-    let (link, watch) = ReflectedLink::new(reflector, hands, trace)
-        .map_err(|error| NetworkError::System(format!("reflector: {error}")))?;
-    Ok((Box::new(link), watch))
+impl ReflectedOrigin {
+    /// For a copy that will make its own.
+    pub fn again(&self) -> Self {
+        Self { settings: self.settings.clone(), hands: self.hands.clone(), watch: self.watch.clone() }
+    }
+
+    /// A path with nothing on it, for hands that begin: its peer and its actor.
+    ///
+    /// # Errors
+    /// [`NetworkError`] when there is no key.
+    pub fn anew(&mut self, hands: &mut [OpenedHand]) -> Result<(Box<dyn Peer>, Factory), NetworkError> {
+        let (linked, watched) = self.ends(hands);
+        let (peer, link) = peer(&self.settings, linked)?;
+        let named = self.hands.iter().zip(watched).map(|((name, entity), end)| (name.clone(), *entity, end));
+        self.watch = TeleoperationWatch::new(named.collect(), Some(link));
+        Ok((peer, actor_of(&self.watch)))
+    }
+
+    /// A copy of the path of this session's peers, with what is under way, for hands that are copies.
+    ///
+    /// # Errors
+    /// [`NetworkError`] when there is no key.
+    pub fn fork<'a>(
+        &mut self,
+        mut peers: impl Iterator<Item = &'a dyn Peer>,
+        hands: &mut [OpenedHand],
+    ) -> Result<(Box<dyn Peer>, Factory), NetworkError> {
+        let (linked, watched) = self.ends(hands);
+        let path = peers.find_map(|peer| (peer as &dyn Any).downcast_ref::<ReflectedPeer>());
+        let path = path.ok_or_else(|| NetworkError::System("reflector: the session has none".to_owned()))?;
+        let (peer, link) = path.fork(linked).map_err(without_key)?;
+        self.watch = self.watch.fork(watched, Some(link));
+        Ok((Box::new(peer), actor_of(&self.watch)))
+    }
+
+    /// The free ends of copied devices, in the order of the hands behind the reflector.
+    fn ends(&self, hands: &mut [OpenedHand]) -> (Vec<LinkedHand>, Vec<WatchedHand>) {
+        let of = |hand: &mut OpenedHand| {
+            let any = hand.device_mut().as_any()?;
+            any.downcast_mut::<ReflectedHand>()?.take_ends()
+        };
+        hands.iter_mut().filter_map(of).unzip()
+    }
+}
+
+/// The path in virtual time.
+fn peer(
+    settings: &ReflectorSettings,
+    linked: Vec<LinkedHand>,
+) -> Result<(Box<dyn Peer>, WatchedLink), NetworkError> {
+    let path = settings.path();
+    let (link, watched) =
+        ReflectedLink::new((), linked, Some(settings.expected(&path))).map_err(without_key)?;
+    let reflector = Reflector::new(&path, settings.seed);
+    Ok((Box::new(ReflectedPeer::new("network.reflector", link, reflector)), watched))
+}
+
+fn actor_of(watch: &TeleoperationWatch) -> Factory {
+    let watch = watch.clone();
+    Arc::new(move |_: &BuildContext<'_>| {
+        Ok(Box::new(TeleoperationController::new(&watch)?) as Box<dyn Controller>)
+    })
+}
+
+fn without_key(error: LinkError) -> NetworkError {
+    NetworkError::System(format!("reflector: {error}"))
 }

@@ -61,6 +61,9 @@ pub struct RunOptions {
     pub network: Network,
     /// The packet reflector that hands of the scenario go through live, in place of one that the session starts.
     pub reflector: Option<SocketAddr>,
+    /// Hands that lead a robot elsewhere, as at a surgeon's console: (hand, robot), such as `itp:127.0.0.1:36000`. The
+    /// session is then that console alone: it has these hands, and none of the physics.
+    pub consoles: Vec<(String, String)>,
     /// Set from outside to end the run early.
     pub stop: Arc<AtomicBool>,
 }
@@ -83,6 +86,7 @@ impl Default for RunOptions {
             play: false,
             network: Network::None,
             reflector: None,
+            consoles: Vec::new(),
             stop: Arc::default(),
         }
     }

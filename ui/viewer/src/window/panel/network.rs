@@ -57,12 +57,7 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
 /// What the slaves of a tele-operation do, and whether they follow.
 fn slaves(scene: &Snapshot) -> Vec<(String, bool)> {
     let line = |(hand, row): (_, &Teleoperation)| {
-        let text = format!(
-            "slave of {}: {}, {:.0} ms behind",
-            scene.name(hand),
-            row.state.words(),
-            row.round_trip * 1e3
-        );
+        let text = format!("slave of {}: {}", scene.name(hand), row.words());
         (text, row.state == SlaveState::Following)
     };
     scene.iter::<Teleoperation>().map(line).collect()
