@@ -8,10 +8,12 @@ Only Python's own library; written from the protocol's structs, not from the oth
     itp_peer.py console                           hands as JSON lines in, packets as JSON lines out
         {"hands": [{"position": [m, m, m], "rotation": [x, y, z, w]}, {...}], "pedal": true}  ->  {"hex"}
     itp_peer.py robot                             packets in hexadecimal digits in, a line each; JSON lines out
-        {"verdict", "position_um", "rotation", "jaw_mrad", "runlevel", "reply"}
+        {"verdict", "position_um", "rotation", "jaw_mrad", "buttons", "runlevel", "reply"}
     itp_peer.py console --udp PORT [--packets N] [--hz HZ]    sends a motion to 127.0.0.1:PORT, prints the replies
+                [--press BITS FROM TO]                        with these buttons of both hands in packets FROM to TO
     itp_peer.py robot --udp PORT [--packets N]                hears on 127.0.0.1:PORT (0: any, printed first), replies to the
                                                               sender, prints what became of each packet
+                [--stop FROM TO]                              in an emergency stop from its packet FROM to TO
 """
 import argparse
 import json
@@ -91,7 +93,7 @@ class Console:
         self.sent_rotation = [IDENTITY, IDENTITY]
         self.grip = [None, None]
 
-    def command(self, hands, pedal):
+    def command(self, hands, pedal, buttons=0):
         self.sequence += 1
         moves, turns = [], []
         for arm, hand in enumerate(hands):
@@ -116,7 +118,7 @@ class Console:
             turns.append(turn)
         delx, dely, delz = zip(*moves)
         mode = 1 if pedal else 0
-        return console_packet(self.sequence, 0, 0, delx, dely, delz, turns, (0, 0), (0, 0), mode)
+        return console_packet(self.sequence, 0, 0, delx, dely, delz, turns, (buttons, buttons), (0, 0), mode)
 
 
 class Robot:
@@ -129,7 +131,9 @@ class Robot:
         self.position_um = [[0, 0, 0], [0, 0, 0]]
         self.rotation = [IDENTITY, IDENTITY]
         self.jaw_mrad = [0, 0]
+        self.buttons = [0, 0]
         self.pedal = False
+        self.stopped = False
 
     def receive(self, data):
         if len(data) != CONSOLE.size:
@@ -153,7 +157,8 @@ class Robot:
         return "out of order"
 
     def apply(self, packet):
-        self.pedal = packet["surgeon_mode"] == 1
+        self.pedal = packet["surgeon_mode"] == 1 and not self.stopped
+        self.buttons = list(packet["buttons"]) if self.pedal else [0, 0]
         if not self.pedal:
             return
         for arm in range(2):
@@ -163,12 +168,14 @@ class Robot:
             jaw = self.jaw_mrad[arm] - packet["grasp"][arm]
             self.jaw_mrad[arm] = min(max(jaw, JAW_MRAD[0]), JAW_MRAD[1])
 
+    def runlevel(self):
+        return 0 if self.stopped else 3 if self.pedal else 2
+
     def reply(self):
         """Its forces are those of a spring of 100 N/m that pulls both arms to where they began."""
         self.replies += 1
         fx, fy, fz = ([int(-0.1 * arm[axis]) for arm in self.position_um] for axis in range(3))
-        runlevel = 3 if self.pedal else 2
-        return robot_packet(self.replies, self.last_sequence, 0, 0, fx, fy, fz, runlevel, 0)
+        return robot_packet(self.replies, self.last_sequence, 0, 0, fx, fy, fz, self.runlevel(), 0)
 
     def report(self, verdict):
         return {
@@ -176,7 +183,8 @@ class Robot:
             "position_um": self.position_um,
             "rotation": self.rotation,
             "jaw_mrad": self.jaw_mrad,
-            "runlevel": 3 if self.pedal else 2,
+            "buttons": self.buttons,
+            "runlevel": self.runlevel(),
             "reply": self.reply().hex(),
         }
 
@@ -233,7 +241,7 @@ def motion(secs):
             "rotation": [math.sin(tilt), 0.0, 0.0, math.cos(tilt)]}
 
 
-def console_over_udp(port, packets, hz):
+def console_over_udp(port, packets, hz, press):
     console = Console()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.connect(("127.0.0.1", port))
@@ -241,7 +249,9 @@ def console_over_udp(port, packets, hz):
         start = time.monotonic()
         for step in range(packets):
             hand = motion(step / hz)
-            link.send(console.command([hand, hand], step > 10))
+            bits, begin, end = press
+            buttons = bits if begin <= step < end else 0
+            link.send(console.command([hand, hand], step > 10, buttons))
             time.sleep(max(0.0, start + (step + 1) / hz - time.monotonic()))
             try:
                 while True:
@@ -253,13 +263,18 @@ def console_over_udp(port, packets, hz):
     print(json.dumps({"sent": console.sequence, "position_um": console.sent_um}), flush=True)
 
 
-def robot_over_udp(port, packets):
+def robot_over_udp(port, packets, stop):
     robot = Robot()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", port))
+        link.settimeout(20.0)
         print(json.dumps({"port": link.getsockname()[1]}), flush=True)
-        for _ in range(packets):
-            data, peer = link.recvfrom(2048)
+        for number in range(packets):
+            robot.stopped = stop[0] <= number < stop[1]
+            try:
+                data, peer = link.recvfrom(2048)
+            except TimeoutError:
+                break
             report = robot.report(robot.receive(data))
             link.sendto(bytes.fromhex(report["reply"]), peer)
             print(json.dumps(report), flush=True)
@@ -271,6 +286,8 @@ def main():
     asked.add_argument("--udp", type=int, metavar="PORT", help="over the loopback address instead of standard input")
     asked.add_argument("--packets", type=int, default=5000, help="packets to send or to hear")
     asked.add_argument("--hz", type=float, default=1000.0, help="packets a second")
+    asked.add_argument("--press", type=int, nargs=3, default=(0, 0, 0), metavar=("BITS", "FROM", "TO"), help="buttons")
+    asked.add_argument("--stop", type=int, nargs=2, default=(0, 0), metavar=("FROM", "TO"), help="emergency stop")
     asked = asked.parse_args()
     if asked.mode == "selftest":
         selftest()
@@ -278,9 +295,9 @@ def main():
         for name, data in golden():
             print(json.dumps({"name": name, "bytes": len(data), "hex": data.hex()}))
     elif asked.mode == "console" and asked.udp is not None:
-        console_over_udp(asked.udp, asked.packets, asked.hz)
+        console_over_udp(asked.udp, asked.packets, asked.hz, asked.press)
     elif asked.mode == "robot" and asked.udp is not None:
-        robot_over_udp(asked.udp, asked.packets)
+        robot_over_udp(asked.udp, asked.packets, asked.stop)
     elif asked.mode == "console":
         console = Console()
         for line in sys.stdin:

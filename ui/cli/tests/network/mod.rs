@@ -3,4 +3,5 @@
 mod blocked_datagrams;
 mod host_and_join;
 mod mentoring;
+mod robots;
 mod stations;
