@@ -21,7 +21,7 @@ use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{
     Access, Activation, ActivationMode, BuildContext, Burn, Commands, Component, Controller, ControllerError,
-    Entity, EntitySet, Frozen, HeatFrozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy,
+    Entity, EntitySet, Frozen, HeatFrozen, Measured, Pose, RecordPolicy,
     RestPositions, Snapshot, SurfaceMesh, Temperature, TetMesh, Tick, VertexPositions,
 };
 
@@ -368,10 +368,7 @@ impl ElectrosurgeryController {
                 None if tip.coagulates => Mode::Coagulate,
                 None => Mode::Cut,
             };
-            let burns = scene
-                .get::<Instrument>(entity)
-                .is_none_or(|instrument| instrument.kind == InstrumentKind::HookCautery);
-            if level <= 0.0 || !burns {
+            if level <= 0.0 {
                 continue;
             }
             let tip_in_world = Point3::from(scene.world_pose(entity).translation.vector);
@@ -413,7 +410,6 @@ impl Controller for ElectrosurgeryController {
             .reads::<CauterisedBody>()
             .reads::<ElectrodeTip>()
             .reads::<Activation>()
-            .reads::<Instrument>()
             .reads::<Pose>()
             .writes::<Temperature>(all())
             .writes::<Burn>(all())
