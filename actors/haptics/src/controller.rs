@@ -5,7 +5,9 @@
 //! direction of its predecessor, and the driver, which keeps the energy, ramps its force in.
 
 use nalgebra::{Isometry3, Vector3};
-use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HAS_PEDALS, HandIntent, Pedals};
+use trocar_devices::{
+    Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HAS_PEDALS, HandIntent, Pedals,
+};
 use trocar_scene::kinematics::coupling::{InstrumentCoupling, Transmission};
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::kinematics::spatial::{Twist, Wrench};

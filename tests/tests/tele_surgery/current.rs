@@ -2,8 +2,8 @@
 
 use trocar::session::Session;
 use trocar_scene::{
-    Activation, DeviceState, EnergyPedal, Entity, Hand, Measured, PressTarget, SimTime, SlaveOrder, SlaveState,
-    Snapshot, Teleoperation,
+    Activation, DeviceState, EnergyPedal, Entity, Hand, Measured, PressTarget, SimTime, SlaveOrder,
+    SlaveState, Snapshot, Teleoperation,
 };
 
 use super::{PATH, over, starting, steps};
@@ -71,7 +71,8 @@ fn jaws_close_a_round_trip_after_the_fingers() {
     let opens = |round_trip_secs| {
         let mut session = starting(&[steps(close), over("varies = false", round_trip_secs)]);
         let (hand, _) = the_hand(&mut session);
-        let is_open = |scene: &Snapshot| scene.get::<DeviceState>(hand).is_some_and(|state| state.gripper > 0.35);
+        let is_open =
+            |scene: &Snapshot| scene.get::<DeviceState>(hand).is_some_and(|state| state.gripper > 0.35);
         first(&mut session, is_open).expect("they open")
     };
     let later = opens(0.15) - opens(0.05);
@@ -111,7 +112,10 @@ fn an_emergency_stop_switches_the_current_off_at_once_and_its_end_does_not_switc
     session.step(SimTime::from_millis(20));
     assert!(!is_on(&session.snapshot(), instrument), "at once, not a round trip later");
     let told = session.snapshot().get::<Teleoperation>(hand).cloned().expect("it is told");
-    assert_eq!((told.state, told.pedals, told.figures.stops), (SlaveState::Stopped, EnergyPedal::Released, 1));
+    assert_eq!(
+        (told.state, told.pedals, told.figures.stops),
+        (SlaveState::Stopped, EnergyPedal::Released, 1)
+    );
     session.apply(|out| out.put(hand, SlaveOrder { stop: false })).expect("it is written");
     session.step(SimTime::from_millis(400));
     assert!(!is_on(&session.snapshot(), instrument), "the foot has been down all the while");

@@ -32,8 +32,10 @@ fn over(lines: &str, round_trip_secs: f64) -> (String, String) {
 }
 
 fn scenario_text() -> &'static str {
-    let (_, text) =
-        trocar::app::SCENARIOS.iter().find(|(name, _)| *name == "tele-liver").expect("it is part of the program");
+    let (_, text) = trocar::app::SCENARIOS
+        .iter()
+        .find(|(name, _)| *name == "tele-liver")
+        .expect("it is part of the program");
     text
 }
 
@@ -72,7 +74,10 @@ fn the_experiment_of_the_paper_holds_its_bars_in_virtual_time() {
     // One packet a millisecond, and those of the last round trip are under way.
     assert!(figures.sent - figures.received < 200 && figures.received > 35_000, "{figures:?}");
     // The current was on for as long as the foot was down: 0.3 s, 3 s, and 2 s.
-    assert!((figures.energised - 5.3).abs() < 0.05 && (figures.stops, figures.silences) == (0, 0), "{figures:?}");
+    assert!(
+        (figures.energised - 5.3).abs() < 0.05 && (figures.stops, figures.silences) == (0, 0),
+        "{figures:?}"
+    );
     // Both figures of the report have their lines.
     let trace = &outcome.trace.teleoperations["right"];
     assert!(trace.master_x.len() > 500 && trace.slave_x.len() > 500 && trace.round_trip.len() > 500);

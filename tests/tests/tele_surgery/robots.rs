@@ -30,7 +30,11 @@ fn until(
         if let Some(row) = scene.get::<Teleoperation>(hand).filter(|row| is(row, runlevel)) {
             return row.clone();
         }
-        assert!(begun.elapsed() < Duration::from_secs(30), "{what}: {:?} {runlevel:?}", scene.get::<Teleoperation>(hand));
+        assert!(
+            begun.elapsed() < Duration::from_secs(30),
+            "{what}: {:?} {runlevel:?}",
+            scene.get::<Teleoperation>(hand)
+        );
     }
 }
 
@@ -44,8 +48,7 @@ fn an_emergency_stop_holds_an_arm_of_itp_and_its_console_hears_runlevel_zero_unt
     let robot = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let console = ConsolePort::open(robot, None, ConsoleConfig::default()).expect("the loopback");
     let mut arm = console.take(0).expect("the left arm");
-    let hand =
-        ConsoleHand { pose_in_console: Isometry3::identity(), jaw: 0.0, squeeze: 0.0, buttons: 0 };
+    let hand = ConsoleHand { pose_in_console: Isometry3::identity(), jaw: 0.0, squeeze: 0.0, buttons: 0 };
     let mut led = LedHand { hand, pedal_down: false };
     until("it is heard", &mut session, &mut arm, &mut led, |row, runlevel| {
         row.state == SlaveState::PedalUp && runlevel == Some(Runlevel::PedalUp)
@@ -74,7 +77,9 @@ fn an_emergency_stop_holds_an_arm_of_itp_and_its_console_hears_runlevel_zero_unt
     });
     led.pedal_down = false;
     let begun = Instant::now();
-    until("it is released", &mut session, &mut arm, &mut led, |_, _| begun.elapsed() > Duration::from_millis(50));
+    until("it is released", &mut session, &mut arm, &mut led, |_, _| {
+        begun.elapsed() > Duration::from_millis(50)
+    });
     led.pedal_down = true;
     let row = until("it follows again", &mut session, &mut arm, &mut led, |row, runlevel| {
         row.state == SlaveState::Following && runlevel == Some(Runlevel::PedalDown)

@@ -165,23 +165,33 @@ pub fn text(summary: &RunSummary) -> String {
     lines.join("\n")
 }
 
-/// How well a slave followed its master, in a line.
+/// How well a slave followed its master, in a line. Of an end whose other one is elsewhere less is known.
 fn teleoperation(hand: &str, figures: &TeleoperationFigures) -> String {
     let told =
         |value: Option<f64>, unit: &str| value.map_or("–".to_owned(), |value| short(value * 1e3) + unit);
-    format!(
-        "slave of {}: {} behind its master in the mean ({} of 99 %), {} packets of {}; {} at most from the pose whose time \
-         stamp it applies; RMS {}, with a constant lag of {} {}",
-        printable(hand),
-        told(figures.round_trip_mean, " ms"),
-        told(figures.round_trip_p99, " ms"),
-        figures.received,
-        figures.sent,
-        told(figures.applied_error_max, " mm"),
-        told(figures.rms, " mm"),
-        told(figures.constant_lag, " ms"),
-        told(figures.constant_lag_rms, " mm"),
-    )
+    let mut parts = Vec::new();
+    if figures.round_trip_mean.is_some() {
+        let (mean, p99) = (told(figures.round_trip_mean, " ms"), told(figures.round_trip_p99, " ms"));
+        parts.push(format!("{mean} behind its master in the mean ({p99} of 99 %)"));
+    }
+    parts.push(format!("{} packets of {}", figures.received, figures.sent));
+    if figures.applied_error_max.is_some() {
+        parts.push(format!(
+            "{} at most from the pose whose time stamp it applies",
+            told(figures.applied_error_max, " mm")
+        ));
+    }
+    if figures.rms.is_some() {
+        let (lag, left) = (told(figures.constant_lag, " ms"), told(figures.constant_lag_rms, " mm"));
+        parts.push(format!("RMS {}, with a constant lag of {lag} {left}", told(figures.rms, " mm")));
+    }
+    if figures.energised > 0.0 {
+        parts.push(format!("current on for {} s", short(figures.energised)));
+    }
+    if figures.stops + figures.silences > 0 {
+        parts.push(format!("{} emergency stops, {} silences", figures.stops, figures.silences));
+    }
+    format!("slave of {}: {}", printable(hand), parts.join("; "))
 }
 
 /// The table of rates.

@@ -20,8 +20,8 @@ use crate::app::App;
 use crate::app::actors::ActorKind;
 pub use crate::error::AssemblyError;
 use crate::hands::{HandPort, OpenedHand};
-use crate::kind::{Blueprint, KindContext};
-use crate::kinds::{MANUAL, plain};
+use crate::kind::{Blueprint, KindContext, joining};
+use crate::kinds::{AUTOPILOT, HAPTICS, INSTRUMENTS, MANUAL, PATH, plain};
 use crate::network::{
     self, LastWord, NETWORK, NETWORK_HZ, Network, NetworkError, NetworkHands, NetworkPart, ReflectedOrigin,
     STATION_WRITER, Sharing, StationHands, TELEOPERATION, TELEOPERATION_HZ, TakingPart, TeleoperatedHands,
@@ -40,6 +40,9 @@ const FOLLOWER: &str = "network.instruments";
 const FOLLOWER_HZ: f64 = 500.0;
 /// The device that stands for a hand of another station.
 const OTHERS_DEVICE: &str = "virtual";
+
+/// Ticks per second of what moves the instruments of a console, where the scenario leaves that to its physics \[Hz\].
+const INSTRUMENTS_HZ: f64 = 1_000.0;
 
 /// A session and its hands, before it runs.
 pub struct Assembly {
@@ -71,7 +74,7 @@ impl Assembly {
         let sharing = options.network.sharing(scenario)?;
         let own_part = station.map(|_| own_part(app, scenario, options, sharing));
         let scenario = own_part.as_ref().unwrap_or(scenario);
-        let console = (!options.consoles.is_empty()).then(|| network::console_part(scenario, options));
+        let console = (!options.consoles.is_empty()).then(|| console_part(scenario, options));
         let mut network_hands =
             WrappedHands::new(&options.network, sharing, teleoperated(scenario, options)?);
         let scenario = console.as_ref().unwrap_or(scenario);
@@ -178,8 +181,39 @@ impl Assembly {
 fn teleoperated(scenario: &Scenario, options: &RunOptions) -> Result<TeleoperatedHands, NetworkError> {
     match options.network.station() {
         Some(_) => Ok(TeleoperatedHands::default()),
-        None => TeleoperatedHands::of(scenario, options),
+        None => {
+            let is_console = !options.consoles.is_empty();
+            let refused = match &options.network {
+                _ if is_console && options.lockstep => Some(
+                    "a console leads a robot that has a clock of its own: it runs in real time, not in lock-step",
+                ),
+                Network::Host(_) | Network::LockstepHost(_) if is_console => {
+                    Some("a console shares no session: host that of the robot, and watch it")
+                }
+                _ => None,
+            };
+            match refused {
+                Some(reason) => Err(NetworkError::Usage(reason.to_owned())),
+                None => TeleoperatedHands::of(scenario, options.reflector, &options.consoles),
+            }
+        }
     }
+}
+
+/// The part of a scenario that a console computes: the hands that lead robots, what moves them, and where their instruments
+/// are. The tissue is the robot's.
+fn console_part(scenario: &Scenario, options: &RunOptions) -> Scenario {
+    let mut part = scenario.clone();
+    part.hands.retain(|hand| options.consoles.iter().any(|(name, _)| *name == hand.name));
+    let serves = |entry: &ControllerEntry| match entry.kind.as_str() {
+        HAPTICS => part.hands.iter().any(|hand| entry.name == format!("haptics.{}", hand.name)),
+        kind => [AUTOPILOT, PATH, MANUAL, INSTRUMENTS].contains(&kind),
+    };
+    part.controllers = scenario.controllers.iter().filter(|entry| serves(entry)).cloned().collect();
+    if !part.controllers.iter().any(|entry| entry.kind == INSTRUMENTS) {
+        part.controllers.push(joining(INSTRUMENTS, INSTRUMENTS, INSTRUMENTS_HZ));
+    }
+    part
 }
 
 /// An actor of the network.

@@ -11,8 +11,7 @@ use trocar_devices::{
 use trocar_haptics::pressed;
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
 use trocar_scene::{
-    DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, PressTarget, SimTime,
-    Snapshot,
+    DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, PressTarget, SimTime, Snapshot,
 };
 
 /// Steps per second of a driver, live and in lock-step \[Hz\].

@@ -4,9 +4,10 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, Activation, ActivationMode, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo,
-    DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, MentorAnswer, Name, Parent, PersonInput,
-    PersonView, Port, Pose, PressTarget, RecordPolicy, Side, SimTime, Snapshot, TakeOverRequest, Tick,
+    Access, Activation, ActivationMode, BuildContext, Camera, Commands, Component, Controller,
+    ControllerError, DeviceInfo, DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, MentorAnswer,
+    Name, Parent, PersonInput, PersonView, Port, Pose, PressTarget, RecordPolicy, Side, SimTime, Snapshot,
+    TakeOverRequest, Tick,
 };
 
 use nalgebra::{Isometry3, Vector3};

@@ -80,12 +80,8 @@ fn our_console_moves_a_robot_in_python_over_a_real_socket_and_hears_its_forces()
     assert!(port.take(0).is_none(), "an arm has one hand");
     // With the pedal up until the robot is heard; down where the hands are until it follows; then 10 mm along x.
     let printed = std::thread::spawn(move || lines.map(|line| line.expect("text")).last());
-    let hand = ConsoleHand {
-        pose_in_console: nalgebra::Isometry3::identity(),
-        jaw: 0.0,
-        squeeze: 0.0,
-        buttons: 0,
-    };
+    let hand =
+        ConsoleHand { pose_in_console: nalgebra::Isometry3::identity(), jaw: 0.0, squeeze: 0.0, buttons: 0 };
     let mut led = LedHand { hand, pedal_down: false };
     let (mut farthest, mut longest) = (0.0_f64, None);
     while !printed.is_finished() {

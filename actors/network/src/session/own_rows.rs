@@ -1,8 +1,8 @@
 //! Own rows: what a station writes itself of the hands that it serves, and so is never sent to it.
 
 use trocar_scene::{
-    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget, PressTarget,
-    Registry, Snapshot, StationContactModel,
+    Activation, DeviceForce, DeviceState, Entity, Hand, HandTarget, HapticStatus, InstrumentTarget,
+    PressTarget, Registry, Snapshot, StationContactModel,
 };
 
 use super::instrument_follower;

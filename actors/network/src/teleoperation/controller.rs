@@ -4,8 +4,8 @@
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
 use nalgebra::{Isometry3, Vector3};
-use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_devices::Pedals;
+use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
     Access, Commands, Controller, ControllerError, EnergyPedal, Entity, EntitySet, Hand, Instrument,
     InstrumentForce, Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation,

@@ -39,7 +39,8 @@ impl Bench {
         assert!(slave.take_watched().is_none());
         master.open(0).expect("it opens");
         slave.open(0).expect("it opens");
-        let aim = HandIntent { buttons: Pedals::Released.buttons(), ..HandIntent::at(Isometry3::identity(), 0.0) };
+        let aim =
+            HandIntent { buttons: Pedals::Released.buttons(), ..HandIntent::at(Isometry3::identity(), 0.0) };
         let (ways, is_cut) = (Default::default(), false);
         Self { ms: 0, console, robot, master, slave, at_console, at_robot, ways, is_cut, aim }
     }

@@ -127,7 +127,8 @@ impl HapticDevice for ReflectedHand {
         }
         self.read_at = Some(now);
         self.slave.set_stop(now, self.end.told.control.is_stopped());
-        if let Some(arrival) = self.end.arrivals.read().filter(|arrival| self.taken != Some(arrival.sent_at)) {
+        if let Some(arrival) = self.end.arrivals.read().filter(|arrival| self.taken != Some(arrival.sent_at))
+        {
             self.taken = Some(arrival.sent_at);
             self.slave.admit(now, &arrival);
         }

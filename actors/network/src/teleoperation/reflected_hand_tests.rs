@@ -106,7 +106,8 @@ fn a_copy_goes_on_as_the_original_would_with_what_is_under_way() {
     let (mut hand, linked, mut watched) =
         ReflectedHand::new(0, SlaveConfig::default(), Box::new(master)).expect("it is valid");
     let (link, _watch) = ReflectedLink::new((), vec![linked], None).expect("a key");
-    let path = Impairments { delay: SimTime::from_millis(80), loss: 0.1, reorder: 0.1, ..Impairments::default() };
+    let path =
+        Impairments { delay: SimTime::from_millis(80), loss: 0.1, reorder: 0.1, ..Impairments::default() };
     let mut peer = ReflectedPeer::new("path", link, Reflector::new(&path, 1));
     hand.open(0).expect("a virtual hand is there");
     let step = |hand: &mut dyn HapticDevice, peer: &mut ReflectedPeer, ms: u64| {
@@ -122,7 +123,8 @@ fn a_copy_goes_on_as_the_original_would_with_what_is_under_way() {
     };
     (0..500).for_each(|ms| _ = step(&mut hand, &mut peer, ms));
     let mut copy = hand.fork().expect("its master can be copied");
-    let ends = copy.as_any().and_then(|any| any.downcast_mut::<ReflectedHand>()).map(ReflectedHand::take_ends);
+    let ends =
+        copy.as_any().and_then(|any| any.downcast_mut::<ReflectedHand>()).map(ReflectedHand::take_ends);
     let (linked, mut copy_watched) = ends.flatten().expect("its ends are free");
     let (mut copy_peer, _watch) = peer.fork(vec![linked]).expect("a key");
     let mut energised = 0;

@@ -18,20 +18,14 @@ use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticD
 use trocar_network::itp::{ConsoleConfig, Dialect};
 use trocar_network::live::itp::ConsolePort;
 use trocar_network::teleoperation::{ItpMaster, WatchedHand};
-use trocar_scene::ControllerEntry;
 use trocar_scene::scenario::Scenario;
 
-use super::{Network, NetworkError};
-use crate::kind::joining;
-use crate::kinds::{AUTOPILOT, HAPTICS, INSTRUMENTS, MANUAL, PATH};
-use crate::options::RunOptions;
+use super::NetworkError;
 
 /// The form for users.
 const USAGE: &str = "itp:HOST:PORT";
 /// The keys.
 const KEYS: &str = "arm, dialect, bind, scale, pedal";
-/// Ticks per second of what moves instruments, where the scenario leaves that to its physics \[Hz\].
-const INSTRUMENTS_HZ: f64 = 1_000.0;
 
 /// What a text says.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,43 +51,33 @@ struct ConsoleDevice {
 }
 
 impl ItpConsoles {
-    /// Those that the options name.
+    /// Those with these names and robots.
     ///
     /// # Errors
-    /// [`NetworkError::Usage`] when there is no such hand, and in virtual time.
-    pub fn of(scenario: &Scenario, options: &RunOptions) -> Result<Self, NetworkError> {
-        for (name, _) in &options.consoles {
+    /// [`NetworkError::Usage`] when there is no such hand.
+    pub fn of(scenario: &Scenario, consoles: &[(String, String)]) -> Result<Self, NetworkError> {
+        for (name, _) in consoles {
             if !scenario.hands.iter().any(|hand| hand.name == *name) {
-                let known = scenario.hands.iter().map(|hand| hand.name.as_str()).collect::<Vec<_>>().join(", ");
+                let known =
+                    scenario.hands.iter().map(|hand| hand.name.as_str()).collect::<Vec<_>>().join(", ");
                 let reason = format!("console {name}: no hand is called '{name}'; there are: {known}");
                 return Err(NetworkError::Usage(reason));
             }
         }
-        if options.lockstep && !options.consoles.is_empty() {
-            let reason = "a console leads a robot that has a clock of its own: it runs in real time, not in lock-step";
-            return Err(NetworkError::Usage(reason.to_owned()));
-        }
-        if !options.consoles.is_empty() && !matches!(options.network, Network::None) {
-            let reason = "a console leads a robot, and shares no session: leave host, join and watch to the robot's";
-            return Err(NetworkError::Usage(reason.to_owned()));
-        }
-        Ok(Self { specs: options.consoles.iter().cloned().collect(), ports: BTreeMap::new() })
+        Ok(Self { specs: consoles.iter().cloned().collect(), ports: BTreeMap::new() })
     }
 
     /// Lets a device lead its arm, if the hand is at a console.
     ///
     /// # Errors
     /// [`NetworkError::Usage`] says what is wrong with the text, and what is valid.
-    pub fn wrap(
-        &mut self,
-        name: &str,
-        device: Box<dyn HapticDevice>,
-    ) -> Result<Led, NetworkError> {
+    pub fn wrap(&mut self, name: &str, device: Box<dyn HapticDevice>) -> Result<Led, NetworkError> {
         let Some(text) = self.specs.get(name) else { return Ok(Led::Free(device)) };
         let wrong = |reason: String| NetworkError::Usage(format!("console {name}={text}: {reason}"));
         let spec = ConsoleSpec::parse(text).map_err(wrong)?;
         if spec.pedal.is_none() && device.fork().is_none() {
-            let reason = "a person needs a pedal, which lets the robot follow: pedal=BUTTON of the device, 0 to 15";
+            let reason =
+                "a person needs a pedal, which lets the robot follow: pedal=BUTTON of the device, 0 to 15";
             return Err(wrong(reason.to_owned()));
         }
         let console = match self.ports.get(&spec.robot) {
@@ -108,7 +92,9 @@ impl ItpConsoles {
         };
         let arm = console.take(spec.arm).ok_or_else(|| {
             let side = if spec.arm == 0 { "left" } else { "right" };
-            wrong(format!("the {side} arm of that robot has a hand already; arm=left or arm=right says which"))
+            wrong(format!(
+                "the {side} arm of that robot has a hand already; arm=left or arm=right says which"
+            ))
         })?;
         let (hand, watched) = ItpMaster::new(device, arm, spec.arm, spec.pedal);
         Ok(Led::Leads(Box::new(ConsoleDevice { hand, _console: console }), watched))
@@ -130,12 +116,11 @@ impl ConsoleSpec {
         };
         let mut parts = rest.split(',').map(str::trim);
         let place = parts.next().unwrap_or_default();
-        let found = place.to_socket_addrs().map_err(|error| {
-            format!("{place:?}: {error}; HOST:PORT is expected, such as 127.0.0.1:36000")
-        })?;
+        let found = place
+            .to_socket_addrs()
+            .map_err(|error| format!("{place:?}: {error}; HOST:PORT is expected, such as 127.0.0.1:36000"))?;
         let robot = found.into_iter().next().ok_or_else(|| format!("{place:?}: the name has no address"))?;
-        let mut spec =
-            Self { robot, bind: None, arm: 0, pedal: None, config: ConsoleConfig::default() };
+        let mut spec = Self { robot, bind: None, arm: 0, pedal: None, config: ConsoleConfig::default() };
         let wrong = |key: &str, value: &str, valid: &str| format!("{key}={value:?}: valid is {valid}");
         for part in parts {
             let Some((key, value)) = part.split_once('=') else {
@@ -167,22 +152,6 @@ impl ConsoleSpec {
         }
         Ok(spec)
     }
-}
-
-/// The part of a scenario that a console computes: the hands that lead robots, what moves them, and where their instruments
-/// are. The tissue is the robot's.
-pub(crate) fn console_part(scenario: &Scenario, options: &RunOptions) -> Scenario {
-    let mut part = scenario.clone();
-    part.hands.retain(|hand| options.consoles.iter().any(|(name, _)| *name == hand.name));
-    let serves = |entry: &ControllerEntry| match entry.kind.as_str() {
-        HAPTICS => part.hands.iter().any(|hand| entry.name == format!("haptics.{}", hand.name)),
-        kind => [AUTOPILOT, PATH, MANUAL, INSTRUMENTS].contains(&kind),
-    };
-    part.controllers = scenario.controllers.iter().filter(|entry| serves(entry)).cloned().collect();
-    if !part.controllers.iter().any(|entry| entry.kind == INSTRUMENTS) {
-        part.controllers.push(joining(INSTRUMENTS, INSTRUMENTS, INSTRUMENTS_HZ));
-    }
-    part
 }
 
 impl HapticDevice for ConsoleDevice {
@@ -219,7 +188,7 @@ impl HapticDevice for ConsoleDevice {
 mod tests {
     use super::*;
     use crate::app::App;
-    use crate::run::start;
+    use crate::run::{RunOptions, start};
 
     #[test]
     fn a_text_names_the_robot_its_arm_and_the_pedal() {

@@ -42,7 +42,6 @@ use self::host::NetworkSettings;
 
 pub use host::{HostOptions, LockstepHost, NetworkHost, TICKET_LIFE_SECS, addresses, default_book, issue};
 pub(crate) use host::{NetworkHands, hosted};
-pub(crate) use itp_console::console_part;
 pub(crate) use itp_device::{ITP_ABOUT, ITP_USAGE, ItpRobots};
 pub use part::NetworkPart;
 pub(crate) use part::RunningPart;

@@ -34,7 +34,6 @@ use super::itp_console::{ItpConsoles, Led};
 use super::itp_device::ItpDevice;
 use super::part::NetworkPart;
 use crate::hands::OpenedHand;
-use crate::options::RunOptions;
 
 /// Name of the actor of tele-operated hands.
 pub(crate) const TELEOPERATION: &str = "teleoperation";
@@ -171,13 +170,18 @@ pub(crate) struct ReflectedOrigin {
 }
 
 impl TeleoperatedHands {
-    /// Those that the scenario and the options name.
+    /// Those that the scenario names, and those that lead robots elsewhere; `reflector` is one that somebody else runs.
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub fn of(scenario: &Scenario, options: &RunOptions) -> Result<Self, NetworkError> {
-        let consoles = ItpConsoles::of(scenario, options)?;
-        if !options.consoles.is_empty() {
+    pub fn of(
+        scenario: &Scenario,
+        reflector: Option<SocketAddr>,
+        consoles: &[(String, String)],
+    ) -> Result<Self, NetworkError> {
+        let is_console = !consoles.is_empty();
+        let consoles = ItpConsoles::of(scenario, consoles)?;
+        if is_console {
             // The way to the robot is the path.
             return Ok(Self { consoles, ..Self::default() });
         }
@@ -185,12 +189,12 @@ impl TeleoperatedHands {
         if let Some(settings) = &settings {
             let located = |reason| NetworkError::Scenario(scenario.network.error(reason).to_string());
             settings.check(scenario).map_err(located)?;
-        } else if options.reflector.is_some() {
+        } else if reflector.is_some() {
             let reason = "no hand of this scenario goes through a packet reflector; a scenario names them in its \
                           table [network.reflector], such as tele-liver";
             return Err(NetworkError::Usage(reason.to_owned()));
         }
-        Ok(Self { settings, reflector: options.reflector, consoles, ..Self::default() })
+        Ok(Self { settings, reflector, consoles, ..Self::default() })
     }
 
     /// Puts a path between a hand's device and its driver, if the hand has one. A device that a console elsewhere moves has

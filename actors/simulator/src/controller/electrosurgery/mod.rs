@@ -21,8 +21,8 @@ use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{
     Access, Activation, ActivationMode, BuildContext, Burn, Commands, Component, Controller, ControllerError,
-    Entity, EntitySet, Frozen, HeatFrozen, Measured, Pose, RecordPolicy,
-    RestPositions, Snapshot, SurfaceMesh, Temperature, TetMesh, Tick, VertexPositions,
+    Entity, EntitySet, Frozen, HeatFrozen, Measured, Pose, RecordPolicy, RestPositions, Snapshot,
+    SurfaceMesh, Temperature, TetMesh, Tick, VertexPositions,
 };
 
 use super::cauterised::{CauterisedBody, ElectrodeTip};

@@ -1,6 +1,6 @@
 //! The links of a session over a network: who is there, and how far and how sure each station is.
 
-use egui::{RichText, Ui};
+use egui::{Color32, RichText, Ui};
 use trocar_scene::{DeviceInfo, LinkState, SlaveState, Snapshot, Station, Teleoperation};
 
 use super::{BAD, GOOD, POOR};
@@ -24,8 +24,8 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
     }
     ui.separator();
     ui.label(RichText::new("network").strong());
-    for (slave, follows) in slaves {
-        ui.label(RichText::new(slave).color(if follows { GOOD } else { POOR }));
+    for (slave, colour) in slaves {
+        ui.label(RichText::new(slave).color(colour));
     }
     for device in open {
         ui.label(RichText::new(device).color(BAD));
@@ -54,11 +54,16 @@ pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
     }
 }
 
-/// What the slaves of a tele-operation do, and whether they follow.
-fn slaves(scene: &Snapshot) -> Vec<(String, bool)> {
+/// What the slaves of a tele-operation do, and how good that is.
+fn slaves(scene: &Snapshot) -> Vec<(String, Color32)> {
     let line = |(hand, row): (_, &Teleoperation)| {
         let text = format!("slave of {}: {}", scene.name(hand), row.words());
-        (text, row.state == SlaveState::Following)
+        let colour = match row.state {
+            SlaveState::Stopped | SlaveState::Unplugged => BAD,
+            SlaveState::Following if row.protected => GOOD,
+            _ => POOR,
+        };
+        (text, colour)
     };
     scene.iter::<Teleoperation>().map(line).collect()
 }
@@ -100,7 +105,9 @@ fn figures(link: &LinkState) -> String {
 
 #[cfg(test)]
 mod tests {
-    use trocar_scene::{Commands, EntityAllocator, Registry, SimTime, StationRole, Store};
+    use trocar_scene::{
+        Commands, EnergyPedal, EntityAllocator, Name, Registry, SimTime, StationRole, Store, TeleoperationEnd,
+    };
 
     use super::*;
 
@@ -152,5 +159,38 @@ mod tests {
         assert_eq!(titles, ["station 2"]);
         let text = figures(&station(1, &[], true).link);
         assert!(text.starts_with("150 ± 2 ms, 1.0 % lost, 80 ms old"), "{text}");
+    }
+
+    #[test]
+    fn a_slave_says_whether_it_follows_with_its_current_its_delay_and_who_else_may_move_it() {
+        let registry = Registry::standard();
+        let told = |row: Teleoperation| {
+            let mut store = Store::new(registry.clone());
+            let mut out = Commands::new(registry.clone(), EntityAllocator::new(0, 9));
+            let hand = out.spawn();
+            out.put(hand, Name("hand.right".to_owned()));
+            out.put(hand, row);
+            out.seal();
+            store.apply(&mut out, SimTime::ZERO);
+            slaves(&store.snapshot()).remove(0)
+        };
+        let follows = Teleoperation {
+            state: SlaveState::Following,
+            pedals: EnergyPedal::Coagulate,
+            round_trip: 0.1506,
+            protected: true,
+            ..Teleoperation::default()
+        };
+        let text = "slave of hand.right: following, coagulating, 150.6 ms behind, 0.00 N";
+        assert_eq!(told(follows.clone()), (text.to_owned(), GOOD));
+        let stopped = Teleoperation {
+            end: TeleoperationEnd::Console,
+            state: SlaveState::Stopped,
+            pedals: EnergyPedal::Released,
+            protected: false,
+            ..follows
+        };
+        let text = "slave of hand.right: stopped, current off, 150.6 ms behind, 0.00 N, unprotected";
+        assert_eq!(told(stopped), (text.to_owned(), BAD));
     }
 }
