@@ -180,9 +180,25 @@ impl Session {
     /// When the session runs in lock-step, where only ticked controllers act, when the name is taken, or when `access`
     /// overlaps with the writes of others.
     pub fn guest(&mut self, name: &str, access: &Access) -> Result<Guest, RunError> {
+        self.join(name, |live, id| live.guest(name, id, access, GUEST_CAPACITY))
+    }
+
+    /// The same for a guest that wants to know what the Model says of each of its batches ([`Guest::answer`]).
+    ///
+    /// # Errors
+    /// As [`Self::guest`].
+    pub fn guest_with_answers(&mut self, name: &str, access: &Access) -> Result<Guest, RunError> {
+        self.join(name, |live, id| live.guest_with_answers(name, id, access, GUEST_CAPACITY))
+    }
+
+    fn join(
+        &mut self,
+        name: &str,
+        accept: impl FnOnce(&LiveSession, WriterId) -> Result<Guest, LiveError>,
+    ) -> Result<Guest, RunError> {
         let id = self.number_of_a_guest()?;
         match &self.running {
-            Running::Live(live, _) => Ok(live.guest(name, id, access, GUEST_CAPACITY)?),
+            Running::Live(live, _) => Ok(accept(live, id)?),
             Running::Lockstep(_) => {
                 let reason = "lock-step has no guests; a controller can take part in it".to_owned();
                 Err(LiveError::Controller { name: name.to_owned(), reason }.into())

@@ -10,14 +10,16 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use rtrb::Consumer;
 use tokio::sync::oneshot::error::TryRecvError;
 use trocar_scene::{
-    Access, CommandError, Commands, Entity, EntityAllocator, Event, SimTime, Snapshot, WriterId,
+    Access, CommandError, Commands, Entity, EntityAllocator, Event, Revision, SimTime, Snapshot, WriterId,
 };
 
 use super::LiveError;
 use super::shared::Shared;
-use crate::handle::{LaneStatus, Submitted, WriterHandle};
+use crate::handle::{LaneStatus, Receipt, Submitted, WriterHandle};
+use crate::operator::{OperatorError, answer};
 use crate::token_bucket::FlowLimit;
 
 /// Longest wait for the Model's answer to a guest's declaration.
@@ -31,6 +33,8 @@ pub(super) struct GuestIdentity {
     pub(super) id: WriterId,
     pub(super) access: Access,
     pub(super) capacity: usize,
+    /// Whether the Model answers each of its batches.
+    pub(super) is_answered: bool,
 }
 
 impl GuestIdentity {
@@ -50,14 +54,20 @@ impl GuestIdentity {
         }
         let status = Arc::<LaneStatus>::default();
         let seen = self.shared.published.load().events().next();
-        Ok(Guest { handle: self.open(&status), status, identity: self.clone(), seen, batches: 0 })
+        let (handle, answers) = self.open(&status);
+        Ok(Guest { handle, answers, status, identity: self.clone(), seen, batches: 0 })
     }
 
-    fn open(&self, status: &Arc<LaneStatus>) -> WriterHandle {
+    fn open(&self, status: &Arc<LaneStatus>) -> (WriterHandle, Option<Consumer<Receipt>>) {
         let allocator = EntityAllocator::new(self.shared.station, self.id.0);
         allocator.skip_to(self.shared.published.load().first_free(self.shared.station, self.id.0));
+        if self.is_answered {
+            let (handle, answers) =
+                self.shared.intake.open_with_receipts(self.id, 1, self.capacity, allocator, status.clone());
+            return (handle, Some(answers));
+        }
         let bounds = (self.capacity, FlowLimit::UNLIMITED);
-        self.shared.intake.open(self.id, 1, bounds, allocator, status.clone())
+        (self.shared.intake.open(self.id, 1, bounds, allocator, status.clone()), None)
     }
 }
 
@@ -68,6 +78,8 @@ impl GuestIdentity {
 pub struct Guest {
     identity: GuestIdentity,
     handle: WriterHandle,
+    /// What the Model says of its batches, if it is answered.
+    answers: Option<Consumer<Receipt>>,
     status: Arc<LaneStatus>,
     /// Number of the first event that it has not seen.
     seen: u64,
@@ -126,6 +138,13 @@ impl Guest {
         }
         self.batches += 1;
         Ok(self.handle.submit(self.batches, now, scene.revision()))
+    }
+
+    /// What became of the oldest batch that the Model has judged since: the revision with it, which is published, or why
+    /// none of it was applied. For a guest that joined with answers; others get none.
+    pub fn answer(&mut self) -> Option<Result<Revision, OperatorError>> {
+        let receipt = self.answers.as_mut()?.pop().ok()?;
+        Some(receipt.outcome.map_or(Err(OperatorError::Quarantined), answer))
     }
 
     /// Its plain writer handle, for measurements.

@@ -337,6 +337,21 @@ impl LiveSession {
         self.identity(name, id, access, capacity).accept()
     }
 
+    /// The same for one that wants to know what the Model says of each of its batches ([`Guest::answer`]), such as somebody
+    /// who passes on the commands of others. Each batch is then published by itself.
+    ///
+    /// # Errors
+    /// As [`Self::guest`].
+    pub fn guest_with_answers(
+        &self,
+        name: &str,
+        id: WriterId,
+        access: &Access,
+        capacity: usize,
+    ) -> Result<Guest, LiveError> {
+        GuestIdentity { is_answered: true, ..self.identity(name, id, access, capacity) }.accept()
+    }
+
     /// Adds a plain actix actor, on its own thread and actix system. `build` makes it from its guest handle, at the
     /// start and after each death; it ends with the session.
     ///
@@ -357,7 +372,7 @@ impl LiveSession {
 
     fn identity(&self, name: &str, id: WriterId, access: &Access, capacity: usize) -> GuestIdentity {
         let (shared, name, access) = (self.shared.clone(), name.to_owned(), access.clone());
-        GuestIdentity { shared, name, id, access, capacity }
+        GuestIdentity { shared, name, id, access, capacity, is_answered: false }
     }
 
     /// A handle that may write any row of the running session, from any thread: for a researcher's program, a tuning
