@@ -113,6 +113,10 @@ impl SessionKeys {
 pub const ALL_SESSIONS: &str = "trocar/*/alive";
 /// See [`ALL_SESSIONS`].
 pub const ALL_STATIONS: &str = "trocar/*/station/*/alive";
+/// What all sessions are.
+pub const ALL_INFOS: &str = "trocar/*/info";
+/// Who takes part in all of them.
+pub const ALL_ROSTERS: &str = "trocar/*/roster";
 
 /// The session of a token, and the number of its station if it is the token of one.
 pub fn of_token(key: &str) -> Option<(&str, Option<u16>)> {

@@ -7,14 +7,13 @@
 //! haptics ◀─ driver ◀─ ZenohHand { Door } ◀─ node ◀═ who has the claim and the right
 //! ```
 //!
-//! Everything but `live/` is plain data and state machines; `live/` has the library, and is built with the feature `live` only,
-//! since the library takes minutes to build. Haptics never go by Zenoh: that is `trocar-network`'s affair.
+//! Everything but `live/` is plain data and state machines; `live/` has the library. Haptics never go by Zenoh: that is
+//! `trocar-network`'s affair. The program has this crate with its feature `zenoh` only, since the library takes minutes to build.
 
 pub mod certificates;
 pub mod claim;
 pub mod hand;
 pub mod keys;
-#[cfg(feature = "live")]
 pub mod live;
 pub mod node_config;
 pub mod presence;

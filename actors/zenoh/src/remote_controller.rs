@@ -99,7 +99,7 @@ impl RemoteController {
         let place = |reason: String| format!("[[controller]] '{}': {reason}", self.right.name);
         let component = |name: &String| {
             let id = registry.by_name(name).map_err(|error| place(error.to_string()))?;
-            Ok(registry.entry(id).name)
+            Ok::<_, String>(registry.entry(id).name)
         };
         let mut entities = Vec::with_capacity(self.right.entities.len());
         for name in &self.right.entities {

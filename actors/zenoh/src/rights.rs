@@ -13,13 +13,13 @@
 //! who = ["ana"]
 //!
 //! [[controller]]                      # a controller on another machine: one more writer, that the Model checks
-//! name = "wind"
+//! name = "breathing"
 //! who = ["site-b"]
-//! reads = ["velocity"]
-//! writes = ["external_wrench"]
-//! entities = ["ring.1"]
+//! reads = ["jaw_state"]
+//! writes = ["pose", "velocity"]
+//! entities = ["table"]
 //! silence_secs = 0.2
-//! rest = [{ entity = "ring.1", component = "external_wrench", value = { force = [0.0, 0.0, 0.0] } }]
+//! rest = [{ entity = "table", component = "velocity", value = {} }]
 //! ```
 //!
 //! On the loopback, without `[tls]`, nobody is known by a name: whoever is on this machine reads, and commands what the
@@ -32,12 +32,14 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use thiserror::Error;
 
-use crate::keys::{SessionKeys, check_name};
+use crate::keys::{ALL_INFOS, ALL_ROSTERS, ALL_SESSIONS, ALL_STATIONS, SessionKeys, check_name};
 
 /// Most hands, controllers, and names of a list.
 pub const ENTRIES_MAX: usize = 64;
 /// Largest file \[bytes\].
 const FILE_MAX: u64 = 64 * 1024;
+/// What is asked of all sessions at once.
+const QUESTIONS: [&str; 4] = [ALL_SESSIONS, ALL_STATIONS, ALL_INFOS, ALL_ROSTERS];
 /// Everything that passes between nodes, as access control names it.
 const MESSAGES: [&str; 9] = [
     "put",
@@ -223,12 +225,12 @@ impl Rights {
     pub fn access_control(&self, keys: &SessionKeys) -> Option<Value> {
         self.tls.as_ref()?;
         let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
-        let mut allow = |id: &str, who: &[String], flows: [(&[&str], &str); 2], keys: Vec<String>| {
+        let mut allow = |id: &str, who: &[String], flows: [(&[&str], &str, &[String]); 2]| {
             if who.is_empty() {
                 return;
             }
             let mut of_policy = Vec::new();
-            for (messages, flow) in flows {
+            for (messages, flow, keys) in flows {
                 let rule = format!("{id}-{flow}");
                 rules.push(json!({
                     "id": rule, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys,
@@ -242,17 +244,21 @@ impl Rights {
         let asks: &[&str] =
             &["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"];
         let tells: &[&str] = &["put", "delete", "reply", "liveliness_token", "declare_queryable"];
-        allow("readers", &self.everybody(), [(asks, "ingress"), (tells, "egress")], vec![keys.all()]);
+        // Questions to all sessions are answered with what belongs to this one.
+        let (own, asked) = ([keys.all()], QUESTIONS.map(str::to_owned));
+        let asked: Vec<String> = own.iter().cloned().chain(asked).collect();
+        allow("readers", &self.everybody(), [(asks, "ingress", &asked), (tells, "egress", &own)]);
         let commands: &[&str] = &["put", "query", "declare_subscriber"];
         let takes: &[&str] = &["declare_subscriber", "declare_queryable", "reply", "put"];
         for hand in &self.hands {
-            let own = ["claim", "command"].map(|what| keys.hand(&hand.name, what)).to_vec();
-            allow(&format!("hand-{}", hand.name), &hand.who, [(commands, "ingress"), (takes, "egress")], own);
+            let own = ["claim", "command"].map(|what| keys.hand(&hand.name, what));
+            let id = format!("hand-{}", hand.name);
+            allow(&id, &hand.who, [(commands, "ingress", &own), (takes, "egress", &own)]);
         }
         for controller in &self.controllers {
-            let own = ["claim", "batch"].map(|what| keys.controller(&controller.name, what)).to_vec();
+            let own = ["claim", "batch"].map(|what| keys.controller(&controller.name, what));
             let id = format!("controller-{}", controller.name);
-            allow(&id, &controller.who, [(commands, "ingress"), (takes, "egress")], own);
+            allow(&id, &controller.who, [(commands, "ingress", &own), (takes, "egress", &own)]);
         }
         Some(json!({
             "enabled": true,

@@ -71,12 +71,13 @@ fn sockets_and_clocks_of_the_network_lie_in_its_live_driver_alone() {
         "tokio",
     ];
     let mut found = Vec::new();
-    let driver = "actors/network/src/live/";
-    for (name, code) in
-        production_sources("actors/network").into_iter().filter(|(name, _)| !name.starts_with(driver))
-    {
-        found
-            .extend(ABSENT.iter().filter(|word| code.contains(**word)).map(|word| format!("{name}: {word}")));
+    for folder in ["actors/network", "actors/zenoh"] {
+        let driver = format!("{folder}/src/live/");
+        let sources = production_sources(folder).into_iter().filter(|(name, _)| !name.starts_with(&driver));
+        for (name, code) in sources {
+            let words = ABSENT.iter().filter(|word| code.contains(**word));
+            found.extend(words.map(|word| format!("{name}: {word}")));
+        }
     }
     refuse("what a protocol may not have", found);
 }
@@ -84,7 +85,7 @@ fn sockets_and_clocks_of_the_network_lie_in_its_live_driver_alone() {
 #[test]
 fn nothing_random_is_unseeded_and_no_order_comes_from_a_hash_map() {
     let mut found = Vec::new();
-    for folder in PURE.iter().chain(&["actors/input", "actors/kernel", "actors/network", "devices"]) {
+    for folder in PURE.iter().chain(&["actors/input", "actors/kernel", "actors/network", "actors/zenoh", "devices"]) {
         for (name, code) in production_sources(folder) {
             let hashed = ["HashMap", "HashSet"].into_iter().filter(|_| !LOOKUPS.contains(&name.as_str()));
             for word in ["thread_rng", "rand::rng()", "from_entropy", "from_os_rng"].into_iter().chain(hashed)

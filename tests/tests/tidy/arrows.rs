@@ -7,7 +7,7 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package};
 use super::{ROOMS, refuse, root};
 
 /// The allowed dependencies of each crate on its neighbours. All others are forbidden.
-const ARROWS: [(&str, &[&str]); 17] = [
+const ARROWS: [(&str, &[&str]); 18] = [
     ("trocar-scene", &["trocar-scene-derive"]),
     ("trocar-scene-derive", &[]),
     ("trocar-devices", &[]),
@@ -18,6 +18,7 @@ const ARROWS: [(&str, &[&str]); 17] = [
     ("trocar-simulator", &["trocar-scene", "trocar-collision", "trocar-dynamics"]),
     ("trocar-network", &["trocar-scene", "trocar-devices", "trocar-kernel"]),
     ("trocar-tasks", &["trocar-scene"]),
+    ("trocar-zenoh", &["trocar-scene", "trocar-devices", "trocar-kernel", "trocar-network"]),
     ("trocar-haptics", &["trocar-scene", "trocar-devices"]),
     ("trocar-input", &["trocar-scene", "trocar-devices", "trocar-tasks"]),
     (
@@ -48,6 +49,7 @@ const ARROWS: [(&str, &[&str]); 17] = [
             "trocar-collision",
             "trocar-dynamics",
             "trocar-simulator",
+            "trocar-zenoh",
         ],
     ),
     ("trocar-test-support", &[]),
@@ -68,7 +70,7 @@ const ARROWS: [(&str, &[&str]); 17] = [
 ];
 
 /// Libraries that only some crates may depend on directly. `*` matches any ending.
-const RESERVED: [(&str, &[&str]); 10] = [
+const RESERVED: [(&str, &[&str]); 11] = [
     ("actix*", &["trocar-kernel"]),
     ("tokio*", &["trocar-kernel"]),
     ("rapier*", &["trocar-engine"]),
@@ -77,6 +79,7 @@ const RESERVED: [(&str, &[&str]); 10] = [
     ("egui*", &["trocar-viewer"]),
     ("rayon*", &["trocar-simulator", "trocar-cli"]),
     ("axum*", &[]),
+    ("zenoh*", &["trocar-zenoh"]),
     ("clap*", &["trocar-cli"]),
     ("indicatif", &["trocar-cli"]),
 ];

@@ -13,7 +13,7 @@ mod size;
 use std::path::{Path, PathBuf};
 
 /// The crates' folders: crate → folder.
-pub(super) const ROOMS: [(&str, &str); 17] = [
+pub(super) const ROOMS: [(&str, &str); 18] = [
     ("trocar-scene", "scene"),
     ("trocar-scene-derive", "scene/derive"),
     ("trocar-devices", "devices"),
@@ -26,6 +26,7 @@ pub(super) const ROOMS: [(&str, &str); 17] = [
     ("trocar-input", "actors/input"),
     ("trocar-network", "actors/network"),
     ("trocar-tasks", "actors/tasks"),
+    ("trocar-zenoh", "actors/zenoh"),
     ("trocar", "ui/sdk"),
     ("trocar-viewer", "ui/viewer"),
     ("trocar-cli", "ui/cli"),

@@ -5,6 +5,7 @@ mod help_tests;
 mod network;
 pub mod picture;
 pub mod values;
+pub mod zenoh;
 
 use std::path::PathBuf;
 
@@ -91,6 +92,8 @@ pub enum Command {
     Soak(SoakArgs),
     /// Return datagrams, or forward stations to a host, as a bad network would: delay, loss, bursts, reordering
     Reflect(crate::reflect::ReflectArgs),
+    /// Sessions beyond one machine, by Zenoh: list them, route between sites, make certificates
+    Zenoh(zenoh::ZenohArgs),
     /// Forward sessions of hosts that cannot be dialled: sealed bytes, without any key of them
     Relay(crate::relay::RelayArgs),
     /// Start a project of your own from a template: a crate with a program, a scenario and tests
@@ -224,6 +227,17 @@ pub struct RunArgs {
     /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
     #[arg(long, help_heading = "Output")]
     pub json: bool,
+    /// Be reached beyond this machine by Zenoh: an endpoint to listen at, or `connect=`, `listen=`, `name=`, `config=`
+    /// [default endpoint: tcp/127.0.0.1:7447]
+    #[arg(
+        long,
+        value_name = "ENDPOINT",
+        num_args = 0..=1,
+        default_missing_value = "",
+        conflicts_with = "lockstep",
+        help_heading = "Network"
+    )]
+    pub zenoh: Option<String>,
 }
 
 /// `trocar list`.

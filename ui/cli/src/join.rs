@@ -74,6 +74,7 @@ fn take_part(
         report: view.report.clone(),
         no_report: view.report.is_none(),
         json: view.json,
+        zenoh: None,
     };
     run::run_in(app, &args, &Network::Station(station))
 }

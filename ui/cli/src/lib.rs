@@ -42,6 +42,7 @@ mod soak;
 mod startup;
 mod tune;
 mod window;
+mod zenoh;
 
 pub use bench::counting::CountingAllocator;
 
@@ -82,7 +83,7 @@ impl CommandLine for App {
         start_log(cli.verbose);
         let done = Assets::new(cli.command.assets())
             .map_err(|error| Failure::usage(format!("--assets: {error}")))
-            .and_then(|assets| dispatch(&self.assets(assets), cli.command, command));
+            .and_then(|assets| dispatch(&zenoh::with_devices(self.assets(assets)), cli.command, command));
         match done {
             Ok(exit) => ExitCode::from(exit.code()),
             Err(failure) => {
@@ -111,6 +112,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Soak(args) => soak::run(app, &args),
         Command::Reflect(args) => reflect::reflect(&args),
         Command::Relay(args) => relay::relay(&args),
+        Command::Zenoh(args) => zenoh::command(&args),
         Command::New(args) => new::new(&args),
         Command::Doctor(args) => doctor::doctor(&args),
         Command::Schema(args) => {

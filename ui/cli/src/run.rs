@@ -33,6 +33,7 @@ use crate::signals;
 use crate::startup::{self, READING, Startup};
 use crate::tune::{self, TuningService};
 use crate::window::{self, Next, SessionHost, Show, Verdict};
+use crate::zenoh;
 
 /// What is told of a run that a person ended in its window.
 const BY_THE_WINDOW: &str = "a person at the window";
@@ -211,6 +212,14 @@ fn attempt(
     if args.pictures.are_asked_for() {
         startup.stage("the renderer of the pictures");
     }
+    let wish = zenoh::Wish {
+        text: args.zenoh.as_deref(),
+        scenario: &scenario,
+        first: &first,
+        network,
+        is_silent: args.json,
+    };
+    let mut beyond = zenoh::Beyond::open(&wish)?;
     let mut photographer = Photographer::repeated(&args.pictures, number, Some(scenario.folder()), &first)?;
     startup.stage(&startup::first_step(&first));
     let mut startup = Some(startup);
@@ -232,6 +241,9 @@ fn attempt(
             misplaced = files.begun().err();
         }
         tuning_service.serve(progress.session);
+        if let Some(beyond) = &mut beyond {
+            beyond.serve(progress);
+        }
         display.update(progress);
         if let Some(photographer) = &mut photographer {
             photographer.look(progress.scene, progress.now);
@@ -242,7 +254,9 @@ fn attempt(
     });
     tuning_service.close();
     display.clear();
+    let beyond = beyond.map_or(Ok(()), zenoh::Beyond::close);
     let mut outcome = outcome?;
+    beyond?;
     if misplaced.is_none() {
         misplaced = files.begun().err();
     }

@@ -330,24 +330,28 @@ impl Node {
 
     fn arrived(&self, arrival: Arrival, guests: &mut SessionGuests) {
         match arrival {
-            Arrival::Info(query) => self.answer(&query, Ok(self.info(guests))),
-            Arrival::Roster(query) => self.answer(&query, Ok(roster(&guests.reader.snapshot()))),
+            Arrival::Info(query) => self.answer(&query, &self.keys.info(), Ok(self.info(guests))),
+            Arrival::Roster(query) => {
+                self.answer(&query, &self.keys.roster(), Ok(roster(&guests.reader.snapshot())));
+            }
             Arrival::HandClaim(hand, query) => {
                 let claimed = self.code().and_then(|code| {
                     let claim = self.board.with(&hand, |lane| lane.claim(self.now(), code));
                     let epoch = claim.ok_or("the hand is gone")?.map_err(|refusal| refusal.to_string())?;
                     Ok(json!({ "claim": code.to_string(), "epoch": epoch }))
                 });
-                self.answer(&query, claimed);
+                self.answer(&query, &self.keys.hand(&hand, "claim"), claimed);
             }
             Arrival::ControllerClaim(index, query) => {
                 let now = self.now();
+                let Some((controller, _)) = guests.controllers.get_mut(index) else { return };
+                let silence_secs = controller.right().silence_secs;
                 let claimed = self.code().and_then(|code| {
-                    let (controller, _) = guests.controllers.get_mut(index).ok_or("it is gone")?;
                     let epoch = controller.claim(now, code)?;
-                    Ok(json!({ "claim": code.to_string(), "epoch": epoch, "silence_secs": controller.right().silence_secs }))
+                    Ok(json!({ "claim": code.to_string(), "epoch": epoch, "silence_secs": silence_secs }))
                 });
-                self.answer(&query, claimed);
+                let key = self.keys.controller(&controller.right().name, "claim");
+                self.answer(&query, &key, claimed);
             }
             Arrival::Batch(index, payload) => {
                 let now = self.now();
@@ -365,10 +369,10 @@ impl Node {
         Ok(ClaimCode(u64::from_le_bytes(bytes)))
     }
 
-    fn answer(&self, query: &Query, answer: Result<Value, String>) {
+    fn answer(&self, query: &Query, key: &str, answer: Result<Value, String>) {
         let sent = match answer {
             Ok(value) => {
-                let reply = query.reply(query.key_expr().clone(), value.to_string());
+                let reply = query.reply(key, value.to_string());
                 reply.encoding(Encoding::APPLICATION_JSON).wait()
             }
             Err(reason) => query.reply_err(json!({ "error": reason }).to_string()).wait(),

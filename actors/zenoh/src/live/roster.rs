@@ -13,7 +13,7 @@ use zenoh::sample::SampleKind;
 use zenoh::{Session, Wait};
 
 use super::node::{NodeError, on_own_thread, open};
-use crate::keys::{ALL_SESSIONS, ALL_STATIONS, of_token};
+use crate::keys::{ALL_INFOS, ALL_ROSTERS, ALL_SESSIONS, ALL_STATIONS, of_token};
 use crate::node_config::NodeKind;
 use crate::presence::{Change, Presence};
 use crate::rights::Rights;
@@ -72,7 +72,7 @@ pub fn list(settings: &NodeSettings, rights: &Rights) -> Result<Vec<SeenSession>
                 None => seen.alive = true,
             }
         }
-        for (what, key) in [("info", "trocar/*/info"), ("roster", "trocar/*/roster")] {
+        for (what, key) in [("info", ALL_INFOS), ("roster", ALL_ROSTERS)] {
             for (key, value) in ask(&session, key) {
                 let Some(name) = key.split('/').nth(1) else { continue };
                 let seen = found.entry(name.to_owned()).or_default();
@@ -164,7 +164,11 @@ impl Drop for Watch {
 fn watch(session: &Session, stop: &AtomicBool, changed: &SyncSender<Change>) {
     let mut presence = Presence::default();
     // A change that nobody takes is dropped; the next answer brings it again for who looks then.
-    let tell = |change: Option<Change>| change.is_none_or(|change| changed.try_send(change).is_ok());
+    let tell = |change: Option<Change>| {
+        if let Some(change) = change {
+            let _ = changed.try_send(change);
+        }
+    };
     let (events, arrived) = sync_channel(CHANGES_MAX);
     let declare = |key: &'static str| {
         let events = events.clone();
@@ -199,7 +203,7 @@ fn watch(session: &Session, stop: &AtomicBool, changed: &SyncSender<Change>) {
                 Err(TryRecvError::Empty | TryRecvError::Disconnected) => break,
             }
         }
-        presence.reconcile(&answer).into_iter().for_each(|change| drop(tell(Some(change))));
+        presence.reconcile(&answer).into_iter().for_each(|change| tell(Some(change)));
         for (key, came) in newer {
             tell(if came { presence.came(&key) } else { presence.went(&key) });
         }

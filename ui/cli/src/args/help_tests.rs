@@ -59,6 +59,7 @@ const HEADINGS: [(&str, &[&str]); 5] = [
             "insecure",
             "relay",
             "relay-key",
+            "zenoh",
         ],
     ),
 ];
