@@ -7,8 +7,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use rcgen::{
-    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
-    KeyUsagePurpose,
+    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer,
+    KeyPair, KeyUsagePurpose,
 };
 use thiserror::Error;
 use trocar_network::ticket::private_file;
@@ -81,7 +81,8 @@ pub fn make(folder: &Path, name: &str, addresses: &[String]) -> Result<Certifica
     wanted.distinguished_name = called(name);
     wanted.use_authority_key_identifier_extension = true;
     wanted.key_usages = vec![KeyUsagePurpose::DigitalSignature];
-    wanted.extended_key_usages = vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
+    wanted.extended_key_usages =
+        vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth];
     let key = KeyPair::generate()?;
     let certificate = wanted.signed_by(&key, &issuer)?;
     private_file::write(&files.key, key.serialize_pem().as_bytes()).map_err(|error| at(&files.key, error))?;
@@ -102,7 +103,8 @@ fn authority(folder: &Path, certificate: &Path) -> Result<Issuer<'static, KeyPai
         (false, false) => {
             let key = KeyPair::generate()?;
             let made = wanted.self_signed(&key)?;
-            private_file::write(&key_file, key.serialize_pem().as_bytes()).map_err(|error| at(&key_file, error))?;
+            private_file::write(&key_file, key.serialize_pem().as_bytes())
+                .map_err(|error| at(&key_file, error))?;
             fs::write(certificate, made.pem()).map_err(|error| at(certificate, error))?;
             Ok(Issuer::new(wanted, key))
         }
@@ -116,7 +118,8 @@ fn authority_params() -> CertificateParams {
     let mut wanted = CertificateParams::default();
     wanted.distinguished_name = called(AUTHORITY);
     wanted.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    wanted.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign, KeyUsagePurpose::DigitalSignature];
+    wanted.key_usages =
+        vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign, KeyUsagePurpose::DigitalSignature];
     wanted
 }
 

@@ -105,7 +105,8 @@ impl Claims {
     /// [`ClaimRefusal`].
     pub fn admit(&mut self, now: SimTime, code: ClaimCode, sequence: u64) -> Result<(), ClaimRefusal> {
         self.watch(now);
-        let holder = self.holder.as_mut().filter(|holder| holder.code == code).ok_or(ClaimRefusal::NoClaim)?;
+        let holder =
+            self.holder.as_mut().filter(|holder| holder.code == code).ok_or(ClaimRefusal::NoClaim)?;
         if holder.is_fenced {
             return Err(ClaimRefusal::Fenced);
         }
@@ -176,7 +177,9 @@ mod tests {
     fn a_sequence_that_does_not_rise_is_refused() {
         let mut claims = Claims::new(None);
         claims.claim(ms(0), A).expect("free");
-        for (sequence, taken) in [(5, true), (5, false), (4, false), (u64::MAX, true), (u64::MAX, false), (0, false)] {
+        for (sequence, taken) in
+            [(5, true), (5, false), (4, false), (u64::MAX, true), (u64::MAX, false), (0, false)]
+        {
             assert_eq!(claims.admit(ms(1), A, sequence).is_ok(), taken, "{sequence}");
         }
     }

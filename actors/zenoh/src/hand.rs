@@ -212,7 +212,8 @@ impl HandBoard {
     pub fn device(&self, text: &str) -> Result<ZenohHand, String> {
         check_name(text)?;
         let mut board = self.lock();
-        let is_protected = board.is_protected.ok_or("it is commanded by Zenoh: --zenoh says where (see docs/network.md)")?;
+        let is_protected =
+            board.is_protected.ok_or("it is commanded by Zenoh: --zenoh says where (see docs/network.md)")?;
         if board.lanes.contains_key(text) {
             return Err(format!("two hands are called '{text}'"));
         }
@@ -263,7 +264,8 @@ impl ZenohHand {
     /// In words, when limits make no sense.
     pub fn new(is_protected: bool) -> Result<(Self, HandLane), String> {
         let capabilities = Self::capabilities_of(is_protected);
-        let (hand, end) = RemoteHand::alone(HAND, DoorLimits::default(), capabilities).map_err(|error| error.to_string())?;
+        let (hand, end) = RemoteHand::alone(HAND, DoorLimits::default(), capabilities)
+            .map_err(|error| error.to_string())?;
         let (posts_in, posts) = triple_buffer(&None);
         let (answers, answers_out) = triple_buffer(&None);
         let lane = HandLane {

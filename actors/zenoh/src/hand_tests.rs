@@ -6,11 +6,19 @@ const MS: u64 = 1_000_000;
 const CODE: ClaimCode = ClaimCode(7);
 
 fn command(sequence: u64, x: f64) -> Vec<u8> {
-    json!({ "claim": CODE.to_string(), "sequence": sequence, "position": [x, 0.0, 0.0] }).to_string().into_bytes()
+    json!({ "claim": CODE.to_string(), "sequence": sequence, "position": [x, 0.0, 0.0] })
+        .to_string()
+        .into_bytes()
 }
 
 /// Steps the device for `millis`, a command `x(ms)` each 10 ms if there is one; returns the fastest motion [m/s].
-fn run(hand: &mut ZenohHand, lane: &mut HandLane, ms: &mut u64, millis: u64, x: impl Fn(u64) -> Option<f64>) -> f64 {
+fn run(
+    hand: &mut ZenohHand,
+    lane: &mut HandLane,
+    ms: &mut u64,
+    millis: u64,
+    x: impl Fn(u64) -> Option<f64>,
+) -> f64 {
     let (mut fastest, mut before) = (0.0_f64, None);
     for _ in 0..millis {
         *ms += 1;
@@ -51,7 +59,8 @@ fn silence_stops_the_hand_and_releases_its_buttons() {
     lane.claim(SimTime(0), CODE).expect("it is free");
     let mut ms = 0;
     run(&mut hand, &mut lane, &mut ms, 100, |_| Some(0.0));
-    let pressed = json!({ "claim": CODE.to_string(), "sequence": 1_000, "position": [0, 0, 0], "buttons": 1 });
+    let pressed =
+        json!({ "claim": CODE.to_string(), "sequence": 1_000, "position": [0, 0, 0], "buttons": 1 });
     lane.command(SimTime(ms * MS), pressed.to_string().as_bytes()).expect("admitted");
     run(&mut hand, &mut lane, &mut ms, 5, |_| None);
     assert_eq!(hand.read(ms * MS).expect("open").buttons, 1);
@@ -68,12 +77,14 @@ fn what_is_no_command_is_refused_and_counted() {
     hand.open(0).expect("it opens");
     lane.claim(SimTime(0), CODE).expect("it is free");
     let long = vec![b' '; COMMAND_MAX + 1];
-    let other = json!({ "claim": ClaimCode(8).to_string(), "sequence": 1, "position": [0, 0, 0] }).to_string();
+    let other =
+        json!({ "claim": ClaimCode(8).to_string(), "sequence": 1, "position": [0, 0, 0] }).to_string();
     for wrong in [&b"{}"[..], b"\xff", b"null", &long, other.as_bytes()] {
         assert!(lane.command(SimTime(MS), wrong).is_err());
     }
     // Numbers that are none pass JSON as null only; a rotation that is none is the door's affair.
-    let turned = json!({ "claim": CODE.to_string(), "sequence": 1, "position": [0, 0, 0], "rotation": [0, 0, 0, 9] });
+    let turned =
+        json!({ "claim": CODE.to_string(), "sequence": 1, "position": [0, 0, 0], "rotation": [0, 0, 0, 9] });
     lane.command(SimTime(MS), turned.to_string().as_bytes()).expect("the door judges");
     hand.read(2 * MS).expect("open");
     assert_eq!(lane.answer().expect("an answer")["refused"], 6);

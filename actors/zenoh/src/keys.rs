@@ -29,7 +29,19 @@ pub fn part(name: &str) -> String {
     let mut part = String::with_capacity(name.len());
     for letter in name.bytes() {
         match letter {
-            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'.' | b'-' | b'_' | b':' | b'@' | b'+' | b'=' | b'~' | b'(' | b')' => {
+            b'a'..=b'z'
+            | b'A'..=b'Z'
+            | b'0'..=b'9'
+            | b'.'
+            | b'-'
+            | b'_'
+            | b':'
+            | b'@'
+            | b'+'
+            | b'='
+            | b'~'
+            | b'('
+            | b')' => {
                 part.push(char::from(letter));
             }
             // Writing to a text does not fail.

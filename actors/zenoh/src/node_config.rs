@@ -122,9 +122,11 @@ mod tests {
     #[test]
     fn defaults_that_do_not_suit_are_replaced() {
         let keys = SessionKeys::new("s");
-        let config =
-            node_config(&"".parse().expect("valid"), &Rights::default(), NodeKind::Session(&keys));
-        assert_eq!((&config["mode"], &config["listen"]["endpoints"][0]), (&json!("peer"), &json!("tcp/127.0.0.1:7447")));
+        let config = node_config(&"".parse().expect("valid"), &Rights::default(), NodeKind::Session(&keys));
+        assert_eq!(
+            (&config["mode"], &config["listen"]["endpoints"][0]),
+            (&json!("peer"), &json!("tcp/127.0.0.1:7447"))
+        );
         assert!(config["transport"]["link"]["tx"]["lease"].as_u64().is_some_and(|lease| lease < 1_000));
         assert_eq!(config["scouting"]["multicast"]["enabled"], json!(false));
         assert_eq!(config["transport"]["link"]["tls"], Value::Null);
@@ -135,7 +137,8 @@ mod tests {
 
     #[test]
     fn with_certificates_both_ends_show_theirs_and_what_is_not_allowed_is_denied() {
-        let rights = Rights::parse("[tls]\nauthority = \"a\"\ncertificate = \"c\"\nkey = \"k\"").expect("valid");
+        let rights =
+            Rights::parse("[tls]\nauthority = \"a\"\ncertificate = \"c\"\nkey = \"k\"").expect("valid");
         let keys = SessionKeys::new("s");
         let settings = "tls/0.0.0.0:7447".parse().expect("valid");
         for kind in [NodeKind::Session(&keys), NodeKind::Router] {

@@ -99,7 +99,10 @@ mod tests {
         assert_eq!(presence.reconcile(&set(&["b"])), [], "once may be a mistake");
         assert_eq!(presence.reconcile(&set(&["a", "b"])), []);
         assert_eq!(presence.reconcile(&set(&["b"])), []);
-        assert_eq!(presence.reconcile(&set(&["b", "c"])), [Change::Came("c".into()), Change::Went("a".into())]);
+        assert_eq!(
+            presence.reconcile(&set(&["b", "c"])),
+            [Change::Came("c".into()), Change::Went("a".into())]
+        );
         assert!(presence.tokens().eq(["b", "c"]));
     }
 

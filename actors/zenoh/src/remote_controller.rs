@@ -130,7 +130,12 @@ impl RemoteController {
     ///
     /// # Errors
     /// In words; it is counted, and told as its newest refusal.
-    pub fn admit(&mut self, now: SimTime, scene_time: SimTime, payload: &[u8]) -> Result<RemoteBatch, String> {
+    pub fn admit(
+        &mut self,
+        now: SimTime,
+        scene_time: SimTime,
+        payload: &[u8],
+    ) -> Result<RemoteBatch, String> {
         let batch = parse(payload).and_then(|batch| {
             let code = ClaimCode::parse(&batch.claim).ok_or("the claim is not 16 hexadecimal digits")?;
             self.claims.admit(now, code, batch.sequence).map_err(|refusal| refusal.to_string())?;
@@ -156,7 +161,8 @@ impl RemoteController {
 
     fn refuse(&mut self, reason: &str) {
         self.refused += 1;
-        let end = reason.char_indices().map(|(at, _)| at).take_while(|at| *at <= TOLD_MAX).last().unwrap_or(0);
+        let end =
+            reason.char_indices().map(|(at, _)| at).take_while(|at| *at <= TOLD_MAX).last().unwrap_or(0);
         self.last_refusal = Some(if reason.len() > TOLD_MAX { &reason[..end] } else { reason }.to_owned());
     }
 

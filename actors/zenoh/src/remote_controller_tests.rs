@@ -2,7 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
-use trocar_scene::{EntityAllocator, Name, Pose, Store, Velocity};
+use trocar_scene::{EntityAllocator, Name, Pose, Store};
 
 const CODE: ClaimCode = ClaimCode(7);
 const RING: Entity = Entity::new(0, 0, 1);
@@ -50,7 +50,10 @@ fn a_batch_of_who_has_the_claim_becomes_commands() {
     assert_eq!((out.len(), out.events().len(), out.error()), (2, 1, None));
     controller.judged(Err("'zenoh.wind' has not declared pose"));
     let status = controller.status();
-    assert_eq!((&status["refused"], &status["last_refusal"]), (&json!(1), &json!("'zenoh.wind' has not declared pose")));
+    assert_eq!(
+        (&status["refused"], &status["last_refusal"]),
+        (&json!(1), &json!("'zenoh.wind' has not declared pose"))
+    );
 }
 
 #[test]
@@ -72,16 +75,21 @@ fn what_cannot_be_read_is_late_or_has_no_claim_is_refused_and_named() {
     refused(&vec![b' '; BATCH_MAX + 1], "bytes");
     assert_eq!(controller.status()["refused"], json!(6));
     for (more, says) in [
-        (json!({ "put": [{ "entity": "rnig", "component": "velocity", "value": {} }] }), "no entity is called 'rnig'"),
+        (
+            json!({ "put": [{ "entity": "rnig", "component": "velocity", "value": {} }] }),
+            "no entity is called 'rnig'",
+        ),
         (json!({ "put": [{ "entity": "ring.1", "component": "velocty", "value": {} }] }), "velocty"),
-        (json!({ "put": [{ "entity": "ring.1", "component": "velocity", "value": { "linear": 3 } }] }), "velocity of 'ring.1'"),
+        (
+            json!({ "put": [{ "entity": "ring.1", "component": "velocity", "value": { "linear": 3 } }] }),
+            "velocity of 'ring.1'",
+        ),
     ] {
+        let mut controller = RemoteController::new(right(json!([])));
+        controller.claim(SimTime::ZERO, CODE).expect("it is free");
         let read = controller.admit(SimTime(2), SimTime::ZERO, &batch(10, &more));
         let told = read.map(|batch| batch.write(store.view(), &mut commands(&store)));
         assert!(told.is_ok_and(|told| told.is_err_and(|told| told.contains(says))), "{says}");
-        controller.claim(SimTime::from_millis(9_000), CODE).expect("anew");
-        controller = RemoteController::new(right(json!([])));
-        controller.claim(SimTime::ZERO, CODE).expect("it is free");
     }
 }
 
@@ -94,13 +102,14 @@ fn silence_stops_its_commands_and_writes_what_it_rests_at() {
     controller.admit(SimTime::from_millis(100), SimTime::ZERO, &batch(1, &json!({}))).expect("admitted");
     assert_eq!(controller.due(), Some(SimTime::from_millis(300)));
     assert!(!controller.watch(SimTime::from_millis(299)) && controller.watch(SimTime::from_millis(300)));
-    let told = controller.admit(SimTime::from_millis(301), SimTime::ZERO, &batch(2, &json!({}))).expect_err("fenced");
+    let told = controller
+        .admit(SimTime::from_millis(301), SimTime::ZERO, &batch(2, &json!({})))
+        .expect_err("fenced");
     assert!(told.contains("silence"), "{told}");
     let mut out = commands(&store);
     controller.rest(store.view(), &mut out).expect("it fits");
     assert_eq!(out.len(), 1);
     assert_eq!(controller.status()["silences"], json!(1));
-    let _ = Velocity::default();
 }
 
 #[test]

@@ -331,7 +331,8 @@ mod tests {
             .filter(|rule| rule["flows"] == json!(["ingress"]))
             .filter(|rule| rule["messages"].as_array().is_some_and(|all| all.contains(&json!("put"))))
             .collect();
-        let keys: Vec<&Value> = may_put.iter().flat_map(|rule| rule["key_exprs"].as_array()).flatten().collect();
+        let keys: Vec<&Value> =
+            may_put.iter().flat_map(|rule| rule["key_exprs"].as_array()).flatten().collect();
         assert_eq!(
             keys,
             ["hand/right/claim", "hand/right/command", "controller/wind/claim", "controller/wind/batch"]
@@ -339,7 +340,8 @@ mod tests {
                 .iter()
                 .collect::<Vec<_>>()
         );
-        let readers = control["subjects"].as_array().expect("subjects").iter().find(|one| one["id"] == "readers");
+        let readers =
+            control["subjects"].as_array().expect("subjects").iter().find(|one| one["id"] == "readers");
         assert_eq!(readers.expect("readers")["cert_common_names"], json!(["ana", "bo", "lab"]));
     }
 
@@ -349,12 +351,16 @@ mod tests {
             ("raeders = []", "raeders"),
             ("[[hand]]\nname = \"a/b\"", "[[hand]] name"),
             ("[[controller]]\nname = \"w\"\nwrites = []\nentities = [\"a\"]", "at least one"),
-            ("[[controller]]\nname = \"w\"\nwrites = [\"pose\"]\nentities = [\"a\"]\nsilence_secs = 0.0", "0.05 to 10"),
+            (
+                "[[controller]]\nname = \"w\"\nwrites = [\"pose\"]\nentities = [\"a\"]\nsilence_secs = 0.0",
+                "0.05 to 10",
+            ),
         ] {
             let error = Rights::parse(text).expect_err(text).to_string();
             assert!(error.contains(says), "{text}: {error}");
         }
-        let twice = format!("{TEXT}\n[[controller]]\nname = \"wind\"\nwrites = [\"pose\"]\nentities = [\"a\"]");
+        let twice =
+            format!("{TEXT}\n[[controller]]\nname = \"wind\"\nwrites = [\"pose\"]\nentities = [\"a\"]");
         assert!(Rights::parse(&twice).expect_err("two").to_string().contains("two of this name"));
         let missing = Rights::read(Path::new("/nonexistent/zenoh.toml")).expect_err("missing").to_string();
         assert!(missing.contains("zenoh.toml"), "{missing}");

@@ -46,7 +46,9 @@ pub struct Endpoint {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum SettingsError {
     /// Not an endpoint.
-    #[error("{0:?} is no endpoint; valid are tcp/ADDRESS:PORT, tls/ADDRESS:PORT and udp/ADDRESS:PORT, such as {DEFAULT_ENDPOINT}")]
+    #[error(
+        "{0:?} is no endpoint; valid are tcp/ADDRESS:PORT, tls/ADDRESS:PORT and udp/ADDRESS:PORT, such as {DEFAULT_ENDPOINT}"
+    )]
     Endpoint(String),
     /// Not a key.
     #[error("unknown key {0:?}; valid are {KEYS}, or one endpoint alone to listen at")]
@@ -224,11 +226,15 @@ mod tests {
 
     #[test]
     fn beyond_this_machine_nothing_goes_without_certificates() {
-        for near in ["", "tcp/localhost:1", "udp/127.0.0.9:1", "tcp/[::1]:1", "connect=tcp/[::ffff:127.0.0.1]:1"] {
+        for near in
+            ["", "tcp/localhost:1", "udp/127.0.0.9:1", "tcp/[::1]:1", "connect=tcp/[::ffff:127.0.0.1]:1"]
+        {
             assert_eq!(settings(near).check(false), Ok(()), "{near}");
             assert!(!settings(near).is_protected());
         }
-        for far in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "connect=udp/192.0.2.7:7447", "connect=tcp/site-b:7447"] {
+        for far in
+            ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "connect=udp/192.0.2.7:7447", "connect=tcp/site-b:7447"]
+        {
             let error = settings(far).check(true).expect_err(far).to_string();
             assert!(error.contains("unprotected") && error.contains("tls/"), "{error}");
         }

@@ -16,8 +16,8 @@ use std::collections::BTreeMap;
 use nalgebra::Isometry3;
 use serde_json::{Map, Value, json};
 use trocar_scene::{
-    ComponentId, DeviceForce, DeviceState, Entity, Hand, InstrumentForce, JawState, Pose, Registry, Revision, SimTime,
-    Snapshot, Station, TaskState,
+    ComponentId, DeviceForce, DeviceState, Entity, Hand, InstrumentForce, JawState, Pose, Registry, Revision,
+    SimTime, Snapshot, Station, TaskState,
 };
 
 use crate::keys::SessionKeys;

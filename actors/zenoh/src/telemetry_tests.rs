@@ -15,7 +15,8 @@ struct Told {
 impl Told {
     fn new(reads: &[&str]) -> Self {
         let registry = Registry::standard();
-        let telemetry = Telemetry::new(SessionKeys::new("s"), &registry, reads.iter().copied()).expect("components");
+        let telemetry =
+            Telemetry::new(SessionKeys::new("s"), &registry, reads.iter().copied()).expect("components");
         let mut told = Self { store: Store::new(registry), telemetry, now: SimTime::ZERO };
         told.write(|out| {
             out.adopt(RING);

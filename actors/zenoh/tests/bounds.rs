@@ -20,19 +20,21 @@ fn a_flood_of_batches_commands_and_questions_is_bounded_and_the_session_goes_on(
     let heard = client.subscribe(&keys.health());
     heard.until("the session", |_, _| true);
     let claim = client.claim(&keys.controller("crane", "claim"));
-    let put = json!([{ "entity": "camera", "component": "pose", "value": { "translation": [0.0, 0.0, 1.0] } }]);
+    let put =
+        json!([{ "entity": "camera", "component": "pose", "value": { "translation": [0.0, 0.0, 1.0] } }]);
     let long = "x".repeat(1 << 20);
     for sequence in 0..20_000_u64 {
         let batch = json!({ "claim": claim, "sequence": sequence, "put": put });
         client.put(&keys.controller("crane", "batch"), &batch);
         client.put(&keys.hand("right", "command"), &json!({}));
         if sequence % 1_000 == 0 {
-            client.session.put(keys.hand("right", "command"), long.as_str());
+            client.put(&keys.hand("right", "command"), &json!(long));
         }
     }
     let before = running.session.now();
     let status = client.subscribe(&keys.controller("crane", "status"));
-    let (_, told) = status.until("it is judged", |_, value| value["accepted"].as_u64().is_some_and(|count| count > 0));
+    let (_, told) =
+        status.until("it is judged", |_, value| value["accepted"].as_u64().is_some_and(|count| count > 0));
     let counts = running.bridge.counts();
     println!("{counts:?}, {told}");
     assert!(counts.commands_refused > 0 && counts.restarts == 0);

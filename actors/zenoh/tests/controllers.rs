@@ -33,7 +33,9 @@ fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
     let keys = running.keys.clone();
     let (rows, status) =
         (client.subscribe(&keys.row("pose", "*")), client.subscribe(&keys.controller("crane", "status")));
-    rows.until("rows that it reads", |key, row| key == keys.row("pose", "wall") && row["translation"].is_array());
+    rows.until("rows that it reads", |key, row| {
+        key == keys.row("pose", "wall") && row["translation"].is_array()
+    });
 
     let claim = client.claim(&keys.controller("crane", "claim"));
     let mut sequence = 0;
@@ -76,7 +78,9 @@ fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
 fn rows_that_another_writer_has_are_not_given_away() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let mut running = Running::start(&endpoint, &Rights::default(), "virtual");
-    let text = RIGHTS.replace("\"camera\"]", "\"probe.right\"]").replace("\"pose\"]\n    ent", "\"velocity\"]\n    ent");
+    let text = RIGHTS
+        .replace("\"camera\"]", "\"probe.right\"]")
+        .replace("\"pose\"]\n    ent", "\"velocity\"]\n    ent");
     let right = Rights::parse(&text).expect("rights").controllers.remove(0);
     let controller = trocar_zenoh::remote_controller::RemoteController::new(right);
     let access = controller.access(&running.session.snapshot()).expect("names that there are");

@@ -54,7 +54,8 @@ fn the_client_from_pypi_reads_poses_and_commands_a_hand_if_it_may() {
     let endpoint = format!("tls/127.0.0.1:{}", free_port());
     let running = Running::start(&endpoint, &rights, "zenoh:right");
     for (name, may) in [("bo", false), ("ana", true)] {
-        let [authority, certificate, key] = ["authority.pem", &format!("{name}.pem"), &format!("{name}.key")].map(&file);
+        let [authority, certificate, key] =
+            ["authority.pem", &format!("{name}.pem"), &format!("{name}.key")].map(&file);
         let tls = ["--authority", &authority, "--certificate", &certificate, "--key", &key];
         let told = peer(&python, &endpoint, &[&tls[..], &["--hand", "right", "--seconds", "2"]].concat());
         println!("{name}: {told}");

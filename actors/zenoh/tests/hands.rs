@@ -31,7 +31,9 @@ fn a_client_reads_poses_and_commands_a_hand_within_its_limits() {
     command("0000000000000000", 1, 0.0);
     wait_for("it is refused", || (running.bridge.counts().commands_refused == 1).then_some(()));
     let claim = client.claim(&running.keys.hand("right", "claim"));
-    assert!(client.ask(&running.keys.hand("right", "claim")).is_err_and(|told| told.contains("somebody else")));
+    assert!(
+        client.ask(&running.keys.hand("right", "claim")).is_err_and(|told| told.contains("somebody else"))
+    );
     let mut sequence = 0;
     let answer = heard_while(&heard, &running, "the hand is where it was told", || {
         sequence += 1;
@@ -40,7 +42,9 @@ fn a_client_reads_poses_and_commands_a_hand_within_its_limits() {
     });
     assert!((answer["position"][0].as_f64().expect("a number") - 0.08).abs() < 1e-6, "{answer}");
     // It is silent now: the hand holds still, and says so.
-    heard.until("silence", |key, value| key == running.keys.hand("right", "answer") && value["presence"] == "silent");
+    heard.until("silence", |key, value| {
+        key == running.keys.hand("right", "answer") && value["presence"] == "silent"
+    });
     let found = list(&settings(&endpoint), &Rights::default()).expect("a list");
     assert_eq!((found.len(), found[0].alive, found[0].name.as_str()), (1, true, "wall"));
     let outcome = running.session.finish();

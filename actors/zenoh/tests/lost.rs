@@ -30,14 +30,19 @@ fn wait(watch: &Watch, session: &str, comes: bool) -> Duration {
 #[test]
 fn a_session_whose_cable_is_pulled_is_lost_within_a_second() {
     let port = free_port();
-    let router = Router::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a router");
-    let watch = Watch::open(&settings(&format!("connect=tcp/127.0.0.1:{port}")), &Rights::default()).expect("a watch");
+    let router =
+        Router::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a router");
+    let watch = Watch::open(&settings(&format!("connect=tcp/127.0.0.1:{port}")), &Rights::default())
+        .expect("a watch");
     let mut best = Duration::MAX;
     for number in 0..3 {
         let cable = Cable::to(port);
         let name = format!("s{number}");
-        let running =
-            Running::start(&format!("connect=tcp/127.0.0.1:{},name={name}", cable.port), &Rights::default(), "virtual");
+        let running = Running::start(
+            &format!("connect=tcp/127.0.0.1:{},name={name}", cable.port),
+            &Rights::default(),
+            "virtual",
+        );
         wait(&watch, &name, true);
         cable.pull();
         let lost_after = wait(&watch, &name, false);
@@ -55,8 +60,10 @@ fn a_session_whose_cable_is_pulled_is_lost_within_a_second() {
 #[test]
 fn a_session_that_ends_is_gone_and_may_come_back() {
     let port = free_port();
-    let router = Router::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a router");
-    let watch = Watch::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a watch");
+    let router =
+        Router::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a router");
+    let watch =
+        Watch::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a watch");
     for _ in 0..2 {
         let running = Running::start(&format!("connect=tcp/127.0.0.1:{port}"), &Rights::default(), "virtual");
         wait(&watch, "wall", true);

@@ -12,7 +12,8 @@ use crate::support::{Client, Running, free_port, settings, wait_for};
 
 /// Files of a name, for a client.
 fn files(folder: &Path, name: &str) -> [String; 3] {
-    ["authority.pem", &format!("{name}.pem"), &format!("{name}.key")].map(|file| folder.join(file).display().to_string())
+    ["authority.pem", &format!("{name}.pem"), &format!("{name}.key")]
+        .map(|file| folder.join(file).display().to_string())
 }
 
 fn client(endpoint: &str, files: &[String; 3]) -> zenoh::Result<Client> {
@@ -87,7 +88,10 @@ fn without_rights_nothing_is_read_and_nothing_is_written() {
         let text = text.replace("host.", &format!("{name}."));
         let file = folder.join(format!("{name}.toml"));
         std::fs::write(&file, text).expect("a file");
-        list(&settings(&format!("connect={endpoint},config={}", file.display())), &Rights::read(&file).expect("rights"))
+        list(
+            &settings(&format!("connect={endpoint},config={}", file.display())),
+            &Rights::read(&file).expect("rights"),
+        )
     };
     let found = calls("bo").expect("a list");
     assert_eq!((found.len(), &found[0].info["protected"]), (1, &json!(true)));

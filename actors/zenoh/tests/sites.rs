@@ -20,7 +20,8 @@ fn two_sites_see_each_other_through_their_routers() {
     for port in [a, b] {
         let names = wait_for("both sessions", || {
             let found = list(&settings(&format!("tcp/127.0.0.1:{port}")), &none).ok()?;
-            let names: Vec<String> = found.iter().filter(|one| one.alive).map(|one| one.name.clone()).collect();
+            let names: Vec<String> =
+                found.iter().filter(|one| one.alive).map(|one| one.name.clone()).collect();
             (names.len() == 2).then_some(names)
         });
         assert_eq!(names, ["site-a", "site-b"]);
@@ -36,7 +37,9 @@ fn two_sites_see_each_other_through_their_routers() {
         let command = json!({ "claim": claim, "sequence": sequence, "position": [0.0, 0.01, 0.0] });
         client.put(&first.keys.hand("right", "command"), &command);
         let within = std::time::Duration::from_millis(20);
-        heard.next(within, |key, value| key == first.keys.hand("right", "answer") && value["presence"] == "live")
+        heard.next(within, |key, value| {
+            key == first.keys.hand("right", "answer") && value["presence"] == "live"
+        })
     });
     drop((client, first, second, at_b, at_a));
 }

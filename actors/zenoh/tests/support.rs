@@ -63,9 +63,11 @@ impl Running {
         board.open(node.is_protected());
         let name = node.name.clone().unwrap_or_else(|| scenario.name.clone());
         let facts = SessionFacts { name: name.clone(), scenario: scenario.name.clone(), is_hosted: false };
-        let bridge = Bridge::open(&node, rights, &facts, &board).unwrap_or_else(|error| panic!("{text}: {error}"));
+        let bridge =
+            Bridge::open(&node, rights, &facts, &board).unwrap_or_else(|error| panic!("{text}: {error}"));
         let hands = vec![("right".to_owned(), hand.to_owned())];
-        let mut session = start(&app, &scenario, &RunOptions { hands, ..RunOptions::default() }).expect("it runs");
+        let mut session =
+            start(&app, &scenario, &RunOptions { hands, ..RunOptions::default() }).expect("it runs");
         let reader = session.guest("zenoh", &Access::new().reads::<Name>()).expect("a guest");
         let scene = session.snapshot();
         let controllers = rights
@@ -215,7 +217,8 @@ impl Cable {
                 if stop.load(Ordering::Relaxed) {
                     break;
                 }
-                let far = TcpStream::connect(SocketAddr::from(([127, 0, 0, 1], port))).expect("the other end");
+                let far =
+                    TcpStream::connect(SocketAddr::from(([127, 0, 0, 1], port))).expect("the other end");
                 for (from, to) in [(&near, &far), (&far, &near)] {
                     let (from, to) = (from.try_clone().expect("a stream"), to.try_clone().expect("a stream"));
                     let (pulled, stop) = (pulled.clone(), stop.clone());
@@ -251,7 +254,8 @@ fn carry(mut from: TcpStream, mut to: TcpStream, pulled: &AtomicBool, stop: &Ato
                     break;
                 }
             }
-            Err(error) if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => {}
+            Err(error)
+                if matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut) => {}
             Err(_) => break,
         }
     }

@@ -85,7 +85,9 @@ fn sockets_and_clocks_of_the_network_lie_in_its_live_driver_alone() {
 #[test]
 fn nothing_random_is_unseeded_and_no_order_comes_from_a_hash_map() {
     let mut found = Vec::new();
-    for folder in PURE.iter().chain(&["actors/input", "actors/kernel", "actors/network", "actors/zenoh", "devices"]) {
+    for folder in
+        PURE.iter().chain(&["actors/input", "actors/kernel", "actors/network", "actors/zenoh", "devices"])
+    {
         for (name, code) in production_sources(folder) {
             let hashed = ["HashMap", "HashSet"].into_iter().filter(|_| !LOOKUPS.contains(&name.as_str()));
             for word in ["thread_rng", "rand::rng()", "from_entropy", "from_os_rng"].into_iter().chain(hashed)

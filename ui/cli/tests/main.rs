@@ -21,3 +21,4 @@ mod support;
 mod templates;
 #[cfg(target_os = "linux")]
 mod writers;
+mod zenoh;

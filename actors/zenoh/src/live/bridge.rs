@@ -109,7 +109,8 @@ impl Bridge {
         board: &HandBoard,
     ) -> Result<Self, NodeError> {
         let system = |error: &dyn std::fmt::Display| NodeError::System(error.to_string());
-        let (settings, rights, facts, board) = (settings.clone(), rights.clone(), facts.clone(), board.clone());
+        let (settings, rights, facts, board) =
+            (settings.clone(), rights.clone(), facts.clone(), board.clone());
         let shared = Arc::<Shared>::default();
         let (opened, is_open) = sync_channel(1);
         let (guests, given) = sync_channel(1);
@@ -125,7 +126,8 @@ impl Bridge {
                 node.run(&given);
             }
         };
-        let thread = thread::Builder::new().name("zenoh".into()).spawn(run).map_err(|error| system(&error))?;
+        let thread =
+            thread::Builder::new().name("zenoh".into()).spawn(run).map_err(|error| system(&error))?;
         is_open.recv().map_err(|_| system(&"its thread panicked"))??;
         Ok(Self { shared, guests, thread: Some(thread) })
     }
@@ -298,7 +300,10 @@ impl Node {
         ask(self.keys.roster(), Box::new(Arrival::Roster))?;
         for hand in self.board.names() {
             let name = hand.clone();
-            ask(self.keys.hand(&hand, "claim"), Box::new(move |query| Arrival::HandClaim(name.clone(), query)))?;
+            ask(
+                self.keys.hand(&hand, "claim"),
+                Box::new(move |query| Arrival::HandClaim(name.clone(), query)),
+            )?;
             let (board, shared, begun) = (self.board.clone(), shared(), self.begun);
             let key = self.keys.hand(&hand, "command");
             let told = move |sample: zenoh::sample::Sample| {
@@ -318,7 +323,8 @@ impl Node {
             let told = move |sample: zenoh::sample::Sample| {
                 // One that is too long is refused by what reads it, and needs no room here.
                 let payload = sample.payload();
-                let kept = if payload.len() > BATCH_MAX { Vec::new() } else { payload.to_bytes().into_owned() };
+                let kept =
+                    if payload.len() > BATCH_MAX { Vec::new() } else { payload.to_bytes().into_owned() };
                 shared.inbox.put(Arrival::Batch(index, kept));
             };
             let key = self.keys.controller(name, "batch");
@@ -437,7 +443,9 @@ fn submit(controller: &mut RemoteController, guest: &mut Guest, now: SimTime, pa
     match (read, sent) {
         (Err(reason), _) => controller.judged(Err(&reason)),
         (_, Err(error)) => controller.judged(Err(&error.to_string())),
-        (_, Ok(Submitted::Dropped)) => controller.judged(Err("the Model has not taken the batches before it")),
+        (_, Ok(Submitted::Dropped)) => {
+            controller.judged(Err("the Model has not taken the batches before it"))
+        }
         // The Model's answer follows; nothing is asked of it by an empty one.
         (_, Ok(Submitted::Sent | Submitted::Empty)) => {}
     }
@@ -452,7 +460,10 @@ fn settle(controller: &mut RemoteController, guest: &mut Guest, now: SimTime) {
         }
     }
     if controller.watch(now) {
-        tracing::warn!("Zenoh: controller '{}' has fallen silent; its commands stop", controller.right().name);
+        tracing::warn!(
+            "Zenoh: controller '{}' has fallen silent; its commands stop",
+            controller.right().name
+        );
         let mut rests = Ok(());
         let sent = guest.write(|scene, out| rests = controller.rest(scene, out));
         if let Err(reason) = rests.and(sent.map(drop).map_err(|error| error.to_string())) {

@@ -52,11 +52,16 @@ fn hint(endpoints: &str, reason: &str) -> String {
 }
 
 /// Opens a session of the library. On a plain thread only.
-pub(super) fn open(settings: &NodeSettings, rights: &Rights, kind: NodeKind<'_>) -> Result<Session, NodeError> {
+pub(super) fn open(
+    settings: &NodeSettings,
+    rights: &Rights,
+    kind: NodeKind<'_>,
+) -> Result<Session, NodeError> {
     settings.check(rights.tls.is_some())?;
     let all: Vec<String> = settings.listen.iter().chain(&settings.connect).map(ToString::to_string).collect();
     let endpoints = all.join(", ");
-    let wrong = |error: zenoh::Error| NodeError::Open { endpoints: endpoints.clone(), reason: error.to_string() };
+    let wrong =
+        |error: zenoh::Error| NodeError::Open { endpoints: endpoints.clone(), reason: error.to_string() };
     let config = Config::from_json5(&node_config(settings, rights, kind).to_string()).map_err(&wrong)?;
     zenoh::open(config).wait().map_err(&wrong)
 }

@@ -174,7 +174,8 @@ fn watch(session: &Session, stop: &AtomicBool, changed: &SyncSender<Change>) {
         let events = events.clone();
         let told = move |sample: zenoh::sample::Sample| {
             // What finds no room is found by asking.
-            let _ = events.try_send((sample.key_expr().as_str().to_owned(), sample.kind() == SampleKind::Put));
+            let _ =
+                events.try_send((sample.key_expr().as_str().to_owned(), sample.kind() == SampleKind::Put));
         };
         session.liveliness().declare_subscriber(key).history(true).callback(told).wait()
     };
@@ -184,7 +185,9 @@ fn watch(session: &Session, stop: &AtomicBool, changed: &SyncSender<Change>) {
     }
     let mut next = Instant::now() + ASK_EVERY;
     while !stop.load(Ordering::Relaxed) {
-        match arrived.recv_timeout(next.saturating_duration_since(Instant::now()).min(super::node::LOOK_EVERY)) {
+        match arrived
+            .recv_timeout(next.saturating_duration_since(Instant::now()).min(super::node::LOOK_EVERY))
+        {
             Ok((key, came)) => {
                 tell(if came { presence.came(&key) } else { presence.went(&key) });
                 continue;

@@ -62,11 +62,16 @@ mod tests {
         let scenario = app.scenario("wall").expect("a scenario");
         let first = scenario.spawn(app.registry()).expect("a scene").snapshot();
         let network = trocar::network::Network::None;
-        let mut wish = Wish { text: None, scenario: &scenario, first: &first, network: &network, is_silent: true };
+        let mut wish =
+            Wish { text: None, scenario: &scenario, first: &first, network: &network, is_silent: true };
         assert!(matches!(Beyond::open(&wish), Ok(None)));
         wish.text = Some("");
         let failure = Beyond::open(&wish).err().expect("refused");
-        assert!(failure.exit == Exit::Usage && failure.message.contains("--features zenoh"), "{}", failure.message);
+        assert!(
+            failure.exit == Exit::Usage && failure.message.contains("--features zenoh"),
+            "{}",
+            failure.message
+        );
     }
 
     /// Where the program has Zenoh, what stands in for it has the same form.
@@ -78,7 +83,8 @@ mod tests {
         let _: [fn(App) -> App; 2] = [with_devices, present::with_devices];
         let _: fn(&Wish<'_>) -> Result<Option<Beyond>, Failure> = Beyond::open;
         let _: fn(&Wish<'_>) -> Result<Option<present::Beyond>, Failure> = present::Beyond::open;
-        let _: (fn(&mut Beyond, &mut Progress<'_>), fn(Beyond) -> Result<(), Failure>) = (Beyond::serve, Beyond::close);
+        let _: (fn(&mut Beyond, &mut Progress<'_>), fn(Beyond) -> Result<(), Failure>) =
+            (Beyond::serve, Beyond::close);
         let _: (fn(&mut present::Beyond, &mut Progress<'_>), fn(present::Beyond) -> Result<(), Failure>) =
             (present::Beyond::serve, present::Beyond::close);
     }

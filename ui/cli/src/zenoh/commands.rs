@@ -50,7 +50,11 @@ fn sessions(args: &ZenohListArgs) -> Result<Exit, Failure> {
             if args.json && changes.len() < CHANGES_MAX {
                 changes.push(as_json(&change, begun.elapsed().as_secs_f64()));
             } else if !args.json {
-                output::print_text(&format!("{:6.1} s  {}\n", begun.elapsed().as_secs_f64(), in_words(&change)))?;
+                output::print_text(&format!(
+                    "{:6.1} s  {}\n",
+                    begun.elapsed().as_secs_f64(),
+                    in_words(&change)
+                ))?;
             }
         }
     }
@@ -130,7 +134,9 @@ fn router(args: &ZenohRouterArgs) -> Result<Exit, Failure> {
     let who = if settings.is_protected() { "for those named in its file" } else { "unprotected" };
     output::tell(&format!("routing at {} ({who}); Ctrl-C ends", places.join(", ")));
     let begun = Instant::now();
-    while signals.arrived().is_none() && args.seconds.is_none_or(|seconds| begun.elapsed().as_secs_f64() < seconds) {
+    while signals.arrived().is_none()
+        && args.seconds.is_none_or(|seconds| begun.elapsed().as_secs_f64() < seconds)
+    {
         std::thread::sleep(LOOK_EVERY);
     }
     drop(router);
@@ -146,11 +152,12 @@ fn router(args: &ZenohRouterArgs) -> Result<Exit, Failure> {
 }
 
 fn certificate(args: &ZenohCertificateArgs) -> Result<Exit, Failure> {
-    let files = certificates::make(&args.folder, &args.name, &args.addresses).map_err(|error| match error {
-        CertificateError::Usage(_) => Failure::usage(error),
-        CertificateError::File { .. } => Failure::invalid(error),
-        CertificateError::Make(_) => Failure::internal(error),
-    })?;
+    let files =
+        certificates::make(&args.folder, &args.name, &args.addresses).map_err(|error| match error {
+            CertificateError::Usage(_) => Failure::usage(error),
+            CertificateError::File { .. } => Failure::invalid(error),
+            CertificateError::Make(_) => Failure::internal(error),
+        })?;
     if args.json {
         output::print_json(&json!({
             "schema": SCHEMA, "authority": files.authority, "certificate": files.certificate, "key": files.key,

@@ -33,8 +33,7 @@ pub fn with_devices(app: App) -> App {
 
 /// Settings and rights of a text.
 pub(super) fn settings(option: &str, text: &str) -> Result<(NodeSettings, Rights), Failure> {
-    let settings: NodeSettings =
-        text.parse().map_err(|error| Failure::usage(format!("{option}{error}")))?;
+    let settings: NodeSettings = text.parse().map_err(|error| Failure::usage(format!("{option}{error}")))?;
     let rights = match &settings.config {
         Some(file) => Rights::read(file).map_err(|error| Failure::invalid(format!("{option}{error}")))?,
         None => Rights::default(),
@@ -135,7 +134,8 @@ impl Beyond {
 /// The session's guests: who reads, and a writer for each controller elsewhere, which the Model checks.
 fn guests(progress: &mut Progress<'_>, controllers: Vec<RemoteController>) -> Result<SessionGuests, Failure> {
     let wrong = |error: &dyn std::fmt::Display| Failure::invalid(format!("--zenoh: {error}"));
-    let reader = progress.session.guest(GUEST, &Access::new().reads::<Name>()).map_err(|error| wrong(&error))?;
+    let reader =
+        progress.session.guest(GUEST, &Access::new().reads::<Name>()).map_err(|error| wrong(&error))?;
     let mut joined = Vec::with_capacity(controllers.len());
     for controller in controllers {
         let access = controller.access(progress.scene).map_err(|error| wrong(&error))?;
