@@ -213,7 +213,7 @@ impl HandBoard {
         check_name(text)?;
         let mut board = self.lock();
         let is_protected =
-            board.is_protected.ok_or("it is commanded by Zenoh: --zenoh says where (see docs/network.md)")?;
+            board.is_protected.ok_or("it is commanded by Zenoh, of a session or its host: --zenoh says where (see docs/network.md)")?;
         if board.lanes.contains_key(text) {
             return Err(format!("two hands are called '{text}'"));
         }

@@ -3,7 +3,7 @@
 //! | key | what | who |
 //! |---|---|---|
 //! | `trocar/S/alive` | a liveliness token: session S is there | session |
-//! | `trocar/S/station/NUMBER/alive` | a liveliness token: that station is there | session |
+//! | `trocar/S/station/NUMBER/alive` | a liveliness token: that station is there | station |
 //! | `trocar/S/info`, `trocar/S/roster` | what it is, who takes part; asked for as well | session |
 //! | `trocar/S/pose/ENTITY` | where it is in the world | session |
 //! | `trocar/S/hand/HAND/force` | the force at a hand's device | session |

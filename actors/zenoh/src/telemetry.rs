@@ -259,15 +259,6 @@ pub fn roster(scene: &Snapshot) -> Value {
         .collect()
 }
 
-/// Numbers of the stations that are there.
-pub fn stations_here(scene: &Snapshot) -> Vec<u16> {
-    let of_host = scene.iter::<Station>().filter(|(entity, station)| entity.station() == 0 && station.here);
-    let mut numbers: Vec<u16> = of_host.map(|(_, station)| station.number).collect();
-    numbers.sort_unstable();
-    numbers.dedup();
-    numbers
-}
-
 fn health_list(health: &[(String, String)]) -> Value {
     Value::Object(health.iter().map(|(name, how)| (name.clone(), json!(how))).collect::<Map<_, _>>())
 }

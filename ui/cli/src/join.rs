@@ -74,7 +74,7 @@ fn take_part(
         report: view.report.clone(),
         no_report: view.report.is_none(),
         json: view.json,
-        zenoh: None,
+        zenoh: view.zenoh.clone(),
     };
     run::run_in(app, &args, &Network::Station(station))
 }

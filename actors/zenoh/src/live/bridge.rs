@@ -32,7 +32,7 @@ use crate::node_config::{MESSAGE_MAX, NodeKind};
 use crate::remote_controller::{BATCH_MAX, RemoteController};
 use crate::rights::Rights;
 use crate::settings::NodeSettings;
-use crate::telemetry::{Telemetry, roster, stations_here};
+use crate::telemetry::{Telemetry, roster};
 
 /// Longest wait between two looks at the scene.
 const TICK: Duration = Duration::from_micros(16_667);
@@ -54,6 +54,8 @@ pub struct SessionFacts {
     pub scenario: String,
     /// Whether others may join it.
     pub is_hosted: bool,
+    /// The number of a station that has joined it: it tells that it is there, and the host tells the rest.
+    pub station: Option<u16>,
 }
 
 /// How a session is reached.
@@ -98,7 +100,8 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// Opens the node of a session that does not run yet. May be called from an actor, and takes up to seconds.
+    /// Opens the node of a session that does not run yet, or of a station, which is there at once. May be called from an
+    /// actor, and takes up to seconds.
     ///
     /// # Errors
     /// [`NodeError`].
@@ -180,6 +183,8 @@ struct Node {
     board: HandBoard,
     shared: Arc<Shared>,
     begun: Instant,
+    /// That of a station.
+    _own_token: Option<LivelinessToken>,
 }
 
 /// What is declared while a session runs.
@@ -187,7 +192,6 @@ struct Declared {
     _alive: LivelinessToken,
     _asked: Vec<Queryable<()>>,
     _heard: Vec<Subscriber<()>>,
-    stations: Vec<(u16, LivelinessToken)>,
 }
 
 impl Node {
@@ -200,11 +204,16 @@ impl Node {
     ) -> Result<Self, NodeError> {
         let keys = SessionKeys::new(&facts.name);
         let session = open(&settings, &rights, NodeKind::Session(&keys))?;
-        if !tokens_of(&session, &keys.alive(), NAME_WITHIN).is_empty() {
+        let mut own_token = None;
+        if let Some(number) = facts.station {
+            let token = session.liveliness().declare_token(keys.station(number)).wait();
+            own_token = Some(token.map_err(|error| NodeError::System(error.to_string()))?);
+        } else if !tokens_of(&session, &keys.alive(), NAME_WITHIN).is_empty() {
             return Err(NodeError::NameTaken(facts.name));
         }
         let is_protected = settings.is_protected();
-        Ok(Self { session, rights, is_protected, facts, keys, board, shared, begun: Instant::now() })
+        let begun = Instant::now();
+        Ok(Self { session, rights, is_protected, facts, keys, board, shared, begun, _own_token: own_token })
     }
 
     fn is_over(&self) -> bool {
@@ -247,7 +256,7 @@ impl Node {
 
     /// Serves a session until it ends.
     fn serve(&self, guests: &mut SessionGuests) -> Result<(), String> {
-        let mut declared = self.declare(guests)?;
+        let _declared = self.declare(guests)?;
         let reads: Vec<String> =
             guests.controllers.iter().flat_map(|(controller, _)| controller.right().reads.clone()).collect();
         let scene = guests.reader.snapshot();
@@ -268,7 +277,6 @@ impl Node {
             let scene = guests.reader.snapshot();
             let health = self.shared.health.lock().unwrap_or_else(PoisonError::into_inner).clone();
             telemetry.tell(&scene, now, &health, &mut |key, value| self.put(key, value));
-            self.follow_stations(&mut declared, &stations_here(&scene));
             for hand in self.board.names() {
                 let answer = self.board.with(&hand, |lane| lane.is_held().then(|| lane.answer()).flatten());
                 if let Some(answer) = answer.flatten() {
@@ -331,7 +339,7 @@ impl Node {
             heard.push(self.session.declare_subscriber(key).callback(told).wait().map_err(text)?);
         }
         let alive = self.session.liveliness().declare_token(self.keys.alive()).wait().map_err(text)?;
-        Ok(Declared { _alive: alive, _asked: asked, _heard: heard, stations: Vec::new() })
+        Ok(Declared { _alive: alive, _asked: asked, _heard: heard })
     }
 
     fn arrived(&self, arrival: Arrival, guests: &mut SessionGuests) {
@@ -412,19 +420,6 @@ impl Node {
                 .is_ok();
         let count = if told { &self.shared.told } else { &self.shared.failed };
         count.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// A station that is there has a token, and one that is away has none.
-    fn follow_stations(&self, declared: &mut Declared, here: &[u16]) {
-        declared.stations.retain(|(number, _)| here.contains(number));
-        for number in here {
-            if declared.stations.iter().any(|(known, _)| known == number) {
-                continue;
-            }
-            if let Ok(token) = self.session.liveliness().declare_token(self.keys.station(*number)).wait() {
-                declared.stations.push((*number, token));
-            }
-        }
     }
 }
 

@@ -253,4 +253,7 @@ pub struct ViewArgs {
     /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
     #[arg(long, help_heading = "Output")]
     pub json: bool,
+    /// Tell beyond this machine that this station is there, by Zenoh: as `--zenoh` of the host, with the same `name=`
+    #[arg(long, value_name = "ENDPOINT", num_args = 0..=1, default_missing_value = "", help_heading = "Network")]
+    pub zenoh: Option<String>,
 }

@@ -110,10 +110,11 @@ fn table(found: &[SeenSession]) -> String {
             let number = station["number"].as_u64().unwrap_or_default();
             let here = session.stations_alive.iter().any(|alive| u64::from(*alive) == number);
             let line = format!(
-                "  station {number}, {} ({}): {}{}",
+                "  station {number}, {} ({}): {}{}{}",
                 station["name"].as_str().unwrap_or("?"),
                 station["role"].as_str().unwrap_or("?"),
-                if here { "alive" } else { "away" },
+                if station["here"] == json!(true) { "here" } else { "away" },
+                if here { ", alive" } else { "" },
                 match list(&station["hands"]) {
                     hands if hands.is_empty() => String::new(),
                     hands => format!(", serves {hands}"),

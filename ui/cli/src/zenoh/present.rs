@@ -68,16 +68,22 @@ impl Beyond {
         let (settings, rights) = settings("--zenoh: ", text)?;
         let name = settings.name.clone().unwrap_or_else(|| wish.scenario.name.clone());
         let is_protected = settings.is_protected();
-        let controllers: Vec<RemoteController> =
-            rights.controllers.iter().cloned().map(RemoteController::new).collect();
+        // A station tells that it is there; the host has the scene, and those who command.
+        let station = wish.network.station().map(|station| station.number);
+        let of_session = rights.controllers.iter().filter(|_| station.is_none());
+        let controllers: Vec<RemoteController> = of_session.cloned().map(RemoteController::new).collect();
         for controller in &controllers {
             controller.access(wish.first).map_err(|reason| Failure::invalid(format!("--zenoh: {reason}")))?;
         }
-        BOARD.open(is_protected);
+        match station {
+            Some(_) => BOARD.close(),
+            None => BOARD.open(is_protected),
+        }
         let facts = SessionFacts {
             name: name.clone(),
             scenario: wish.scenario.name.clone(),
             is_hosted: matches!(wish.network, Network::Host(_)),
+            station,
         };
         let bridge = Bridge::open(&settings, &rights, &facts, &BOARD).map_err(|error| {
             BOARD.close();
@@ -88,12 +94,15 @@ impl Beyond {
                 settings.listen.iter().chain(&settings.connect).map(ToString::to_string).collect();
             let who = if is_protected {
                 "for those who have a right to it"
+            } else if station.is_some() {
+                "unprotected: whoever is on this machine sees that it is there"
             } else {
                 "unprotected: whoever is on this machine reads it, and commands what it lets be commanded"
             };
             output::tell(&format!("on Zenoh as '{}', {} ({who})", printable(&name), places.join(", ")));
         }
-        Ok(Some(Self { bridge, controllers: Some(controllers), looks: 0, failed: None }))
+        let controllers = station.is_none().then_some(controllers);
+        Ok(Some(Self { bridge, controllers, looks: 0, failed: None }))
     }
 
     /// Joins the session when it runs, and tells how its actors do.
