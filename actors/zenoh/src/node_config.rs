@@ -75,6 +75,7 @@ pub fn node_config(settings: &NodeSettings, rights: &Rights, kind: NodeKind<'_>)
                 "accept_pending": 16,
                 "max_sessions": 64,
                 "max_links": 1,
+                "compression": { "enabled": false },
             },
             "link": {
                 "protocols": ["tcp", "tls", "udp"],

@@ -38,8 +38,6 @@ use crate::keys::{ALL_INFOS, ALL_ROSTERS, ALL_SESSIONS, ALL_STATIONS, SessionKey
 pub const ENTRIES_MAX: usize = 64;
 /// Largest file \[bytes\].
 const FILE_MAX: u64 = 64 * 1024;
-/// What is asked of all sessions at once.
-const QUESTIONS: [&str; 4] = [ALL_SESSIONS, ALL_STATIONS, ALL_INFOS, ALL_ROSTERS];
 /// Everything that passes between nodes, as access control names it.
 const MESSAGES: [&str; 9] = [
     "put",
@@ -188,8 +186,12 @@ impl Rights {
         if lists.into_iter().any(|length| length > ENTRIES_MAX) {
             return Err(wrong("the file", format!("a list has more than {ENTRIES_MAX} entries")));
         }
+        let mut names = BTreeSet::new();
         for hand in &rights.hands {
             check_name(&hand.name).map_err(|reason| wrong("[[hand]] name", reason))?;
+            if !names.insert(&hand.name) {
+                return Err(wrong(&format!("[[hand]] '{}'", hand.name), "there are two of this name".to_owned()));
+            }
         }
         let mut names = BTreeSet::new();
         for controller in &rights.controllers {
@@ -225,13 +227,13 @@ impl Rights {
     pub fn access_control(&self, keys: &SessionKeys) -> Option<Value> {
         self.tls.as_ref()?;
         let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
-        let mut allow = |id: &str, who: &[String], flows: [(&[&str], &str, &[String]); 2]| {
+        let mut allow = |id: &str, who: &[String], rights: &[(&[&str], &str, &[String])]| {
             if who.is_empty() {
                 return;
             }
             let mut of_policy = Vec::new();
-            for (messages, flow, keys) in flows {
-                let rule = format!("{id}-{flow}");
+            for (number, (messages, flow, keys)) in rights.iter().enumerate() {
+                let rule = format!("{id}-{number}");
                 rules.push(json!({
                     "id": rule, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": keys,
                 }));
@@ -240,25 +242,29 @@ impl Rights {
             subjects.push(json!({ "id": id, "cert_common_names": who }));
             policies.push(json!({ "id": id, "rules": of_policy, "subjects": [id] }));
         };
-        // Who only reads puts nothing, and answers nothing.
-        let asks: &[&str] =
-            &["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"];
+        // Who only reads puts nothing, answers nothing, and asks for no claim. Questions to all sessions are answered with what
+        // belongs to this one.
+        let hears: &[&str] = &["declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"];
         let tells: &[&str] = &["put", "delete", "reply", "liveliness_token", "declare_queryable"];
-        // Questions to all sessions are answered with what belongs to this one.
-        let (own, asked) = ([keys.all()], QUESTIONS.map(str::to_owned));
-        let asked: Vec<String> = own.iter().cloned().chain(asked).collect();
-        allow("readers", &self.everybody(), [(asks, "ingress", &asked), (tells, "egress", &own)]);
+        let own = [keys.all()];
+        let heard = [keys.all(), ALL_SESSIONS.to_owned(), ALL_STATIONS.to_owned()];
+        let asked = [keys.info(), keys.roster(), ALL_INFOS.to_owned(), ALL_ROSTERS.to_owned()];
+        allow(
+            "readers",
+            &self.everybody(),
+            &[(hears, "ingress", &heard), (&["query"], "ingress", &asked), (tells, "egress", &own)],
+        );
         let commands: &[&str] = &["put", "query", "declare_subscriber"];
         let takes: &[&str] = &["declare_subscriber", "declare_queryable", "reply", "put"];
         for hand in &self.hands {
             let own = ["claim", "command"].map(|what| keys.hand(&hand.name, what));
             let id = format!("hand-{}", hand.name);
-            allow(&id, &hand.who, [(commands, "ingress", &own), (takes, "egress", &own)]);
+            allow(&id, &hand.who, &[(commands, "ingress", &own), (takes, "egress", &own)]);
         }
         for controller in &self.controllers {
             let own = ["claim", "batch"].map(|what| keys.controller(&controller.name, what));
             let id = format!("controller-{}", controller.name);
-            allow(&id, &controller.who, [(commands, "ingress", &own), (takes, "egress", &own)]);
+            allow(&id, &controller.who, &[(commands, "ingress", &own), (takes, "egress", &own)]);
         }
         Some(json!({
             "enabled": true,
@@ -326,11 +332,17 @@ mod tests {
         let control = rights.access_control(&SessionKeys::new("s")).expect("there are certificates");
         assert_eq!((&control["enabled"], &control["default_permission"]), (&json!(true), &json!("deny")));
         let rules = control["rules"].as_array().expect("rules");
-        let may_put: Vec<&Value> = rules
-            .iter()
-            .filter(|rule| rule["flows"] == json!(["ingress"]))
-            .filter(|rule| rule["messages"].as_array().is_some_and(|all| all.contains(&json!("put"))))
+        let of = |rule: &&Value, message: &str| {
+            rule["messages"].as_array().is_some_and(|all| all.contains(&json!(message)))
+        };
+        let ingress = || rules.iter().filter(|rule| rule["flows"] == json!(["ingress"]));
+        let may_put: Vec<&Value> = ingress().filter(|rule| of(rule, "put")).collect();
+        // A question to a key that is wider than these is refused whole: nobody asks for a claim by the way.
+        let asked: Vec<String> = ingress()
+            .filter(|rule| of(rule, "query") && !of(rule, "put"))
+            .map(|rule| rule["key_exprs"].to_string())
             .collect();
+        assert_eq!(asked, [r#"["trocar/s/info","trocar/s/roster","trocar/*/info","trocar/*/roster"]"#]);
         let keys: Vec<&Value> =
             may_put.iter().flat_map(|rule| rule["key_exprs"].as_array()).flatten().collect();
         assert_eq!(
