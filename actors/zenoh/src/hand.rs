@@ -212,8 +212,9 @@ impl HandBoard {
     pub fn device(&self, text: &str) -> Result<ZenohHand, String> {
         check_name(text)?;
         let mut board = self.lock();
-        let is_protected =
-            board.is_protected.ok_or("it is commanded by Zenoh, of a session or its host: --zenoh says where (see docs/network.md)")?;
+        let is_protected = board.is_protected.ok_or(
+            "it is commanded by Zenoh, of a session or its host: --zenoh says where (see docs/network.md)",
+        )?;
         if board.lanes.contains_key(text) {
             return Err(format!("two hands are called '{text}'"));
         }

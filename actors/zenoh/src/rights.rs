@@ -36,6 +36,8 @@ use crate::keys::{ALL_INFOS, ALL_ROSTERS, ALL_SESSIONS, ALL_STATIONS, SessionKey
 
 /// Most hands, controllers, and names of a list.
 pub const ENTRIES_MAX: usize = 64;
+/// Longest name in a certificate \[bytes\].
+const WHO_MAX: usize = 256;
 /// Largest file \[bytes\].
 const FILE_MAX: u64 = 64 * 1024;
 /// Everything that passes between nodes, as access control names it.
@@ -186,11 +188,20 @@ impl Rights {
         if lists.into_iter().any(|length| length > ENTRIES_MAX) {
             return Err(wrong("the file", format!("a list has more than {ENTRIES_MAX} entries")));
         }
+        if let Some(name) =
+            rights.everybody().iter().find(|name| name.trim().is_empty() || name.len() > WHO_MAX)
+        {
+            let reason = format!("{name:?} is the name in no certificate; valid are 1 to {WHO_MAX} bytes");
+            return Err(wrong("readers and who", reason));
+        }
         let mut names = BTreeSet::new();
         for hand in &rights.hands {
             check_name(&hand.name).map_err(|reason| wrong("[[hand]] name", reason))?;
             if !names.insert(&hand.name) {
-                return Err(wrong(&format!("[[hand]] '{}'", hand.name), "there are two of this name".to_owned()));
+                return Err(wrong(
+                    &format!("[[hand]] '{}'", hand.name),
+                    "there are two of this name".to_owned(),
+                ));
             }
         }
         let mut names = BTreeSet::new();
@@ -278,6 +289,12 @@ impl Rights {
     /// Access control of a router that carries sessions between these names and for nobody else.
     pub fn router_access_control(&self) -> Option<Value> {
         self.tls.as_ref()?;
+        let known = self.everybody();
+        if known.is_empty() {
+            return Some(
+                json!({ "enabled": true, "default_permission": "deny", "rules": [], "subjects": [], "policies": [] }),
+            );
+        }
         Some(json!({
             "enabled": true,
             "default_permission": "deny",
@@ -285,7 +302,7 @@ impl Rights {
                 "id": "sessions", "messages": MESSAGES, "flows": ["ingress", "egress"], "permission": "allow",
                 "key_exprs": ["trocar/**"],
             }],
-            "subjects": [{ "id": "known", "cert_common_names": self.everybody() }],
+            "subjects": [{ "id": "known", "cert_common_names": known }],
             "policies": [{ "id": "known", "rules": ["sessions"], "subjects": ["known"] }],
         }))
     }
@@ -362,6 +379,7 @@ mod tests {
         for (text, says) in [
             ("raeders = []", "raeders"),
             ("[[hand]]\nname = \"a/b\"", "[[hand]] name"),
+            ("readers = [\" \"]", "name in no certificate"),
             ("[[controller]]\nname = \"w\"\nwrites = []\nentities = [\"a\"]", "at least one"),
             (
                 "[[controller]]\nname = \"w\"\nwrites = [\"pose\"]\nentities = [\"a\"]\nsilence_secs = 0.0",

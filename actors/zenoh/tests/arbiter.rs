@@ -12,7 +12,8 @@ fn everything_can_be_called_on_a_runtime_with_one_thread() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let other = format!("tcp/127.0.0.1:{}", free_port());
     System::new().block_on(async {
-        let facts = SessionFacts { name: "s".into(), scenario: "wall".into(), is_hosted: false, station: None };
+        let facts =
+            SessionFacts { name: "s".into(), scenario: "wall".into(), is_hosted: false, station: None };
         let rights = Rights::default();
         let bridge = Bridge::open(&settings(&endpoint), &rights, &facts, &HandBoard::default());
         let bridge = bridge.expect("a bridge");
@@ -30,7 +31,8 @@ fn a_port_that_is_taken_is_said_with_what_to_do_and_so_is_a_name() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let running = crate::support::Running::start(&endpoint, &Rights::default(), "virtual");
     let open = |text: &str, name: &str| {
-        let facts = SessionFacts { name: name.into(), scenario: "wall".into(), is_hosted: false, station: None };
+        let facts =
+            SessionFacts { name: name.into(), scenario: "wall".into(), is_hosted: false, station: None };
         Bridge::open(&settings(text), &Rights::default(), &facts, &HandBoard::default()).map(drop)
     };
     let taken = open(&endpoint, "b").expect_err("the port is taken").to_string();

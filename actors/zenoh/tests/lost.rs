@@ -66,15 +66,22 @@ fn a_session_whose_cable_is_pulled_is_lost_within_a_second() {
 #[test]
 fn a_station_whose_cable_is_pulled_is_lost_within_a_second() {
     let port = free_port();
-    let router = Router::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a router");
-    let watch = Watch::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a watch");
+    let router =
+        Router::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a router");
+    let watch =
+        Watch::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a watch");
     let mut best = Duration::MAX;
     for number in 1..4 {
         let cable = Cable::to(port);
-        let facts =
-            SessionFacts { name: "s".into(), scenario: "wall".into(), is_hosted: false, station: Some(number) };
+        let facts = SessionFacts {
+            name: "s".into(),
+            scenario: "wall".into(),
+            is_hosted: false,
+            station: Some(number),
+        };
         let calls = settings(&format!("connect=tcp/127.0.0.1:{}", cable.port));
-        let station = Bridge::open(&calls, &Rights::default(), &facts, &HandBoard::default()).expect("a station");
+        let station =
+            Bridge::open(&calls, &Rights::default(), &facts, &HandBoard::default()).expect("a station");
         wait_of(&watch, ("s", Some(number)), true);
         cable.pull();
         let lost_after = wait_of(&watch, ("s", Some(number)), false);

@@ -62,7 +62,12 @@ impl Running {
         let node = settings(text);
         board.open(node.is_protected());
         let name = node.name.clone().unwrap_or_else(|| scenario.name.clone());
-        let facts = SessionFacts { name: name.clone(), scenario: scenario.name.clone(), is_hosted: false, station: None };
+        let facts = SessionFacts {
+            name: name.clone(),
+            scenario: scenario.name.clone(),
+            is_hosted: false,
+            station: None,
+        };
         let bridge =
             Bridge::open(&node, rights, &facts, &board).unwrap_or_else(|error| panic!("{text}: {error}"));
         let hands = vec![("right".to_owned(), hand.to_owned())];
