@@ -4,7 +4,7 @@ use trocar::app::App;
 use trocar::run::Progress;
 use trocar::summary::{Exit, SCHEMA};
 
-use super::Wish;
+use super::wish::Wish;
 use crate::args::zenoh::{ZenohArgs, ZenohCommand};
 use crate::failure::Failure;
 use crate::output;

@@ -10,6 +10,7 @@ mod absent;
 mod commands;
 #[cfg(feature = "zenoh")]
 mod present;
+mod wish;
 
 #[cfg(not(feature = "zenoh"))]
 pub use absent::{Beyond, command, with_devices};
@@ -17,21 +18,4 @@ pub use absent::{Beyond, command, with_devices};
 pub use commands::command;
 #[cfg(feature = "zenoh")]
 pub use present::{Beyond, with_devices};
-
-use trocar::network::Network;
-use trocar_scene::Snapshot;
-use trocar_scene::scenario::Scenario;
-
-/// What a session that is reached by Zenoh is told at its start.
-pub struct Wish<'a> {
-    /// The text of `--zenoh`, if it was given.
-    pub text: Option<&'a str>,
-    /// What is run.
-    pub scenario: &'a Scenario,
-    /// Its first scene.
-    pub first: &'a Snapshot,
-    /// Whether others may join it.
-    pub network: &'a Network,
-    /// Whether nothing is told on the terminal.
-    pub is_silent: bool,
-}
+pub use wish::Wish;

@@ -13,7 +13,7 @@ use trocar_zenoh::remote_controller::RemoteController;
 use trocar_zenoh::rights::Rights;
 use trocar_zenoh::settings::NodeSettings;
 
-use super::Wish;
+use super::wish::Wish;
 use crate::escape::printable;
 use crate::failure::Failure;
 use crate::output;
