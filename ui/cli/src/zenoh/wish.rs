@@ -5,6 +5,7 @@ use trocar_scene::Snapshot;
 use trocar_scene::scenario::Scenario;
 
 /// What the command line wishes, and what is run.
+#[cfg_attr(not(feature = "zenoh"), allow(dead_code, reason = "nobody reads it there"))]
 pub struct Wish<'a> {
     /// The text of `--zenoh`, if it was given.
     pub text: Option<&'a str>,
