@@ -337,6 +337,16 @@ mod tests {
     "#;
 
     #[test]
+    fn the_file_of_the_manual_is_read() {
+        let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/network.md");
+        let page = std::fs::read_to_string(page).expect("a readable page");
+        let shown =
+            page.split("```\n").find(|block| block.starts_with("readers = ")).expect("the page shows a file");
+        let rights = Rights::parse(shown).expect("which is valid");
+        assert!(rights.tls.is_some() && rights.controllers[0].rest.len() == 1);
+    }
+
+    #[test]
     fn without_certificates_nobody_has_a_name() {
         let keys = SessionKeys::new("s");
         assert_eq!(Rights::default().access_control(&keys), None);

@@ -199,21 +199,29 @@ impl Telemetry {
 
     fn tell_tasks(&mut self, scene: &Snapshot, message: &mut Message<'_>) {
         for (entity, task) in scene.iter_changed::<TaskState>(self.tasks_since) {
+            let exercise = scene.name(entity);
             let mut told = json!({
                 "timestamp": stamp(scene.time()),
+                "exercise": exercise,
                 "task": task.task,
                 "phase": task.phase,
                 "done": task.done,
                 "steps": task.steps,
                 "seconds": task.seconds,
+                "score_kind": task.score_kind(),
+                "errors": task.errors.len(),
                 "over": task.over,
                 "completed": task.completed,
-                "errors": task.errors.len(),
+                "cut_off": task.cut_off,
             });
+            // Before the end a score is a forecast.
             if let Some(score) = task.score.filter(|_| task.over) {
                 told["score"] = json!(score);
             }
-            message(&self.keys.task(&scene.name(entity)), &told);
+            if let Some(error) = task.errors.last() {
+                told["last_error"] = json!(error.kind);
+            }
+            message(&self.keys.task(&exercise), &told);
         }
         self.tasks_since = scene.revision();
     }
