@@ -12,6 +12,7 @@ import json
 import math
 import threading
 import time
+from importlib.metadata import version
 
 import zenoh
 
@@ -79,7 +80,7 @@ def main():
 
     base, seen = f"trocar/{args.session}", Seen()
     session = zenoh.open(configuration(args))
-    told = {"client": zenoh.__version__ if hasattr(zenoh, "__version__") else "?", "commands": 0}
+    told = {"client": version("eclipse-zenoh"), "commands": 0}
     subscriber = session.declare_subscriber(f"{base}/**", seen.take)
     info = [reply.ok for reply in session.get(f"{base}/info", timeout=2.0) if reply.ok is not None]
     told["info"] = json.loads(info[0].payload.to_string()) if info else None

@@ -38,10 +38,11 @@ fn without_rights_nothing_is_read_and_nothing_is_written() {
     let running = Running::start(&endpoint, &rights, "zenoh:right");
     let keys = &running.keys;
 
-    // Who has no certificate, or one of another authority, gets no connection.
+    // Who has no certificate, or one that another authority has signed, gets no connection.
     let [authority, ..] = files(folder, "ana");
-    let no_certificate = [authority, String::new(), String::new()];
-    for stranger in [no_certificate, files(&elsewhere, "ana")] {
+    let [_, certificate, key] = files(&elsewhere, "ana");
+    let strangers = [[authority.clone(), String::new(), String::new()], [authority, certificate, key]];
+    for stranger in strangers {
         if let Ok(stranger) = client(&endpoint, &stranger) {
             // TLS 1.3 tells a client of a refused certificate only with what it reads next.
             let heard = stranger.subscribe("**");
