@@ -51,6 +51,23 @@ fn hint(endpoints: &str, reason: &str) -> String {
     format!(" ({endpoints})")
 }
 
+/// What the library says, without the lines of its sources where it says so.
+fn without_sources(reason: &str) -> String {
+    let mut plain: Vec<String> = Vec::new();
+    let mut words = reason.split_whitespace().peekable();
+    while let Some(word) = words.next() {
+        let Some(place) = words.next_if(|next| word == "at" && next.contains(".rs:")) else {
+            plain.push(word.to_owned());
+            continue;
+        };
+        // A bracket that ends there belongs to the sentence.
+        if let Some(last) = plain.last_mut().filter(|_| place.ends_with(']')) {
+            last.push(']');
+        }
+    }
+    plain.join(" ")
+}
+
 /// Opens a session of the library. On a plain thread only.
 pub(super) fn open(
     settings: &NodeSettings,
@@ -60,8 +77,10 @@ pub(super) fn open(
     settings.check(rights.tls.is_some())?;
     let all: Vec<String> = settings.listen.iter().chain(&settings.connect).map(ToString::to_string).collect();
     let endpoints = all.join(", ");
-    let wrong =
-        |error: zenoh::Error| NodeError::Open { endpoints: endpoints.clone(), reason: error.to_string() };
+    let wrong = |error: zenoh::Error| NodeError::Open {
+        endpoints: endpoints.clone(),
+        reason: without_sources(&error.to_string()),
+    };
     let config = Config::from_json5(&node_config(settings, rights, kind).to_string()).map_err(&wrong)?;
     zenoh::open(config).wait().map_err(&wrong)
 }
@@ -111,5 +130,20 @@ impl Drop for Router {
             thread.thread().unpark();
             let _ = thread.join();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_names_no_line_of_the_library() {
+        let told = without_sources(
+            "Can not listen: [127.0.0.1:7447: Address already in use (os error 98) at /x/y/tcp.rs:61.] at /x/unicast.rs:338.",
+        );
+        assert_eq!(told, "Can not listen: [127.0.0.1:7447: Address already in use (os error 98)]");
+        assert!(hint("tcp/127.0.0.1:7447", &told).contains("connect=tcp/127.0.0.1:7447"));
+        assert_eq!(without_sources("nobody is at home"), "nobody is at home");
     }
 }
