@@ -23,7 +23,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 use super::inbox::{Arrival, Inbox};
-use super::node::{LOOK_EVERY, NodeError, open};
+use super::node::{LOOK_EVERY, NodeError, open, without_sources};
 use super::roster::tokens_of;
 use crate::claim::ClaimCode;
 use crate::hand::{COMMAND_MAX, HandBoard};
@@ -207,7 +207,7 @@ impl Node {
         let mut own_token = None;
         if let Some(number) = facts.station {
             let token = session.liveliness().declare_token(keys.station(number)).wait();
-            own_token = Some(token.map_err(|error| NodeError::System(error.to_string()))?);
+            own_token = Some(token.map_err(|error| NodeError::System(without_sources(&error.to_string())))?);
         } else if !tokens_of(&session, &keys.alive(), NAME_WITHIN).is_empty() {
             return Err(NodeError::NameTaken(facts.name));
         }
@@ -296,7 +296,7 @@ impl Node {
     fn declare(&self, guests: &SessionGuests) -> Result<Declared, String> {
         let mut asked = Vec::new();
         let mut heard = Vec::new();
-        let text = |error: zenoh::Error| error.to_string();
+        let text = |error: zenoh::Error| without_sources(&error.to_string());
         let shared = || self.shared.clone();
         let mut ask = |key: String, arrival: Box<dyn Fn(Query) -> Arrival + Send + Sync>| {
             let shared = shared();

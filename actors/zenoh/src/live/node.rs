@@ -52,7 +52,7 @@ fn hint(endpoints: &str, reason: &str) -> String {
 }
 
 /// What the library says, without the lines of its sources where it says so.
-fn without_sources(reason: &str) -> String {
+pub(super) fn without_sources(reason: &str) -> String {
     let mut plain: Vec<String> = Vec::new();
     let mut words = reason.split_whitespace().peekable();
     while let Some(word) = words.next() {

@@ -12,7 +12,7 @@ use serde_json::Value;
 use zenoh::sample::SampleKind;
 use zenoh::{Session, Wait};
 
-use super::node::{NodeError, on_own_thread, open};
+use super::node::{NodeError, on_own_thread, open, without_sources};
 use crate::keys::{ALL_INFOS, ALL_ROSTERS, ALL_SESSIONS, ALL_STATIONS, of_token};
 use crate::node_config::NodeKind;
 use crate::presence::{Change, Presence};
@@ -181,6 +181,7 @@ fn watch(session: &Session, stop: &AtomicBool, changed: &SyncSender<Change>) {
     };
     let subscriptions = [declare(ALL_SESSIONS), declare(ALL_STATIONS)];
     if let Some(error) = subscriptions.iter().find_map(|one| one.as_ref().err()) {
+        let error = without_sources(&error.to_string());
         tracing::warn!("Zenoh: who comes and goes is found by asking only: {error}");
     }
     let mut next = Instant::now() + ASK_EVERY;
