@@ -301,7 +301,13 @@ struct WrappedHands<'a> {
 
 impl<'a> WrappedHands<'a> {
     fn new(network: &'a Network, sharing: Sharing, teleoperated: TeleoperatedHands) -> Self {
-        Self { network, sharing, teleoperated, host: NetworkHands::default(), station: StationHands::default() }
+        Self {
+            network,
+            sharing,
+            teleoperated,
+            host: NetworkHands::default(),
+            station: StationHands::default(),
+        }
     }
 
     fn wrap(

@@ -268,3 +268,21 @@ fn three_peers_of_whom_each_pair_is_connected_compute_the_same_liver() {
     let times: u32 = trio.stations.iter_mut().map(|station| repairs(&station.snapshot())).sum();
     assert_eq!(times, 0);
 }
+
+#[test]
+fn a_thin_client_shows_and_feels_a_liver_without_any_simulator() {
+    let scenario = App::new().scenario("fem-liver").expect("a scenario");
+    let mut pair = Pair::sharing(&scenario, &path(), &["right"], false, Architecture::ClientServer);
+    let (mut felt, mut pressed) = (0.0_f64, 0.0_f64);
+    let rest = pair.station.snapshot();
+    while pair.now < SimTime::from_millis(5_000) {
+        pair.run(20);
+        let scene = pair.station.snapshot();
+        let hand = scene.find("hand.right").expect("a hand");
+        felt = felt.max(scene.get::<DeviceState>(hand).map_or(0.0, |state| state.applied_force.norm()));
+        pressed = apart(&rest, &scene).into_iter().fold(pressed, f64::max);
+    }
+    let names: Vec<String> = pair.station.reports().into_iter().map(|report| report.name).collect();
+    assert_eq!(names, ["network", "network.touch", "haptics.right"]);
+    assert!(felt > 0.5 && pressed > 0.003, "{felt} N, {pressed} m");
+}

@@ -6,7 +6,7 @@
 //! | offset | bytes | field |
 //! |---|---|---|
 //! | 0 | 1 | wire version, [`WIRE_VERSION`] |
-//! | 1 | 1 | [`Kind`]: 0 hands, 1 rows, 2 row acknowledgements, 3 path challenge, 4 path response, 5 link report, 6 echo |
+//! | 1 | 1 | [`Kind`]: 0 hands, 1 rows, 2 row acknowledgements, 3 path challenge, 4 path response, 5 link report, 6 echo, 7 sketch |
 //! | 2 | 1 | key phase: the low byte of the number of the key |
 //! | 3 | 1 | hand count; 0 unless the kind is hands |
 //! | 4 | 4 | connection id |

@@ -101,13 +101,15 @@ const RECORDING: [Part; 3] = [
 ];
 
 /// The parts of the suite `network`.
-const NETWORK: [Part; 7] = [
+const NETWORK: [Part; 9] = [
     ("sealing, and allocations of a hands link", network::sealing),
     ("round trips beside bare datagrams", network::round_trip),
     ("a path that loses a fifth", network::lossy_sender),
     ("1, 4 and 16 stations", network::stations),
     ("joins and returns", network::joins),
     ("a liver that is pulled", network::liver),
+    ("three architectures", network::architectures),
+    ("a thin client", network::thin_client),
     ("a stranger's flood", network::flood),
 ];
 

@@ -1,6 +1,7 @@
 //! The suite `network`: hands between stations beside bare datagrams, many stations at one host, joins, a scene that
 //! moves, and a stranger's flood. Hosts and stations are those of a session, over sockets of this machine.
 
+mod architectures;
 mod flood;
 mod link;
 mod load;
@@ -16,6 +17,7 @@ mod smoke_tests;
 mod stations;
 mod veth;
 
+pub use architectures::{architectures, thin_client};
 pub use flood::flood;
 pub use round_trip::round_trip;
 pub use rows::liver;

@@ -9,7 +9,7 @@ use super::link::{HANDS, hands_at};
 use super::raw::{RawEcho, round_trips};
 use super::round_trip::{Question, through_links};
 use super::veth::Place;
-use super::{flood, rows, scenes, sealing, stations};
+use super::{architectures, flood, rows, scenes, sealing, stations};
 use crate::failure::Failure;
 
 const BRIEF: Duration = Duration::from_millis(200);
@@ -81,4 +81,10 @@ fn a_flood_comes_and_the_hands_are_still_served() {
     let block = good(flood::block(true, BRIEF));
     assert!(block.flood > 0.0 && block.lost < 0.5, "{} datagrams/s, {} lost", block.flood, block.lost);
     assert!(block.hands >= 0.0 && block.link >= 0.0 && HANDS == 2);
+}
+
+#[test]
+fn a_thin_client_computes_less_than_its_server() {
+    let rows = good(architectures::thin_client());
+    assert!(rows.len() == 1 && rows[0].value > 0.0 && rows[0].floor > Some(0.0), "{rows:?}");
 }
