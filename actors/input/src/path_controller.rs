@@ -68,7 +68,9 @@ impl PathController {
         let path = Path::new(start, &config.step).map_err(wrong)?;
         let activates = config.step.iter().any(|step| step.level.is_some() || step.mode.is_some());
         let presses = scene.get::<PressTarget>(hand).is_some();
-        Ok(Self { hand, rig, path, activates, presses, told: None })
+        // What an earlier life has told is not told again.
+        let told = scene.get::<Activation>(rig.instrument).map(|asked| (asked.level, asked.mode));
+        Ok(Self { hand, rig, path, activates, presses, told })
     }
 
     fn target(&self, moment: &Moment) -> HandTarget {

@@ -80,23 +80,6 @@ fn jaws_close_a_round_trip_after_the_fingers() {
 }
 
 #[test]
-fn a_master_that_was_unplugged_does_not_switch_the_current_on_by_coming_back() {
-    let long = "{ seconds = 0.6 }, { seconds = 2.0, level = 1.0 }, { seconds = 0.5, level = 0.0 }, { seconds = 2.0, level = 1.0 },";
-    let mut session = starting(&[steps(long), over("varies = false", 0.15)]);
-    let (hand, instrument) = the_hand(&mut session);
-    first(&mut session, |scene| is_on(scene, instrument)).expect("the current comes");
-    session.hands()[0].faults.unplug_until(session.now().as_nanos() + 400_000_000);
-    let unplugged = session.now().as_secs_f64();
-    let off = first(&mut session, |scene| !is_on(scene, instrument)).expect("it goes off") - unplugged;
-    assert!(off < 0.012, "{off} s");
-    session.run_until(SimTime::from_millis(2_500));
-    let told = session.snapshot().get::<Teleoperation>(hand).cloned().expect("it is told");
-    assert_eq!((told.state, told.pedals), (SlaveState::Following, EnergyPedal::Released));
-    let on = first(&mut session, |scene| is_on(scene, instrument)).expect("it is pressed again");
-    assert!((3.1 + PATH..3.1 + PATH + 0.02).contains(&on), "{on} s");
-}
-
-#[test]
 fn an_emergency_stop_switches_the_current_off_at_once_and_its_end_does_not_switch_it_on() {
     let long = "
         { seconds = 0.6 },
@@ -128,16 +111,16 @@ fn an_emergency_stop_switches_the_current_off_at_once_and_its_end_does_not_switc
 #[test]
 fn bursts_of_losses_below_a_hundred_milliseconds_leave_the_current_on_and_longer_ones_do_not() {
     let long = "{ seconds = 0.6 }, { seconds = 20.0, level = 1.0 },";
-    let lasts = |burst: &str| {
+    let figures = |burst: &str| {
         let path = format!("varies = false\nloss = 0.2\nburst = {burst}");
         let mut session = starting(&[steps(long), over(&path, 0.15)]);
-        let (hand, instrument) = the_hand(&mut session);
-        first(&mut session, |scene| is_on(scene, instrument)).expect("the current comes");
-        let off = first(&mut session, |scene| !is_on(scene, instrument));
-        (off, session.snapshot().get::<Teleoperation>(hand).cloned().expect("it is told").figures)
+        let (hand, _) = the_hand(&mut session);
+        session.step(SimTime::from_millis(5_000));
+        session.snapshot().get::<Teleoperation>(hand).cloned().expect("it is told").figures
     };
-    let (off, figures) = lasts("5.0");
-    assert!(off.is_none() && figures.silences == 0 && figures.energised > 4.5, "{off:?} {figures:?}");
-    let (off, figures) = lasts("200.0");
-    assert!(off.is_some() && figures.silences > 0, "{figures:?}");
+    let short = figures("5.0");
+    assert!(short.silences == 0 && (4.2..4.26).contains(&short.energised), "{short:?}");
+    // The foot never goes up, so that after a silence nothing comes.
+    let long = figures("200.0");
+    assert!(long.silences > 0 && long.energised < 3.0, "{long:?}");
 }

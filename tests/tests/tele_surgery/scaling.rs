@@ -38,12 +38,12 @@ fn scaled_filtered_and_clutched_the_slave_is_within_a_tenth_of_a_millimetre_of_w
     ] {
         let mut session = starting(&[steps(INDEXING), slave(more), over("", round_trip_secs)]);
         let delay = SimTime::from_secs_f64(round_trip_secs + 0.05);
-        session.run_until(SimTime::from_millis(1_450) + delay);
+        session.run_until(SimTime::from_millis(1_400) + delay);
         let forth = row(&mut session);
-        session.run_until(SimTime::from_millis(2_600) + delay);
+        session.run_until(SimTime::from_millis(2_400) + delay);
         let back = row(&mut session);
         assert_eq!(back.state, SlaveState::PedalUp);
-        session.run_until(SimTime::from_millis(4_200) + delay);
+        session.run_until(SimTime::from_millis(4_000) + delay);
         let again = row(&mut session);
         let x = |row: &Teleoperation| row.slave_in_world.translation.x;
         // 0.3 of 40 mm each time, and nothing while the master goes back.
