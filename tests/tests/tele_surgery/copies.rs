@@ -91,6 +91,22 @@ fn debug(one: &mut Session, other: &mut Session) {
             }
         )*};
     }
-    same!(Pose, Velocity, VertexPositions, Measured, DeviceState, DeviceForce, InstrumentForce, HapticStatus,
-        LocalContactModel, JawState, InstrumentTarget, Teleoperation, Activation, PressTarget, HandTarget, Grasp);
+    same!(
+        Pose,
+        Velocity,
+        VertexPositions,
+        Measured,
+        DeviceState,
+        DeviceForce,
+        InstrumentForce,
+        HapticStatus,
+        LocalContactModel,
+        JawState,
+        InstrumentTarget,
+        Teleoperation,
+        Activation,
+        PressTarget,
+        HandTarget,
+        Grasp
+    );
 }

@@ -128,10 +128,11 @@ fn a_console_and_a_robot_are_two_programs_each_with_its_own_model() {
     assert_eq!(names(&console), ["haptics.right", "instruments", "trainee", "teleoperation"]);
     assert!(names(&robot).contains(&"teleoperation".to_owned()), "{:?}", names(&robot));
     println!("console {at_console}\nrobot {at_robot}");
-    // The robot heard the console and was heard, moved as it did, and had its current on as long as its foot was down.
+    // The robot heard the console and was heard. Where nothing was late, it moved as the console did, and had its current on
+    // for as long as its foot was down; at the end it hears the silence.
     assert!(number(&at_robot, "received") > 1_000.0 && number(&at_console, "received") > 1_000.0);
     assert!(number(&at_console, "round_trip_mean") > 0.0);
-    if number(&at_robot, "silences") == 0.0 && number(&at_robot, "received") == number(&at_robot, "sent") {
+    if number(&at_robot, "silences") <= 1.0 && number(&at_robot, "received") == number(&at_robot, "sent") {
         let range = number(&at_robot, "x_range");
         assert!((range - 0.030).abs() < 0.002, "{range} m");
         let (there, here) = (number(&at_robot, "energised"), number(&at_console, "energised"));
@@ -173,8 +174,9 @@ fn a_console_in_python_moves_our_robot_and_its_pedal_switches_the_current() {
     let robot = start(folder.path(), &["--hand", &format!("right=itp:{port}"), "--seconds", "12"]);
     until_taken(port);
     // Bits 16 and 17 of the buttons: there are pedals, and that of the current is down.
+    let udp = port.to_string();
     let press = ["--press", "196608", "2000", "4000"];
-    let arguments = [&["console", "--udp", &port.to_string(), "--packets", "6000"][..], &press].concat();
+    let arguments = [&["console", "--udp", &udp, "--packets", "6000"][..], &press].concat();
     let printed = python(&arguments).wait_with_output().expect("an end");
     let printed = String::from_utf8(printed.stdout).expect("text");
     assert!(printed.lines().any(|line| line.contains("\"runlevel\": 3")), "it follows");
