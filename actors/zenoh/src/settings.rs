@@ -112,7 +112,7 @@ impl FromStr for Endpoint {
         let is_named = !host.is_empty()
             && host.len() <= 253
             && host.chars().all(|c| c.is_ascii_alphanumeric() || ['.', '-'].contains(&c));
-        if !is_named && !is_v6.is_some_and(|ip| ip.parse::<IpAddr>().is_ok()) {
+        if !is_named && is_v6.is_none_or(|ip| ip.parse::<IpAddr>().is_err()) {
             return Err(wrong());
         }
         Ok(Self { transport, host: host.to_owned(), port })

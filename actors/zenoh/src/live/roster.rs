@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -201,11 +201,8 @@ fn watch(session: &Session, stop: &AtomicBool, changed: &SyncSender<Change>) {
         // What arrives meanwhile is newer than the answer.
         let answer = tokens(session, TOKENS_WITHIN);
         let mut newer = BTreeMap::new();
-        loop {
-            match arrived.try_recv() {
-                Ok((key, came)) => drop(newer.insert(key, came)),
-                Err(TryRecvError::Empty | TryRecvError::Disconnected) => break,
-            }
+        while let Ok((key, came)) = arrived.try_recv() {
+            newer.insert(key, came);
         }
         presence.reconcile(&answer).into_iter().for_each(|change| tell(Some(change)));
         for (key, came) in newer {
