@@ -5,6 +5,7 @@ use trocar_scene::{Commands, EntityAllocator, Name, StationRole, Store};
 
 const RING: Entity = Entity::new(0, 0, 1);
 const HOST: Entity = Entity::new(0, 1, 1);
+const AWAY: Entity = Entity::new(0, 1, 2);
 
 struct Told {
     store: Store,
@@ -100,8 +101,8 @@ fn the_roster_is_the_hosts_and_says_who_is_away() {
     told.write(|out| {
         out.adopt(HOST);
         out.put(HOST, station(2, true));
-        let other = out.spawn();
-        out.put(other, station(1, false));
+        out.adopt(AWAY);
+        out.put(AWAY, station(1, false));
     });
     let roster = roster(told.store.view());
     assert_eq!((&roster[0]["number"], &roster[0]["here"]), (&json!(1), &json!(false)));

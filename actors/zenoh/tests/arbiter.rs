@@ -29,7 +29,7 @@ fn everything_can_be_called_on_a_runtime_with_one_thread() {
 #[test]
 fn a_port_that_is_taken_is_said_with_what_to_do_and_so_is_a_name() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let running = crate::support::Running::start(&endpoint, &Rights::default(), "virtual");
+    let running = crate::support::Running::start(&endpoint, &Rights::default(), None);
     let open = |text: &str, name: &str| {
         let facts =
             SessionFacts { name: name.into(), scenario: "wall".into(), is_hosted: false, station: None };

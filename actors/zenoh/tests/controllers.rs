@@ -28,11 +28,11 @@ fn put(entity: &str, component: &str, value: Value) -> Value {
 fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
     let rights = Rights::parse(RIGHTS).expect("rights");
-    let mut running = Running::start(&endpoint, &rights, "virtual");
+    let running = Running::start(&endpoint, &rights, None);
     let client = Client::open(&endpoint);
     let keys = running.keys.clone();
     let (rows, status) =
-        (client.subscribe(&keys.row("pose", "*")), client.subscribe(&keys.controller("crane", "status")));
+        (client.subscribe("trocar/wall/row/**"), client.subscribe(&keys.controller("crane", "status")));
     rows.until("rows that it reads", |key, row| {
         key == keys.row("pose", "wall") && row["translation"].is_array()
     });
@@ -49,7 +49,7 @@ fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
     let pose = |z: f64| json!({ "translation": [0.0, 0.0, z] });
     wait_for("what it declared is applied", || {
         batch(put("camera", "pose", pose(5.0)));
-        (camera_z(&running.session.snapshot()) == Some(5.0)).then_some(())
+        (camera_z(&running.live.snapshot()) == Some(5.0)).then_some(())
     });
     // The Model itself refuses the rest, whole batches at a time, and says what.
     let told = wait_for("the Model's refusal", || {
@@ -61,15 +61,15 @@ fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
         told["last_refusal"].as_str().map(str::to_owned)
     });
     assert!(told.contains("pose") && told.contains("0:0:"), "{told}");
-    assert_ne!(camera_z(&running.session.snapshot()), Some(6.0), "none of it is applied");
+    assert_ne!(camera_z(&running.live.snapshot()), Some(6.0), "none of it is applied");
 
     // Silence: fenced, and the row is what it rests at.
-    wait_for("it rests", || (camera_z(&running.session.snapshot()) == Some(9.0)).then_some(()));
+    wait_for("it rests", || (camera_z(&running.live.snapshot()) == Some(9.0)).then_some(()));
     batch(put("camera", "pose", pose(5.0)));
     status.until("an old claim is refused", |_, value| {
         value["last_refusal"].as_str().is_some_and(|told| told.contains("silence")) && value["silences"] == 1
     });
-    assert_eq!(camera_z(&running.session.snapshot()), Some(9.0));
+    assert_eq!(camera_z(&running.live.snapshot()), Some(9.0));
     drop(batch);
     client.claim(&keys.controller("crane", "claim"));
 }
@@ -77,14 +77,15 @@ fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
 #[test]
 fn rows_that_another_writer_has_are_not_given_away() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let mut running = Running::start(&endpoint, &Rights::default(), "virtual");
-    let text = RIGHTS
-        .replace("\"camera\"]", "\"probe.right\"]")
-        .replace("\"pose\"]\n    ent", "\"velocity\"]\n    ent");
+    let running = Running::start(&endpoint, &Rights::default(), None);
+    let text = RIGHTS.replace("entities = [\"camera\"]", "entities = [\"probe.right\"]");
     let right = Rights::parse(&text).expect("rights").controllers.remove(0);
     let controller = trocar_zenoh::remote_controller::RemoteController::new(right);
-    let access = controller.access(&running.session.snapshot()).expect("names that there are");
-    let refused = running.session.guest_with_answers("zenoh.crane", &access).expect_err("the engine has it");
+    let access = controller.access(&running.live.snapshot()).expect("names that there are");
+    let refused = running
+        .live
+        .guest_with_answers("zenoh.crane", trocar_scene::WriterId(300), &access, 4)
+        .expect_err("the engine has it");
     let told = refused.to_string();
-    assert!(told.contains("zenoh.crane") && told.contains("velocity"), "{told}");
+    assert!(told.contains("zenoh.crane") && told.contains("engine") && told.contains("pose"), "{told}");
 }

@@ -29,7 +29,7 @@ fn the_client_from_pypi_reads_poses_and_commands_a_hand_if_it_may() {
         return;
     };
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let running = Running::start(&endpoint, &Rights::default(), "zenoh:right");
+    let running = Running::start(&endpoint, &Rights::default(), Some("right"));
     let told = peer(&python, &endpoint, &["--hand", "right", "--seconds", "3"]);
     println!("{told}");
     assert!(told["claimed"] == true && told["alive"] == true && told["info"]["scenario"] == "wall");
@@ -52,7 +52,7 @@ fn the_client_from_pypi_reads_poses_and_commands_a_hand_if_it_may() {
     std::fs::write(folder.join("zenoh.toml"), text).expect("a file");
     let rights = Rights::read(&folder.join("zenoh.toml")).expect("rights");
     let endpoint = format!("tls/127.0.0.1:{}", free_port());
-    let running = Running::start(&endpoint, &rights, "zenoh:right");
+    let running = Running::start(&endpoint, &rights, Some("right"));
     for (name, may) in [("bo", false), ("ana", true)] {
         let [authority, certificate, key] =
             ["authority.pem", &format!("{name}.pem"), &format!("{name}.key")].map(&file);

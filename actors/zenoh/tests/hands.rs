@@ -11,7 +11,7 @@ use crate::support::{Client, Running, free_port, settings, wait_for};
 #[test]
 fn a_client_reads_poses_and_commands_a_hand_within_its_limits() {
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-    let running = Running::start(&endpoint, &Rights::default(), "zenoh:right");
+    let running = Running::start(&endpoint, &Rights::default(), Some("right"));
     let client = Client::open(&endpoint);
     let heard = client.subscribe(&running.keys.all());
     let (_, wall) = heard.until("the wall's pose", |key, _| key == running.keys.pose("wall"));

@@ -46,7 +46,7 @@ fn a_session_whose_cable_is_pulled_is_lost_within_a_second() {
         let running = Running::start(
             &format!("connect=tcp/127.0.0.1:{},name={name}", cable.port),
             &Rights::default(),
-            "virtual",
+            None,
         );
         wait(&watch, &name, true);
         cable.pull();
@@ -104,7 +104,7 @@ fn a_session_that_ends_is_gone_and_may_come_back() {
     let watch =
         Watch::open(&settings(&format!("tcp/127.0.0.1:{port}")), &Rights::default()).expect("a watch");
     for _ in 0..2 {
-        let running = Running::start(&format!("connect=tcp/127.0.0.1:{port}"), &Rights::default(), "virtual");
+        let running = Running::start(&format!("connect=tcp/127.0.0.1:{port}"), &Rights::default(), None);
         wait(&watch, "wall", true);
         drop(running);
         wait(&watch, "wall", false);
@@ -118,7 +118,7 @@ fn a_router_that_restarts_is_found_again_by_who_called_it() {
     let endpoint = format!("tcp/127.0.0.1:{port}");
     let open = || Router::open(&settings(&endpoint), &Rights::default());
     let router = open().expect("a router");
-    let running = Running::start(&format!("connect={endpoint}"), &Rights::default(), "virtual");
+    let running = Running::start(&format!("connect={endpoint}"), &Rights::default(), None);
     let watch = Watch::open(&settings(&endpoint), &Rights::default()).expect("a watch");
     wait(&watch, "wall", true);
     drop(router);

@@ -35,7 +35,7 @@ fn without_rights_nothing_is_read_and_nothing_is_written() {
     std::fs::write(&config, text).expect("a file");
     let rights = Rights::read(&config).expect("rights");
     let endpoint = format!("tls/127.0.0.1:{}", free_port());
-    let running = Running::start(&endpoint, &rights, "zenoh:right");
+    let running = Running::start(&endpoint, &rights, Some("right"));
     let keys = &running.keys;
 
     // Who has no certificate, or one that another authority has signed, gets no connection.

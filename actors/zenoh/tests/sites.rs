@@ -13,8 +13,8 @@ fn two_sites_see_each_other_through_their_routers() {
     let at_a = Router::open(&settings(&format!("tcp/127.0.0.1:{a}")), &none).expect("a router");
     let joined = format!("listen=tcp/127.0.0.1:{b},connect=tcp/127.0.0.1:{a}");
     let at_b = Router::open(&settings(&joined), &none).expect("a router");
-    let first = Running::start(&format!("connect=tcp/127.0.0.1:{a},name=site-a"), &none, "zenoh:right");
-    let second = Running::start(&format!("connect=tcp/127.0.0.1:{b},name=site-b"), &none, "virtual");
+    let first = Running::start(&format!("connect=tcp/127.0.0.1:{a},name=site-a"), &none, Some("right"));
+    let second = Running::start(&format!("connect=tcp/127.0.0.1:{b},name=site-b"), &none, None);
 
     // Either router shows both.
     for port in [a, b] {

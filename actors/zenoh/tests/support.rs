@@ -9,11 +9,14 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
-use trocar::app::App;
-use trocar::run::{RunOptions, start};
-use trocar::session::Session;
-use trocar_scene::{Access, Name};
-use trocar_zenoh::hand::{ABOUT, HandBoard, USAGE};
+use trocar_devices::{HapticDevice, Wrench};
+use trocar_kernel::live::{Guest, LiveSession};
+use trocar_kernel::spec::SessionSpec;
+use trocar_scene::{
+    Access, Commands, DeviceState, Entity, EntityAllocator, EntitySet, Hand, Name, Pose, Registry, Side,
+    SimTime, Store, WriterId,
+};
+use trocar_zenoh::hand::{HandBoard, ZenohHand};
 use trocar_zenoh::keys::SessionKeys;
 use trocar_zenoh::live::{Bridge, SessionFacts, SessionGuests};
 use trocar_zenoh::remote_controller::RemoteController;
@@ -46,49 +49,104 @@ pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// A live session of the scenario `wall` on Zenoh.
+/// A live session on Zenoh, without controllers: a wall, a camera, and a probe that its hand moves.
 pub struct Running {
-    pub session: Session,
+    pub live: LiveSession,
     pub bridge: Bridge,
     pub keys: SessionKeys,
+    _hand: MovedHand,
 }
 
 impl Running {
-    pub fn start(text: &str, rights: &Rights, hand: &str) -> Self {
+    /// `hand` is the name under which the hand is commanded, if it is.
+    pub fn start(text: &str, rights: &Rights, hand: Option<&str>) -> Self {
         let board = HandBoard::default();
-        let of_app = board.clone();
-        let app = App::new().device_with(USAGE, ABOUT, move |text| of_app.device(text));
-        let scenario = app.scenario("wall").expect("a scenario");
         let node = settings(text);
         board.open(node.is_protected());
-        let name = node.name.clone().unwrap_or_else(|| scenario.name.clone());
-        let facts = SessionFacts {
-            name: name.clone(),
-            scenario: scenario.name.clone(),
-            is_hosted: false,
-            station: None,
-        };
+        let name = node.name.clone().unwrap_or_else(|| "wall".to_owned());
+        let facts =
+            SessionFacts { name: name.clone(), scenario: "wall".into(), is_hosted: false, station: None };
+        let device = hand.map(|hand| board.device(hand).expect("a hand"));
         let bridge =
             Bridge::open(&node, rights, &facts, &board).unwrap_or_else(|error| panic!("{text}: {error}"));
-        let hands = vec![("right".to_owned(), hand.to_owned())];
-        let mut session =
-            start(&app, &scenario, &RunOptions { hands, ..RunOptions::default() }).expect("it runs");
-        let reader = session.guest("zenoh", &Access::new().reads::<Name>()).expect("a guest");
-        let scene = session.snapshot();
-        let controllers = rights
-            .controllers
-            .iter()
-            .map(|right| {
-                let controller = RemoteController::new(right.clone());
-                let access = controller.access(&scene).expect("names that there are");
-                let name = format!("zenoh.{}", right.name);
-                let guest = session.guest_with_answers(&name, &access).expect("a writer");
-                (controller, guest)
-            })
-            .collect();
+        let live = LiveSession::start(SessionSpec::new("wall", 1, scene(), Vec::new())).expect("it runs");
+        let reader = live.guest("zenoh", WriterId(200), &Access::new().reads::<Name>(), 4).expect("a guest");
+        let engine = Access::new().writes::<Pose>(EntitySet::Of(vec![PROBE]));
+        let engine = live.guest("engine", WriterId(199), &engine, 64).expect("a writer");
+        let mut controllers = Vec::new();
+        for (right, number) in rights.controllers.iter().zip(201..) {
+            let controller = RemoteController::new(right.clone());
+            let access = controller.access(&live.snapshot()).expect("names that there are");
+            let name = format!("zenoh.{}", right.name);
+            let guest = live.guest_with_answers(&name, WriterId(number), &access, 64).expect("a writer");
+            controllers.push((controller, guest));
+        }
         bridge.start(SessionGuests { reader, controllers });
         bridge.tell_health(vec![("engine".to_owned(), "healthy".to_owned())]);
-        Self { session, bridge, keys: SessionKeys::new(&name) }
+        let hand = MovedHand::start(device, engine);
+        Self { live, bridge, keys: SessionKeys::new(&name), _hand: hand }
+    }
+}
+
+const WALL: Entity = Entity::new(0, 0, 1);
+const PROBE: Entity = Entity::new(0, 0, 2);
+const HAND: Entity = Entity::new(0, 0, 3);
+const CAMERA: Entity = Entity::new(0, 0, 4);
+
+fn scene() -> Store {
+    let mut store = Store::new(Registry::standard());
+    let mut out = Commands::new(store.view().registry().clone(), EntityAllocator::new(0, 0));
+    let places = [
+        (WALL, "wall", -0.01),
+        (PROBE, "probe.right", 0.01),
+        (HAND, "hand.right", 0.0),
+        (CAMERA, "camera", 0.3),
+    ];
+    for (entity, name, z) in places {
+        assert_eq!(out.spawn(), entity);
+        out.put(entity, Name(name.into()));
+        out.put(entity, Pose::at(0.0, 0.0, z));
+    }
+    let hand = Hand { side: Side::Right, instrument: PROBE, world_from_device: Pose::default(), scale: 1.0 };
+    out.put(HAND, hand);
+    out.put(HAND, DeviceState::default());
+    assert_eq!(out.error(), None);
+    out.seal();
+    store.apply(&mut out, SimTime::ZERO);
+    store
+}
+
+/// What a driver and an engine do with a hand: it is read each millisecond, and moves the probe.
+struct MovedHand {
+    stop: Arc<AtomicBool>,
+    thread: Option<thread::JoinHandle<()>>,
+}
+
+impl MovedHand {
+    fn start(device: Option<ZenohHand>, mut engine: Guest) -> Self {
+        let stop = Arc::<AtomicBool>::default();
+        let stopped = stop.clone();
+        let thread = thread::spawn(move || {
+            let Some(mut device) = device else { return };
+            let begun = Instant::now();
+            let now = || u64::try_from(begun.elapsed().as_nanos()).unwrap_or(u64::MAX);
+            device.open(now()).expect("it opens");
+            while !stopped.load(Ordering::Relaxed) {
+                let state = device.read(now()).expect("it is open");
+                device.write(now(), &Wrench::ZERO).expect("it is open");
+                let at = state.pose_in_device.translation.vector;
+                let _ = engine.write(|_, out| out.put(PROBE, Pose::at(at.x, at.y, at.z)));
+                thread::sleep(Duration::from_millis(1));
+            }
+        });
+        Self { stop, thread: Some(thread) }
+    }
+}
+
+impl Drop for MovedHand {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(thread::JoinHandle::join);
     }
 }
 
