@@ -8,7 +8,7 @@ use crate::support::toys::{Count, Trap, count, eventually, let_go, session, toy}
 use actix::prelude::{Actor, AsyncContext, Context};
 use trocar_kernel::Submitted;
 use trocar_kernel::live::{Guest, LiveSession};
-use trocar_scene::{Access, EntitySet, WriterId};
+use trocar_scene::{Access, Entity, EntitySet, WriterId};
 use trocar_test_support::alone;
 
 /// Number of the guests among the writers.
@@ -64,6 +64,33 @@ fn a_guest_that_claims_what_others_write_is_refused() {
     let greedy = Access::new().writes::<Count>(EntitySet::All);
     let error = live.guest("guest", WriterId(GUEST), &greedy, 16).expect_err("refused");
     assert!(error.to_string().contains("both write toy_count"), "{error}");
+}
+
+#[test]
+fn a_guest_that_wants_answers_hears_what_the_model_says_of_each_batch() {
+    let _alone = alone();
+    let (a, _) = toy("a", 1, 100.0);
+    let live = LiveSession::start(session(vec![a])).expect("starts");
+    let mut visitor = live.guest_with_answers("guest", WriterId(GUEST), &own_count(), 16).expect("is let in");
+    let of_another = Entity::of_writer(0, 1);
+    assert_eq!(count_on(&mut visitor), Submitted::Sent);
+    visitor.write(|_, out| out.put(of_another, Count(7))).expect("a sound command");
+    let mut answers = Vec::new();
+    eventually("both are answered", || {
+        answers.extend(std::iter::from_fn(|| visitor.answer()));
+        answers.len() == 2
+    });
+    let applied = answers[0].as_ref().expect("it is in the scene");
+    assert!(live.snapshot().revision() >= *applied);
+    assert_eq!(count(&live.snapshot(), GUEST), 1);
+    let refused = answers[1].as_ref().expect_err("it is another's").to_string();
+    assert!(refused.contains("toy_count"), "{refused}");
+    // Others hear nothing.
+    let mut plain = live.guest("plain", WriterId(GUEST + 1), &own_count(), 16).expect("is let in");
+    count_on(&mut plain);
+    eventually("it is seen", || count(&live.snapshot(), GUEST + 1) == 1);
+    assert!(plain.answer().is_none());
+    live.stop(0);
 }
 
 #[test]
