@@ -44,7 +44,6 @@ fn a_branch_goes_on_as_the_session_does_and_they_share_no_path() {
     let (mut one, mut other) = (session.branch().expect("a branch"), session.branch().expect("another"));
     session.step(SimTime::from_millis(600));
     one.step(SimTime::from_millis(600));
-    debug(&mut one, &mut session);
     assert_eq!((one.hash(), row(&mut one)), (session.hash(), row(&mut session)));
     assert!(row(&mut one).figures.received > 900);
     // A branch of a branch, and the one that waited meanwhile.
@@ -75,38 +74,4 @@ fn from_a_past_scene_the_slave_stands_for_a_round_trip_and_comes_back_to_its_mas
     let told = row(&mut branch);
     let apart = (told.slave_in_world.translation - told.master_in_world.translation).norm();
     assert!(apart < 1e-4, "{apart} m");
-}
-
-fn debug(one: &mut Session, other: &mut Session) {
-    use trocar_scene::*;
-    let (a, b) = (one.snapshot(), other.snapshot());
-    macro_rules! same {
-        ($($kind:ty),*) => {$(
-            for (entity, row) in a.iter::<$kind>() {
-                if b.get::<$kind>(entity) != Some(row) {
-                    println!("{} of {} differs", stringify!($kind), a.name(entity));
-                    let text = (format!("{row:?}"), format!("{:?}", b.get::<$kind>(entity)));
-                    if text.0.len() < 6000 { println!("{} {}", text.0, text.1); }
-                }
-            }
-        )*};
-    }
-    same!(
-        Pose,
-        Velocity,
-        VertexPositions,
-        Measured,
-        DeviceState,
-        DeviceForce,
-        InstrumentForce,
-        HapticStatus,
-        LocalContactModel,
-        JawState,
-        InstrumentTarget,
-        Teleoperation,
-        Activation,
-        PressTarget,
-        HandTarget,
-        Grasp
-    );
 }
