@@ -35,6 +35,8 @@ pub const DELTA_MAX: usize = 512 << 10;
 /// Most bytes of a ticket from one peer to another.
 pub const PEER_TICKET_MAX: usize = 4 << 10;
 
+const _: () = assert!(repair::REPAIR_BYTES_MAX <= DELTA_MAX);
+
 /// Who computes what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

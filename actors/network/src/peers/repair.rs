@@ -15,7 +15,7 @@ use crate::replication::wire_reader::WireReader;
 /// Most rows of a body: as many as columns are simulated.
 pub const ROWS_MAX: usize = 64;
 /// Most bytes of a repair: what one message of the control channel carries.
-pub const REPAIR_BYTES_MAX: usize = crate::control::DELTA_MAX - 64;
+pub const REPAIR_BYTES_MAX: usize = (512 << 10) - 64;
 
 /// What is found anew in every tick, or belongs to the hand that is felt here.
 const LEFT_OUT: [&str; 9] = [

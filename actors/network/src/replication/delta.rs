@@ -24,7 +24,6 @@ use std::collections::BTreeSet;
 use trocar_scene::{ComponentError, ComponentId, Entity, Event, Revision, Snapshot, varint};
 
 use super::choice::{ReplicatedColumns, RowCodec};
-use super::excluded_rows::ExcludedRows;
 use super::quantised_row::RowQuantiser;
 use super::wire_reader::write_entity;
 
@@ -33,6 +32,45 @@ pub const DELTA_BYTES_MAX: usize = 256 << 20;
 
 /// Rows by component and entity.
 pub type RowSet = BTreeSet<(ComponentId, Entity)>;
+
+/// What a station computes itself, and so is neither sent to it nor taken there: single rows, and whole columns.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ExcludedRows {
+    rows: RowSet,
+    /// Ascending.
+    columns: Vec<ComponentId>,
+}
+
+impl ExcludedRows {
+    /// These rows, and all rows of these columns.
+    pub fn new(rows: RowSet, columns: impl IntoIterator<Item = ComponentId>) -> Self {
+        let mut columns: Vec<ComponentId> = columns.into_iter().collect();
+        columns.sort_unstable();
+        columns.dedup();
+        Self { rows, columns }
+    }
+
+    /// Whether a row is among them.
+    pub fn contains(&self, id: ComponentId, entity: Entity) -> bool {
+        self.columns.binary_search(&id).is_ok() || self.rows.contains(&(id, entity))
+    }
+
+    /// The single rows.
+    pub fn rows(&self) -> &RowSet {
+        &self.rows
+    }
+
+    /// The whole columns.
+    pub fn columns(&self) -> &[ComponentId] {
+        &self.columns
+    }
+}
+
+impl From<RowSet> for ExcludedRows {
+    fn from(rows: RowSet) -> Self {
+        Self { rows, columns: Vec::new() }
+    }
+}
 
 /// Entities share a chunk when their numbers agree but for the last six bits.
 pub fn chunk_of(entity: Entity) -> u64 {

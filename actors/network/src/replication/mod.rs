@@ -18,7 +18,6 @@ pub mod acknowledgement;
 pub mod choice;
 pub mod delta;
 mod delta_reader;
-pub mod excluded_rows;
 pub mod known_rows;
 pub mod pieces;
 pub mod positions;
@@ -50,9 +49,8 @@ use trocar_scene::ComponentError;
 
 pub use acknowledgement::RowWindow;
 pub use choice::{ChoiceError, ColumnRates, Delivery, ReplicatedColumns};
-pub use delta::{DELTA_BYTES_MAX, Scope};
+pub use delta::{DELTA_BYTES_MAX, ExcludedRows, Scope};
 pub use delta_reader::DeltaSummary;
-pub use excluded_rows::ExcludedRows;
 pub use pieces::{PIECE_BYTES_MAX, Pieces};
 pub use replica::{Replica, ReplicaCounts};
 pub use row_sender::{RowSender, RowSenderCounts};

@@ -9,8 +9,8 @@ use trocar_scene::{
 use super::ReplicationError;
 use super::acknowledgement::RowWindow;
 use super::choice::ReplicatedColumns;
+use super::delta::ExcludedRows;
 use super::delta_reader::{DeltaReader, DeltaSummary};
-use super::excluded_rows::ExcludedRows;
 use super::known_rows::{KnownRow, KnownRows, KnownVertices};
 use super::pieces::Pieces;
 use super::quantised_row::RowQuantiser;

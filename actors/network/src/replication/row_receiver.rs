@@ -6,7 +6,7 @@ use super::ROWS_PAYLOAD_MAX;
 use super::ReplicationError;
 use super::acknowledgement::RowWindow;
 use super::choice::{ReplicatedColumns, RowCodec};
-use super::excluded_rows::ExcludedRows;
+use super::delta::ExcludedRows;
 use super::known_rows::KnownRows;
 use super::positions::{ChunkHead, vertex_from_grid};
 use super::quantised_row::RowQuantiser;
