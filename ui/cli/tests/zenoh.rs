@@ -39,7 +39,7 @@ mod with_zenoh {
         let run = |zenoh: &str, named: &[&str]| {
             assert_refused(&["run", "wall", "--headless", "--zenoh", zenoh], named)
         };
-        run("tcp/0.0.0.0:7447", &["--zenoh", "unprotected", "tls/", "docs/network.md"]);
+        run("tcp/0.0.0.0:7447", &["tcp/0.0.0.0:7447", "unprotected", "tls/", "docs/network.md"]);
         run("connect=tcp/192.0.2.7:7447", &["unprotected"]);
         run("tls/0.0.0.0:7447", &["certificates", "config=FILE"]);
         run("nmae=x", &["nmae", "connect, listen, name, config"]);

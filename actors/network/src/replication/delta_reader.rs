@@ -10,8 +10,7 @@ use trocar_scene::{
 
 use super::ReplicationError;
 use super::choice::{ReplicatedColumns, RowCodec};
-use super::delta::ExcludedRows;
-use super::delta::{CHUNKS, EVERYTHING, SINCE, chunk_of, is_quantised};
+use super::delta::{CHUNKS, EVERYTHING, ExcludedRows, SINCE, chunk_of, is_quantised};
 use super::known_rows::{KnownRows, KnownVertices};
 use super::quantised_row::RowQuantiser;
 use super::wire_reader::WireReader;

@@ -7,8 +7,7 @@ use trocar_scene::{ComponentError, ComponentId, Entity, Revision, SimTime, Snaps
 
 use super::ReplicationError;
 use super::choice::ReplicatedColumns;
-use super::delta::ExcludedRows;
-use super::delta::{self, DeltaChoice, RowSet, Scope, chunk_of};
+use super::delta::{self, DeltaChoice, ExcludedRows, RowSet, Scope, chunk_of};
 use super::quantised_row::RowQuantiser;
 use super::row_sender::RowSender;
 use super::state_digest::StateDigest;

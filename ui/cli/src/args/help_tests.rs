@@ -56,6 +56,7 @@ const HEADINGS: [(&str, &[&str]); 5] = [
             "ticket",
             "ticket-file",
             "name",
+            "architecture",
             "insecure",
             "relay",
             "relay-key",

@@ -148,10 +148,13 @@ fn our_console_leads_a_robot_in_python_and_hears_of_its_emergency_stop() {
     let packets = "7500";
     let robot =
         python(&["robot", "--udp", &port.to_string(), "--packets", packets, "--stop", "6000", "6600"]);
+    // What it prints is taken as it comes: a pipe that is full would stop it.
+    let robot = std::thread::spawn(move || robot.wait_with_output());
+    until_taken(port);
     let address = format!("right=itp:127.0.0.1:{port}");
     let console = start(folder.path(), &["--console", &address, "--seconds", "14"]);
     let console = console.wait_with_output().expect("an end");
-    let printed = robot.wait_with_output().expect("an end");
+    let printed = robot.join().expect("a thread").expect("an end");
     let printed = String::from_utf8(printed.stdout).expect("text");
     let figures = figures(&console);
     println!("{figures}");
