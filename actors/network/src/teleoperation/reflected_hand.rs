@@ -171,7 +171,7 @@ impl HapticDevice for ReflectedHand {
             number: self.number,
             capabilities: self.capabilities.clone(),
             master,
-            filter: self.filter.clone(),
+            filter: self.filter,
             slave: self.slave.clone(),
             end,
             history: self.history.clone(),
