@@ -22,7 +22,7 @@ fn run(
     let (mut fastest, mut before) = (0.0_f64, None);
     for _ in 0..millis {
         *ms += 1;
-        if let Some(x) = x(*ms).filter(|_| *ms % 10 == 0) {
+        if let Some(x) = x(*ms).filter(|_| ms.is_multiple_of(10)) {
             lane.command(SimTime(*ms * MS), &command(*ms, x)).expect("it is admitted");
         }
         let x = hand.read(*ms * MS).expect("it is open").pose_in_device.translation.x;

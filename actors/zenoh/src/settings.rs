@@ -220,7 +220,7 @@ mod tests {
             let error = text.parse::<NodeSettings>().expect_err(text).to_string();
             assert!(error.contains(says), "{text}: {error}");
         }
-        let many = vec!["connect=tcp/127.0.0.1:1"; 9].join(",");
+        let many = ["connect=tcp/127.0.0.1:1"; 9].join(",");
         assert_eq!(many.parse::<NodeSettings>(), Err(SettingsError::TooMany));
     }
 

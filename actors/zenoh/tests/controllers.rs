@@ -70,7 +70,6 @@ fn a_controller_elsewhere_writes_what_it_declared_and_nothing_else() {
         value["last_refusal"].as_str().is_some_and(|told| told.contains("silence")) && value["silences"] == 1
     });
     assert_eq!(camera_z(&running.live.snapshot()), Some(9.0));
-    drop(batch);
     client.claim(&keys.controller("crane", "claim"));
 }
 

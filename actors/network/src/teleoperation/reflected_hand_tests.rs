@@ -114,7 +114,7 @@ fn a_copy_goes_on_as_the_original_would_with_what_is_under_way() {
         let now_ns = ms * 1_000_000;
         let pose_in_device = Isometry3::translation(swing(ms as f64 * 1e-3), 0.0, 0.0);
         // The foot goes up and down.
-        let pedals = if ms / 50 % 2 == 0 { Pedals::Released } else { Pedals::Energy };
+        let pedals = if (ms / 50).is_multiple_of(2) { Pedals::Released } else { Pedals::Energy };
         let buttons = pedals.buttons();
         hand.set_intent(now_ns, &HandIntent { buttons, ..HandIntent::at(pose_in_device, 0.2) });
         let shown = hand.read(now_ns).expect("it is read");

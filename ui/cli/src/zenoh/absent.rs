@@ -79,13 +79,15 @@ mod tests {
     #[test]
     fn both_builds_have_the_same_form() {
         use super::super::{commands, present};
-        let _: [fn(&ZenohArgs) -> Result<Exit, Failure>; 2] = [command, commands::command];
+        type Command = fn(&ZenohArgs) -> Result<Exit, Failure>;
+        type Serve<T> = fn(&mut T, &mut Progress<'_>);
+        type Close<T> = fn(T) -> Result<(), Failure>;
+        let _: [Command; 2] = [command, commands::command];
         let _: [fn(App) -> App; 2] = [with_devices, present::with_devices];
         let _: fn(&Wish<'_>) -> Result<Option<Beyond>, Failure> = Beyond::open;
         let _: fn(&Wish<'_>) -> Result<Option<present::Beyond>, Failure> = present::Beyond::open;
-        let _: (fn(&mut Beyond, &mut Progress<'_>), fn(Beyond) -> Result<(), Failure>) =
-            (Beyond::serve, Beyond::close);
-        let _: (fn(&mut present::Beyond, &mut Progress<'_>), fn(present::Beyond) -> Result<(), Failure>) =
+        let _: (Serve<Beyond>, Close<Beyond>) = (Beyond::serve, Beyond::close);
+        let _: (Serve<present::Beyond>, Close<present::Beyond>) =
             (present::Beyond::serve, present::Beyond::close);
     }
 }

@@ -76,7 +76,7 @@ pub fn pulled_apart(rounds: usize) -> (f64, f64, u32) {
     while pair.now < end {
         pair.step();
         // What both have done while the station joined is over after a second.
-        if pair.now >= SimTime::from_millis(1_500) && pair.now.as_nanos() % 50_000_000 == 0 {
+        if pair.now >= SimTime::from_millis(1_500) && pair.now.as_nanos().is_multiple_of(50_000_000) {
             let scene = pair.host.snapshot();
             all.extend(apart(&scene, &pair.station.snapshot()));
             let moved = scene
