@@ -12,7 +12,7 @@ pub const SKETCH_EVERY: SimTime = SimTime::from_millis(500);
 /// Time between two scenes that a peer remembers, and how many: those of two seconds, as long as a sketch may be on its way.
 const REMEMBER_EVERY: SimTime = SimTime::from_millis(8);
 const REMEMBERED_MAX: usize = 256;
-/// How far bodies may be apart \[m\], [rad].
+/// How far bodies may be apart \[m\], \[rad\].
 pub const TOLERANCE: (f64, f64) = (1e-3, 0.05);
 /// After so many sketches in a row a body that differs is asked for: what one of both has done a little later is over by then.
 const SKETCHES_IN_A_ROW: u32 = 2;
