@@ -13,9 +13,9 @@ use super::carrier::Carrier;
 use super::own_rows::own_rows;
 use crate::annotation::hand_over;
 use crate::control::{
-    Admitted, ClockSample, Credential, DIAGNOSES_MAX, Diagnosed, HandInfo, HeldScene, HostEvent, HostSession,
-    LinkFigures, Note, NoteKind, NoteRefusal, PlainText, Refusal, RequestKind, Roster, SceneCounts,
-    SceneKind, SceneManifest, SceneOffer, SessionInfo, TakeOver, TicketVerdict, Wish,
+    Admitted, Architecture, ClockSample, Credential, DIAGNOSES_MAX, Diagnosed, HandInfo, HeldScene,
+    HostEvent, HostSession, LinkFigures, Note, NoteKind, NoteRefusal, PlainText, Refusal, RequestKind,
+    Roster, SceneCounts, SceneKind, SceneManifest, SceneOffer, SessionInfo, TakeOver, TicketVerdict, Wish,
 };
 use crate::hands_link::HOST;
 use crate::haptic::{LinkPoint, LinkQuality, Rate};
@@ -452,6 +452,10 @@ impl HostSession for Members {
                 self.notes.push_back(AcceptedNote { note, author: self.name_of(station) });
             }
             RequestKind::Repair(asked) => {
+                if self.info.architecture != Architecture::PeerToPeer {
+                    let text = "only peers repair bodies: here the host computes them";
+                    return Err(Refusal::HostTrouble(PlainText::new(text)));
+                }
                 if self.repairs.len() >= REPAIRS_MAX {
                     let text = "too many bodies to repair at once; ask again";
                     return Err(Refusal::HostTrouble(PlainText::new(text)));
