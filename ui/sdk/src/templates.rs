@@ -36,7 +36,7 @@ const STANDARD: [&str; 5] = ["alloc", "core", "proc-macro", "std", "test"];
 /// Folders of cargo beside the program, which has the crate's name.
 const FOLDERS: [&str; 5] = ["build", "deps", "doc", "examples", "incremental"];
 /// The crates of Trocar besides its facade.
-const OURS: [&str; 15] = [
+const OURS: [&str; 16] = [
     "trocar-cli",
     "trocar-collision",
     "trocar-devices",
@@ -52,6 +52,7 @@ const OURS: [&str; 15] = [
     "trocar-tasks",
     "trocar-test-support",
     "trocar-viewer",
+    "trocar-zenoh",
 ];
 /// Names of devices, which no file may have on Windows, with any ending.
 const DEVICES: [&str; 4] = ["aux", "con", "nul", "prn"];
