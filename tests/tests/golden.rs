@@ -13,7 +13,7 @@ use trocar_tests::golden::{Golden, GoldenRun, LOOK_EVERY, MotionDigest, arithmet
 use trocar_tests::{app, edited, lockstep};
 
 /// The recorded runs: scenario, seed, seconds. Each is long enough for the purpose of its scene.
-const RUNS: [(&str, u64, f64); 18] = [
+const RUNS: [(&str, u64, f64); 19] = [
     ("peg-transfer", 1, 12.0),
     ("peg-transfer", 2, 12.0),
     ("peg-transfer", 3, 12.0),
@@ -32,6 +32,7 @@ const RUNS: [(&str, u64, f64); 18] = [
     ("band", 1, 2.0),
     ("two-rates", 1, 3.0),
     ("tele-liver", 1, 2.0),
+    ("tele-palpation", 1, 2.0),
 ];
 
 fn file() -> PathBuf {

@@ -53,7 +53,7 @@ pub use telementoring::{
     SECTIONS_MAX, SIGNATURE_NAME_MAX, STROKE_WIDTH_MAX, Signature, TakeOverRequest, TakeOverStep,
 };
 pub use teleoperation::{
-    EnergyPedal, SlaveOrder, SlaveState, Teleoperation, TeleoperationEnd, TeleoperationFigures,
+    EnergyPedal, ForceFeedback, SlaveOrder, SlaveState, Teleoperation, TeleoperationEnd, TeleoperationFigures,
 };
 pub use virtual_fixture::VirtualFixture;
 pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};

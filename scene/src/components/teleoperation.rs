@@ -72,6 +72,33 @@ pub enum EnergyPedal {
     Coagulate,
 }
 
+/// How the force at a slave is brought to its master's hand over a delay.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ForceFeedback {
+    /// Not at all.
+    #[default]
+    None,
+    /// Time-domain passivity.
+    Passivity,
+    /// Wave variables.
+    WaveVariables,
+    /// Model-mediated.
+    ModelMediated,
+}
+
+impl ForceFeedback {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Passivity => "passivity",
+            Self::WaveVariables => "wave variables",
+            Self::ModelMediated => "model-mediated",
+        }
+    }
+}
+
 /// How well a slave has followed, and what its path did, since the session's start. What is unknown is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -121,6 +148,9 @@ pub struct TeleoperationFigures {
     pub silences: u64,
     /// Time with the slave's current on \[s\].
     pub energised: f64,
+    /// Mean of the force on the master's hand along that at the slave, over the mean of that at the slave, while there was
+    /// one; known if forces are fed back. What is scaled counts as if it were not.
+    pub felt_share: Option<f64>,
 }
 
 /// A hand that is a master, and the instrument that is its slave; on the hand. The network's actor writes it.
@@ -147,6 +177,11 @@ pub struct Teleoperation {
     /// Force at the slave, in world \[N\].
     #[schemars(with = "[f64; 3]")]
     pub force_in_world: Vector3<f64>,
+    /// How that force is brought to the master's hand, at present.
+    pub feedback: ForceFeedback,
+    /// Force on the master's hand, in world \[N\].
+    #[schemars(with = "[f64; 3]")]
+    pub felt_in_world: Vector3<f64>,
     /// Whether strangers can neither read nor forge the packets.
     pub protected: bool,
     /// All of it in numbers.
@@ -167,6 +202,9 @@ impl Teleoperation {
             words += &format!(", {:.1} ms behind", self.round_trip * 1e3);
         }
         words += &format!(", {:.2} N", self.force_in_world.norm());
+        if self.feedback != ForceFeedback::None {
+            words += &format!(", {:.2} N felt by {}", self.felt_in_world.norm(), self.feedback.words());
+        }
         if !self.protected {
             words += ", unprotected";
         }

@@ -2,6 +2,7 @@
 
 mod copies;
 mod current;
+mod feedback;
 mod robots;
 mod scaling;
 

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use trocar::app::App;
 use trocar::network::impairments::Impairments;
 use trocar::run::{self, RunOptions};
-use trocar_scene::{Grasp, HapticStatus, SimTime, Snapshot, Station};
+use trocar_scene::{DeviceState, Grasp, HapticStatus, SimTime, Snapshot, Station};
 
 use crate::support::here;
 use crate::support::pair::Pair;
-use crate::support::shared_liver::pulled_apart;
+use crate::support::shared_liver::{liver, pulled_apart};
 
 #[test]
 fn the_left_hand_at_a_station_and_the_right_one_at_the_host_transfer_the_pegs() {
@@ -109,6 +109,64 @@ fn touching_a_liver_over_a_network_gives_no_energy_and_feels_alike() {
                 there / here >= if round_trip <= 100 { 0.5 } else { 0.01 },
                 "{case}: {there} N/m, not {here}"
             );
+        }
+    }
+}
+
+/// The largest energy that the hand got out of its device \[J\], and the mean force on it while it holds the liver's edge
+/// retracted \[N\], in two rounds.
+fn pulled_liver(path: Option<&Impairments>) -> (f64, f64) {
+    let scenario = liver(3);
+    let mut step: Box<dyn FnMut() -> Arc<Snapshot>> = match path {
+        Some(path) => {
+            let mut pair = Pair::of(&scenario, path, &["right"], false);
+            Box::new(move || {
+                pair.step();
+                pair.station.snapshot()
+            })
+        }
+        None => {
+            let options = RunOptions { lockstep: true, ..RunOptions::default() };
+            let (mut alone, mut now) =
+                (run::start(&App::new(), &scenario, &options).expect("it starts"), SimTime::ZERO);
+            Box::new(move || {
+                now += SimTime::from_millis(1);
+                alone.run_until(now);
+                alone.snapshot()
+            })
+        }
+    };
+    let (mut energy, mut force, mut count) = (0.0_f64, 0.0, 0);
+    for _ in 0..25_500 {
+        let scene = step();
+        let hand = scene.find("hand.right").expect("a hand");
+        let Some(status) = scene.get::<HapticStatus>(hand) else { continue };
+        energy = energy.min(status.energy_min);
+        let Some(device) = scene.get::<DeviceState>(hand) else { continue };
+        // Every 8.5 s it holds the edge from 4.4 s to 5.4 s, a path's delay later by the station's clock.
+        let phase = (device.sampled_at.as_secs_f64()) % 8.5;
+        if device.sampled_at > SimTime::from_millis(8_500) && (4.7..5.3).contains(&phase) {
+            force += device.applied_force.norm();
+            count += 1;
+        }
+    }
+    (energy, force / f64::from(count.max(1)))
+}
+
+#[test]
+fn pulling_a_liver_over_a_network_gives_no_energy_and_is_felt() {
+    let (_, here) = pulled_liver(None);
+    assert!(here > 0.1, "{here} N");
+    for round_trip in [0, 100, 300, 1_000] {
+        for (loss, burst) in [(0.0, 1.0), (0.2, 1.0), (0.05, 40.0)] {
+            let path =
+                Impairments { loss, burst, ..Impairments::delay(SimTime::from_millis(round_trip / 2)) };
+            let (energy, there) = pulled_liver(Some(&path));
+            let case =
+                format!("{round_trip} ms, loss {loss}, burst {burst}: {energy} J, {there} N of {here} N");
+            println!("{case}, felt {:.3}", there / here);
+            assert!(energy >= -1e-3, "{case}");
+            assert!(there / here >= if round_trip <= 100 { 0.5 } else { 0.01 }, "{case}");
         }
     }
 }

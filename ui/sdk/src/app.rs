@@ -25,7 +25,7 @@ use crate::kinds;
 use crate::network::{ITP_ABOUT, ITP_USAGE, ItpRobots};
 
 /// Built-in scenarios: (name, text).
-pub const SCENARIOS: [(&str, &str); 16] = [
+pub const SCENARIOS: [(&str, &str); 17] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
@@ -42,6 +42,7 @@ pub const SCENARIOS: [(&str, &str); 16] = [
     ("band", include_str!("../../../scenarios/band.toml")),
     ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
     ("tele-liver", include_str!("../../../scenarios/tele-liver.toml")),
+    ("tele-palpation", include_str!("../../../scenarios/tele-palpation.toml")),
 ];
 
 /// A name that an [`App`] cannot register. The `App` keeps the error until a scenario is loaded.

@@ -78,11 +78,6 @@ impl Assembly {
         let mut network_hands =
             WrappedHands::new(&options.network, sharing, teleoperated(scenario, options)?);
         let scenario = console.as_ref().unwrap_or(scenario);
-        let mut hands = open_hands(app, scenario, options, &mut network_hands)?;
-        if let Some(resumed) = &options.resume {
-            hands.iter_mut().for_each(|hand| hand.go_on(resumed.scene(), resumed.time()));
-        }
-        let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
         let mut store = match (station, &options.resume) {
             (Some(station), _) => Store::from_snapshot(&station.scene),
             (None, Some(resumed)) => {
@@ -91,6 +86,11 @@ impl Assembly {
             }
             (None, None) => scenario.spawn(app.registry())?,
         };
+        let mut hands = open_hands(app, scenario, options, store.view(), &mut network_hands)?;
+        if let Some(resumed) = &options.resume {
+            hands.iter_mut().for_each(|hand| hand.go_on(resumed.scene(), resumed.time()));
+        }
+        let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
         let begin = options.begin();
         let number = station.map_or(0, |station| station.number);
         let allocator = EntityAllocator::new(number, SCENARIO_SPAWNER);
@@ -243,6 +243,7 @@ fn open_hands(
     app: &App,
     scenario: &Scenario,
     options: &RunOptions,
+    scene: &Snapshot,
     network: &mut WrappedHands<'_>,
 ) -> Result<Vec<OpenedHand>, AssemblyError> {
     for (name, _) in &options.hands {
@@ -265,7 +266,7 @@ fn open_hands(
             return Err(scenario.error_at("hand", index, reason).into());
         }
         let device = app.make_device(&hand.name, hand.entity, text)?;
-        let device = network.wrap(&hand.name, hand.entity, device)?;
+        let device = network.wrap(&hand.name, hand.entity, scene, device)?;
         opened.push(OpenedHand::new(&hand.name, hand.entity, device));
     }
     Ok(opened)
@@ -314,9 +315,10 @@ impl<'a> WrappedHands<'a> {
         &mut self,
         name: &str,
         entity: Entity,
+        scene: &Snapshot,
         device: Box<dyn HapticDevice>,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
-        let device = self.teleoperated.wrap(name, entity, device)?;
+        let device = self.teleoperated.wrap(name, entity, scene, device)?;
         match self.network {
             Network::None => Ok(device),
             Network::Host(_) | Network::LockstepHost(_) => self.host.wrap(name, entity, device, self.sharing),

@@ -65,7 +65,7 @@ pub enum Payload {
 }
 
 /// What an end tells of its compensation.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CompensationBlock {
     /// Method that this end uses: the master's choice, which the slave follows.
     pub method: Method,

@@ -322,12 +322,36 @@ impl SlaveEnd {
         let block = CompensationBlock { method, account, payload };
         Some(CouplingSample { position, velocity: self.velocity, force, block })
     }
+
+    /// A step at which the slave stands where it is, whatever the master does: its pedal is up, or it was stopped. It tells
+    /// no force and no contact, and what the master has sent meanwhile is not made up for.
+    pub fn rest(&mut self, now: SimTime, received: Option<&CouplingSample>) -> Option<CouplingSample> {
+        let received = received.filter(|sample| sample.is_finite());
+        let step_secs = self.clock.step(now, received.is_some());
+        if let Some(sample) = received {
+            self.port.tank().receive(&sample.block.account);
+            if let Payload::Wave(integrals) = &sample.block.payload {
+                self.wave.receive(integrals);
+            }
+            self.newest = Some(*sample);
+        }
+        let newest = self.newest?;
+        self.port.tank().settle(step_secs);
+        self.velocity = Vector3::zeros();
+        let wave = *self.wave.rest();
+        let method = newest.block.method;
+        let payload = if method == Method::WaveVariables { Payload::Wave(wave) } else { Payload::None };
+        let position = *self.port.command()?;
+        let account = self.port.tank().account();
+        let block = CompensationBlock { method, account, payload };
+        Some(CouplingSample { position, velocity: Vector3::zeros(), force: Vector3::zeros(), block })
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::compensation::{ContactModel, EnergyAccount};
+    use crate::compensation::{ContactModel, EnergyAccount, WaveIntegrals};
 
     fn reading(x: f64, round_trip_ms: u64) -> MasterReading {
         let round_trip = SimTime::from_millis(round_trip_ms);
@@ -425,6 +449,44 @@ mod tests {
                 assert!(ms < 3 || (told.position - last).norm() < 7e-4, "{choice:?} {ms} ms");
                 last = told.position;
             }
+        }
+    }
+
+    #[test]
+    fn a_slave_that_rested_goes_on_from_where_it_stood_in_every_method() {
+        for method in [Method::Passivity, Method::WaveVariables, Method::ModelMediated] {
+            let mut slave = SlaveEnd::new(CouplingConfig::default());
+            let mut sent = sample(method, 0.0, Payload::None);
+            let mut wave = WaveIntegrals::default();
+            let mut told = |ms: u64, x: f64, rests: bool| {
+                if method == Method::WaveVariables {
+                    // A wave that moves the slave by 0.1 m/s.
+                    wave.wave[0] += (0.4 * 1e-3 * 16_777_216.0) as i32;
+                    wave.energy_nj += 80_000;
+                    sent.block.payload = Payload::Wave(wave);
+                }
+                sent.position = Vector3::x() * x;
+                let now = SimTime::from_millis(ms);
+                if rests {
+                    slave.rest(now, Some(&sent))
+                } else {
+                    slave.step(now, &Vector3::zeros(), Some(&sent))
+                }
+            };
+            assert!(told(0, 0.0, true).is_none(), "it has no place yet");
+            let stood = (1..100).filter_map(|ms| told(ms, 0.0, false)).last().expect("it was heard").position;
+            for ms in 100..1_100 {
+                // The hand goes 0.1 m far with its pedal up.
+                let rests = told(ms, 1e-4 * (ms - 100) as f64, true).expect("it was heard");
+                assert_eq!(
+                    (rests.position, rests.velocity, rests.force),
+                    (stood, Vector3::zeros(), Vector3::zeros())
+                );
+                assert!(!matches!(rests.block.payload, Payload::Contact(_)));
+            }
+            // The clutch has closed: it is wanted where it stands.
+            let goes_on = told(1_100, stood.x, false).expect("it was heard");
+            assert!((goes_on.position - stood).norm() < 3e-4, "{method:?}: {}", goes_on.position - stood);
         }
     }
 }

@@ -26,6 +26,8 @@ pub struct CouplingConfig {
     pub stiffness_max: f64,
     /// Greatest damping that the master's device renders stably [N·s/m]: about 0.1 of its mass per step.
     pub damping_max: f64,
+    /// Greatest force that the master's device may put on the hand \[N\].
+    pub force_max: f64,
     /// Stiffness of the slave's coupling between the commanded position and its tool [N/m].
     pub coupling_stiffness: f64,
     /// Level below which the master fills its tank \[J\].
@@ -46,6 +48,7 @@ impl Default for CouplingConfig {
         Self {
             stiffness_max: 1_000.0,
             damping_max: 10.0,
+            force_max: 20.0,
             coupling_stiffness: 1_000.0,
             fill_level: 0.04,
             fill_damping: 6.0,
@@ -61,6 +64,7 @@ impl Default for CouplingConfig {
 pub struct MasterPort {
     stiffness_max: f64,
     damping_max: f64,
+    force_max: f64,
     tank: EnergyTank,
     position: Option<Vector3<f64>>,
     force: Vector3<f64>,
@@ -75,6 +79,7 @@ impl MasterPort {
         Self {
             stiffness_max: config.stiffness_max,
             damping_max: config.damping_max,
+            force_max: config.force_max,
             tank: EnergyTank::default(),
             position: None,
             force: Vector3::zeros(),
@@ -142,6 +147,7 @@ impl MasterPort {
         } else {
             most += self.damping_max * -speed_along;
         }
+        let most = most.min(self.force_max);
         self.force = wanted * (most / size).min(1.0);
         self.withheld = (size - most).max(0.0);
         self.force

@@ -99,6 +99,11 @@ impl WaveReceiver {
         self.last = *sent;
     }
 
+    /// Drops what has arrived and was not put out.
+    pub fn drop_missing(&mut self) {
+        (self.missing, self.reserve) = (Vector3::zeros(), 0.0);
+    }
+
     /// The wave of the next step [√W]: the constant one that makes up for what is missing with the energy there is.
     pub fn step(&mut self, step_secs: f64) -> Vector3<f64> {
         let missing = self.missing.norm_squared();
@@ -178,6 +183,13 @@ impl WaveSlave {
     /// Takes integrals of the master's wave.
     pub fn receive(&mut self, sent: &WaveIntegrals) {
         self.receiver.receive(sent);
+    }
+
+    /// Drops the waves that have come: the slave stands, and moves from there. Its own wave is none meanwhile, as of an end
+    /// that takes all that comes.
+    pub fn rest(&mut self) -> &WaveIntegrals {
+        self.receiver.drop_missing();
+        self.sender.integrals()
     }
 
     /// Moves the port's command by the wave, and by as much of the correction towards `target` as is paid for. `force` is

@@ -15,8 +15,15 @@ const ECHO_BYTES: usize = 12;
 pub const HAND_BYTES: usize = 100;
 /// Most hands in a datagram.
 pub const HANDS_MAX: usize = (PAYLOAD_MAX - ECHO_BYTES) / HAND_BYTES;
+/// Most hands in a datagram that also carries both ends of each one's coupling, as long as a hand.
+pub const COUPLED_HANDS_MAX: usize = (PAYLOAD_MAX - ECHO_BYTES) / (2 * HAND_BYTES);
 /// How far a received rotation may be off unit length. Rounding to single precision is 10⁴ times less.
 pub const ROTATION_TOLERANCE: f64 = 1e-3;
+
+/// Bytes of a payload with so many hands.
+pub const fn hands_bytes(hands: usize) -> usize {
+    ECHO_BYTES + HAND_BYTES * hands
+}
 
 const CONNECTED: u8 = 1 << 0;
 const GRABBED: u8 = 1 << 1;
@@ -114,7 +121,7 @@ pub fn encode_hands(
         met.first_time(sample.hand)?;
         encode_hand(sample, &mut fields)?;
     }
-    Ok(ECHO_BYTES + HAND_BYTES * samples.len())
+    Ok(hands_bytes(samples.len()))
 }
 
 fn echo_fields(echo: ClockEcho) -> Option<(u64, u32)> {
@@ -205,7 +212,7 @@ impl Hands {
             return Err(HandsError::TooMany(count));
         }
         let wrong_length = HandsError::Length { bytes: payload.len(), hands };
-        if payload.len() != ECHO_BYTES + HAND_BYTES * count {
+        if payload.len() != hands_bytes(count) {
             return Err(wrong_length);
         }
         let mut fields = Reader(payload);

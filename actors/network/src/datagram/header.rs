@@ -3,8 +3,8 @@
 use thiserror::Error;
 use trocar_scene::SimTime;
 
-use super::HANDS_MAX;
 use super::little_endian::{Reader, Writer};
+use super::{COUPLED_HANDS_MAX, HANDS_MAX};
 
 /// Bytes of a header.
 pub const HEADER_BYTES: usize = 24;
@@ -31,11 +31,13 @@ pub enum Kind {
     Echo = 6,
     /// Sketches of an owner's bodies, among peers.
     Sketch = 7,
+    /// Hands whose forces are compensated for the delay: samples as of kind hands, and both ends of each one's coupling.
+    CoupledHands = 8,
 }
 
 impl Kind {
     /// All kinds, in the order of their codes.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Hands,
         Self::Rows,
         Self::RowAcks,
@@ -44,6 +46,7 @@ impl Kind {
         Self::Report,
         Self::Echo,
         Self::Sketch,
+        Self::CoupledHands,
     ];
 
     /// The kind of a code on the wire.
@@ -53,7 +56,11 @@ impl Kind {
 
     /// Whether a datagram of this kind can carry that many hands.
     pub fn allows_hands(self, hands: u8) -> bool {
-        let most = if self == Self::Hands { HANDS_MAX } else { 0 };
+        let most = match self {
+            Self::Hands => HANDS_MAX,
+            Self::CoupledHands => COUPLED_HANDS_MAX,
+            _ => 0,
+        };
         usize::from(hands) <= most
     }
 }
@@ -65,7 +72,7 @@ pub struct Header {
     pub kind: Kind,
     /// Low byte of the number of the key.
     pub phase: u8,
-    /// How many hands the payload carries; 0 unless it is of kind hands.
+    /// How many hands the payload carries; 0 unless it is of a kind of hands.
     pub hands: u8,
     /// Which connection it belongs to.
     pub connection: u32,
@@ -85,11 +92,12 @@ pub enum HeaderError {
     #[error("the datagram is of wire version {0}; this program reads version {WIRE_VERSION}")]
     Version(u8),
     /// The kind is unknown.
-    #[error("the datagram is of kind {0}; kinds are 0 to 7")]
+    #[error("the datagram is of kind {0}; kinds are 0 to 8")]
     Kind(u8),
     /// It has too many hands.
     #[error(
-        "a datagram of kind {kind:?} announces {hands} hands; at most {HANDS_MAX} come with kind Hands, else 0"
+        "a datagram of kind {kind:?} announces {hands} hands; at most {HANDS_MAX} come with kind Hands, \
+         {COUPLED_HANDS_MAX} with kind CoupledHands, else 0"
     )]
     Hands {
         /// Kind of the datagram.
@@ -187,7 +195,7 @@ mod tests {
             Header::decode(&bytes)
         };
         assert_eq!(with(0, 2), Err(HeaderError::Version(2)));
-        assert_eq!(with(1, 8), Err(HeaderError::Kind(8)));
+        assert_eq!(with(1, 9), Err(HeaderError::Kind(9)));
         assert_eq!(with(3, 1), Err(HeaderError::Hands { kind: Kind::Rows, hands: 1 }));
         let mut hands = Header { kind: Kind::Hands, hands: 11, ..header }.encode();
         assert!(Header::decode(&hands).is_ok());

@@ -47,7 +47,10 @@ mod open;
 mod replay_window;
 mod seal;
 
-pub use hands::{ClockEcho, HAND_BYTES, HANDS_MAX, Hands, HandsError, ROTATION_TOLERANCE, encode_hands};
+pub use hands::{
+    COUPLED_HANDS_MAX, ClockEcho, HAND_BYTES, HANDS_MAX, Hands, HandsError, ROTATION_TOLERANCE, encode_hands,
+    hands_bytes,
+};
 pub use header::{HEADER_BYTES, Header, HeaderError, Kind, WIRE_VERSION};
 pub use keys::{CRC_BYTES, EXPORTER_LABEL, Keys, ReceiveKey, RekeyError, Seal, SendKey, Side, TAG_BYTES};
 pub use open::{FORGERIES_WORN, Opener, RefusalCounts, Refused};

@@ -241,8 +241,8 @@ impl<A: Copy + PartialEq> Connection<A> {
                     self.sender.report(&report, self.receiver.clock(), now);
                 }
             }
-            // Echoes belong to a diagnosis, which has no hands.
-            Kind::Hands | Kind::Echo => return Err(malformed),
+            // Echoes belong to a diagnosis, which has no hands, and couplings to a slave.
+            Kind::Hands | Kind::Echo | Kind::CoupledHands => return Err(malformed),
         }
         Ok(Arrived::Other)
     }

@@ -7,14 +7,15 @@ use nalgebra::{Isometry3, Vector3};
 use trocar_devices::Pedals;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, Commands, Controller, ControllerError, EnergyPedal, Entity, EntitySet, Hand, Instrument,
-    InstrumentForce, Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation,
+    Access, Commands, Controller, ControllerError, EnergyPedal, Entity, EntitySet, ForceFeedback, Hand,
+    Instrument, InstrumentForce, Measured, Parent, Port, Pose, SimTime, SlaveOrder, Snapshot, Teleoperation,
     TeleoperationEnd, TeleoperationFigures, Tick,
 };
 
 use super::exchange::{LinkReport, SlaveReport, WatchedHand};
 use super::reflected_link::WatchedLink;
 use super::tracking::{Look, TrackingMeter};
+use crate::compensation::Method;
 
 /// A hand as its actor reaches it, with what was measured so far.
 struct Watched {
@@ -180,12 +181,14 @@ impl Watched {
             stops: report.stops,
             silences: report.silences,
             energised: report.energised_secs,
+            felt_share: report.feedback.and_then(|feedback| feedback.felt_share),
             ..TeleoperationFigures::default()
         };
         self.meter.fill(&mut figures);
         if report.end != TeleoperationEnd::Both {
             (figures.rms, figures.constant_lag, figures.constant_lag_rms) = (None, None, None);
         }
+        let world_from_device = rig.registration.world_from_device().rotation;
         Teleoperation {
             end: report.end,
             state: report.state,
@@ -195,7 +198,11 @@ impl Watched {
             at: report.at,
             applied: report.applied.unwrap_or(SimTime::ZERO),
             round_trip: link.newest.as_secs_f64(),
-            force_in_world: rig.registration.world_from_device().rotation * report.force_in_device,
+            force_in_world: world_from_device * report.force_in_device,
+            feedback: report.feedback.map_or(ForceFeedback::None, |feedback| method(feedback.method)),
+            felt_in_world: report
+                .feedback
+                .map_or(Vector3::zeros(), |feedback| world_from_device * feedback.force_in_device),
             // Packets of a reflected hand are sealed with a key that never leaves the process; those of ITP are open.
             protected: report.end == TeleoperationEnd::Both,
             figures,
@@ -212,6 +219,14 @@ fn pedal(pedals: Pedals) -> EnergyPedal {
     }
 }
 
+fn method(method: Method) -> ForceFeedback {
+    match method {
+        Method::Passivity => ForceFeedback::Passivity,
+        Method::WaveVariables => ForceFeedback::WaveVariables,
+        Method::ModelMediated => ForceFeedback::ModelMediated,
+    }
+}
+
 /// A pose with its rotation brought to unit length: products of rotations drift off it.
 fn pose(isometry: &Isometry3<f64>) -> Pose {
     let mut rotation = isometry.rotation;
@@ -221,7 +236,8 @@ fn pose(isometry: &Isometry3<f64>) -> Pose {
 
 /// Figures of the path between a master and its slave, by the names under which an exercise judges them. Only who has both
 /// ends knows them.
-pub const PATH_FIGURES: [&str; 7] = [
+pub const PATH_FIGURES: [&str; 8] = [
+    "felt_share",
     "round_trip_mean_s",
     "round_trip_max_s",
     "delay_error_p99_s",
@@ -246,6 +262,7 @@ fn tell(hand: &str, figures: &TeleoperationFigures, measured: &mut Measured) {
         ("contact_share", Some(figures.contact_share)),
         ("packets_received", Some(figures.received as f64)),
         ("energised_s", Some(figures.energised)),
+        ("felt_share", figures.felt_share),
     ];
     for (name, value) in known {
         if let Some(value) = value {

@@ -8,6 +8,8 @@ use triple_buffer::{Input, Output, triple_buffer};
 use trocar_devices::{DeviceState, Pedals};
 use trocar_scene::{SimTime, SlaveState, TeleoperationEnd};
 
+use super::coupled_ends::CoupledEnds;
+use super::force_feedback::FeedbackReport;
 use crate::hand_sample::HandSample;
 
 /// What the master's device measured.
@@ -17,6 +19,8 @@ pub struct MasterSample {
     pub sampled_at: SimTime,
     /// What.
     pub state: DeviceState,
+    /// Both ends of its coupling, if forces are fed back.
+    pub coupled: Option<CoupledEnds>,
 }
 
 /// A sample of the master that has come over the path.
@@ -30,6 +34,8 @@ pub struct Arrival {
     pub arrived_at: SimTime,
     /// What it says.
     pub sample: HandSample,
+    /// What both ends of its coupling said, if forces are fed back.
+    pub coupled: Option<CoupledEnds>,
 }
 
 /// What the device tells of its slave.
@@ -62,6 +68,8 @@ pub struct SlaveReport {
     pub silences: u64,
     /// Time with the current on \[s\].
     pub energised_secs: f64,
+    /// What the master's hand feels, if forces are fed back.
+    pub feedback: Option<FeedbackReport>,
     /// What is known of the path, where it is not that of a reflected link.
     pub link: Option<LinkReport>,
 }

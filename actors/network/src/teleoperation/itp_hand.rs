@@ -84,7 +84,8 @@ impl ItpHand {
         sample.state.gripper = post.pose.jaw().max(0.0);
         sample.state.buttons = post.buttons;
         sample.state.connected = true;
-        self.slave.admit(now, &Arrival { sampled_at: now, sent_at: now, arrived_at: now, sample });
+        self.slave
+            .admit(now, &Arrival { sampled_at: now, sent_at: now, arrived_at: now, sample, coupled: None });
     }
 }
 

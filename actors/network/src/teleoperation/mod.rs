@@ -10,14 +10,17 @@
 //!
 //! [`ReflectedHand`] is a device like any other, below its driver; [`ReflectedLink`] is a [`HandsLink`] with the drivers of
 //! all of them, over sockets or in virtual time; [`TeleoperationController`] is the actor that shows and measures. [`Slave`] is
-//! the robot: speed, workspace, force, pedal, emergency stop, scaling and clutch. [`internet_path`] makes a trace of round
+//! the robot: speed, workspace, force, pedal, emergency stop, scaling and clutch. [`ForceFeedback`] lets the master's hand feel
+//! what the slave touches, by the [compensation](crate::compensation) that the scenario names. [`internet_path`] makes a trace of round
 //! trips. [`ItpHand`] is a hand that a console of another make moves, [`ItpMaster`] one that moves a robot of another make.
 //!
 //! [`HandsLink`]: crate::hands_link::HandsLink
 
 mod controller;
+mod coupled_ends;
 mod delay_histogram;
 mod exchange;
+mod force_feedback;
 mod force_limit;
 pub mod internet_path;
 mod itp_hand;
@@ -30,8 +33,10 @@ mod tracking;
 mod tremor_filter;
 
 pub use controller::{PATH_FIGURES, TeleoperationController, TeleoperationWatch};
+pub use coupled_ends::{COUPLED_BYTES, CoupledEnds, CoupledError};
 pub use delay_histogram::DelayHistogram;
 pub use exchange::{Arrival, LinkReport, LinkedHand, MasterSample, SlaveControl, SlaveReport, WatchedHand};
+pub use force_feedback::{FeedbackReport, ForceFeedback};
 pub use force_limit::{ForceLimit, GIVES_WAY_MAX, MOBILITY};
 pub use itp_hand::ItpHand;
 pub use itp_master::ItpMaster;

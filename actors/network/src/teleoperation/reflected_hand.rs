@@ -1,9 +1,9 @@
 //! Reflected hand: a device whose handle is a master, and whose shown pose is the slave's, which follows what has come back
 //! from the packet reflector.
 //!
-//! Haptics and physics see the slave. The master's device is read, and moved by a virtual trainee, without any delay. It
-//! renders no force: one that comes a round trip after the motion would be active
-//! ([`compensation`](crate::compensation)). What the scene asks for is felt by the slave, whose force is limited.
+//! Haptics and physics see the slave. The master's device is read, and moved by a virtual trainee, without any delay. What
+//! the scene asks for is felt by the slave, whose force is limited. The master's device renders no force unless there is a
+//! [`ForceFeedback`]: one that comes a round trip after the motion would be active by itself.
 //!
 //! `read` and `write` allocate nothing, lock nothing and do not block, if the master's device does not.
 
@@ -13,10 +13,13 @@ use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
 use trocar_scene::SimTime;
 
+use super::coupled_ends::CoupledEnds;
 use super::exchange::{DeviceEnd, LinkedHand, MasterSample, SlaveReport, WatchedHand, exchange};
+use super::force_feedback::ForceFeedback;
 use super::pose_history::PoseHistory;
 use super::slave::{Slave, SlaveConfig, SlaveError};
 use super::tremor_filter::TremorFilter;
+use crate::compensation::Compensation;
 
 /// A device behind a path.
 pub struct ReflectedHand {
@@ -40,6 +43,7 @@ pub struct ReflectedHand {
     /// As in [`SlaveReport`].
     errors: (u64, f64, f64),
     force: Vector3<f64>,
+    feedback: Option<ForceFeedback>,
 }
 
 impl ReflectedHand {
@@ -70,8 +74,22 @@ impl ReflectedHand {
             master_in_device: Isometry3::identity(),
             errors: (0, 0.0, 0.0),
             force: Vector3::zeros(),
+            feedback: None,
         };
         Ok((device, linked, watched))
+    }
+
+    /// The same with forces at the master's device, compensated for the delay; the instrument's coupling has this stiffness
+    /// [N/m].
+    pub fn feeding_back(
+        mut self,
+        choice: Compensation,
+        config: &SlaveConfig,
+        coupling_stiffness: f64,
+    ) -> Self {
+        let device = self.master.capabilities();
+        self.feedback = Some(ForceFeedback::new(choice, config, device, coupling_stiffness));
+        self
     }
 
     /// The ends of the link and of the actor of a copy, once: it is of no use before they are where they belong.
@@ -79,8 +97,8 @@ impl ReflectedHand {
         self.free.take()
     }
 
-    /// Brings the master's pose on its way.
-    fn send(&mut self, now: SimTime, mut state: DeviceState) {
+    /// Brings the master's pose on its way, and what the ends of its coupling tell each other.
+    fn send(&mut self, now: SimTime, mut state: DeviceState, coupled: Option<CoupledEnds>) {
         let secs = self.read_at.map_or(0.0, |before| now.since(before).as_secs_f64());
         if let Some(filter) = &mut self.filter {
             state.pose_in_device = filter.step(&state.pose_in_device, secs);
@@ -90,8 +108,31 @@ impl ReflectedHand {
         }
         self.history.push(now, state.pose_in_device);
         self.master_in_device = state.pose_in_device;
-        self.sampled = Some(MasterSample { sampled_at: now, state });
+        self.sampled = Some(MasterSample { sampled_at: now, state, coupled });
         self.end.masters.write(self.sampled);
+    }
+
+    /// A step of the coupling with what the master's device was read as; the slave is where that lets it be.
+    fn couple(
+        &mut self,
+        now: SimTime,
+        master: &Result<DeviceState, DeviceError>,
+        shown: &mut DeviceState,
+    ) -> Option<CoupledEnds> {
+        let feedback = self.feedback.as_mut()?;
+        let master = master.as_ref().ok().filter(|master| master.connected && master.is_valid());
+        let is_new = self.read_at != Some(now);
+        match master.filter(|_| is_new) {
+            Some(master) => Some(feedback.step(now, master, &self.slave, &self.force, shown)),
+            None => {
+                if master.is_none() {
+                    // What the hand felt was for where it was.
+                    feedback.release();
+                }
+                feedback.place(shown);
+                None
+            }
+        }
     }
 
     /// Compares the slave with the master's pose whose time stamp it applies.
@@ -120,24 +161,29 @@ impl HapticDevice for ReflectedHand {
     fn read(&mut self, now_ns: u64) -> Result<DeviceState, DeviceError> {
         let now = SimTime(now_ns);
         let master = self.master.read(now_ns);
-        if let Ok(state) = master
-            && self.read_at != Some(now)
-        {
-            self.send(now, state);
-        }
-        self.read_at = Some(now);
         self.slave.set_stop(now, self.end.told.control.is_stopped());
         if let Some(arrival) = self.end.arrivals.read().filter(|arrival| self.taken != Some(arrival.sent_at))
         {
             self.taken = Some(arrival.sent_at);
             self.slave.admit(now, &arrival);
+            if let Some(feedback) = &mut self.feedback {
+                feedback.hear(&arrival);
+            }
         }
-        let state = self.slave.step(now);
+        let mut state = self.slave.step(now);
+        let coupled = self.couple(now, &master, &mut state);
+        if let Ok(master) = master
+            && self.read_at != Some(now)
+        {
+            self.send(now, master, coupled);
+        }
+        self.read_at = Some(now);
         self.compare(&state);
         let report = SlaveReport {
             master_in_device: self.master_in_device,
             errors: self.errors,
             force_in_device: self.force,
+            feedback: self.feedback.as_ref().map(|feedback| *feedback.report()),
             ..self.slave.report(now, &state)
         };
         self.report = Some(report);
@@ -149,7 +195,8 @@ impl HapticDevice for ReflectedHand {
     fn write(&mut self, now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError> {
         self.force = wrench.force;
         self.slave.feel(&wrench.force);
-        self.master.write(now_ns, &Wrench::ZERO)
+        let force = self.feedback.as_ref().map_or(Vector3::zeros(), |feedback| *feedback.force_in_device());
+        self.master.write(now_ns, &Wrench::from_force(force))
     }
 
     fn set_intent(&mut self, now_ns: u64, intent: &HandIntent) {
@@ -179,6 +226,7 @@ impl HapticDevice for ReflectedHand {
             read_at: self.read_at,
             sampled: self.sampled,
             report: self.report,
+            feedback: self.feedback.clone(),
             free: Some((linked, watched)),
             ..*self
         }))
@@ -199,6 +247,9 @@ impl HapticDevice for ReflectedHand {
         };
         self.master.resume(now_ns, &at_master, intent);
         self.slave.resume(SimTime(now_ns), state);
+        if let Some(feedback) = &mut self.feedback {
+            feedback.reset();
+        }
         self.read_at = Some(SimTime(now_ns));
     }
 }

@@ -3,16 +3,21 @@
 //! The paper's experiment had one workstation at both ends of the path: its packets went to a reflector in another city and
 //! came back, so that master and slave were a whole round trip apart. So here both ends are one machine: one clock, and a
 //! key that never leaves the process. A packet is a sealed datagram of kind hands ([`datagram`](crate::datagram)), one for
-//! each sample of the masters' devices.
+//! each sample of the masters' devices. With force feedback it also has what both ends of a hand's coupling tell each other
+//! ([`CoupledEnds`]), so that a force makes a round trip of its own before a hand feels it.
 
 use ring::rand::{SecureRandom, SystemRandom};
 use triple_buffer::{Input, Output, triple_buffer};
 use trocar_devices::Wrench;
 use trocar_scene::SimTime;
 
+use super::coupled_ends::{COUPLED_BYTES, CoupledEnds};
 use super::delay_histogram::DelayHistogram;
 use super::exchange::{Arrival, LinkReport, LinkedHand};
-use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Hands, Keys, Opener, ReceiveKey, Sealer, SendKey, Side};
+use crate::datagram::{
+    DATAGRAM_MAX, HANDS_MAX, Hands, Keys, Kind, Opener, PAYLOAD_MAX, ReceiveKey, SealError, Sealer, SendKey,
+    Side, encode_hands, hands_bytes,
+};
 use crate::hand_sample::HandSample;
 use crate::hands_link::HandsLink;
 use crate::impairments::DelayTrace;
@@ -38,6 +43,11 @@ pub struct ReflectedLink<A> {
     arrived: Hands,
     hands: Vec<LinkedHand>,
     samples: Vec<HandSample>,
+    /// Both ends of each hand's coupling, in the same order.
+    coupled: Vec<CoupledEnds>,
+    /// Whether any hand has a coupling.
+    feeds_back: bool,
+    arrived_coupled: Vec<CoupledEnds>,
     /// When each hand's newest sample was measured.
     sampled: Vec<Option<SimTime>>,
     newest: u64,
@@ -96,6 +106,9 @@ impl<A: Copy + PartialEq> ReflectedLink<A> {
             opener: Opener::new(receive, ROUND_TRIP_MAX),
             arrived: Hands::default(),
             sampled: vec![None; hands.len()],
+            coupled: vec![CoupledEnds::default(); hands.len()],
+            feeds_back: false,
+            arrived_coupled: Vec::with_capacity(hands.len()),
             samples,
             hands,
             newest: 0,
@@ -140,6 +153,9 @@ impl<A: Copy + PartialEq> ReflectedLink<A> {
             arrived: Hands::default(),
             hands,
             samples: self.samples.clone(),
+            coupled: self.coupled.clone(),
+            feeds_back: self.feeds_back,
+            arrived_coupled: Vec::with_capacity(self.samples.len()),
             sampled: self.sampled.clone(),
             newest: self.newest,
             trace: self.trace.clone(),
@@ -151,6 +167,24 @@ impl<A: Copy + PartialEq> ReflectedLink<A> {
             reports,
         };
         Ok((link, WatchedLink(watched)))
+    }
+
+    /// Seals the samples, and the couplings if there are any.
+    fn seal(&mut self, now: SimTime, out: &mut [u8; DATAGRAM_MAX]) -> Result<usize, SealError> {
+        if !self.feeds_back {
+            return self.sealer.seal_hands(now, None, &self.samples, out);
+        }
+        let mut payload = [0; PAYLOAD_MAX];
+        let mut length = encode_hands(None, &self.samples, &mut payload)?;
+        for ends in &self.coupled {
+            let place = payload
+                .get_mut(length..length + COUPLED_BYTES)
+                .ok_or(SealError::TooLong(length + COUPLED_BYTES))?;
+            place.copy_from_slice(&ends.encode());
+            length += COUPLED_BYTES;
+        }
+        // No more hands than fit have been encoded.
+        self.sealer.seal(Kind::CoupledHands, self.samples.len() as u8, now, &payload[..length], out)
     }
 
     fn measure(&mut self, now: SimTime, sent_at: SimTime) {
@@ -201,7 +235,13 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
         }
         // The opener counts what it refuses.
         let Ok((header, payload)) = self.opener.open(now, datagram) else { return };
-        if self.arrived.decode(header.hands, payload).is_err() || now.since(header.sent_at) > ROUND_TRIP_MAX {
+        // The opener has compared the payload's kind with how many hands it may have.
+        let (hands, ends) = payload.split_at(payload.len().min(hands_bytes(header.hands.into())));
+        let coupled = if header.kind == Kind::CoupledHands { header.hands } else { 0 };
+        if self.arrived.decode(header.hands, hands).is_err()
+            || CoupledEnds::decode_all(coupled, ends, &mut self.arrived_coupled).is_err()
+            || now.since(header.sent_at) > ROUND_TRIP_MAX
+        {
             return;
         }
         self.report.received += 1;
@@ -211,7 +251,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
             return;
         }
         self.newest = header.sequence;
-        for sample in self.arrived.samples() {
+        for (index, sample) in self.arrived.samples().iter().enumerate() {
             let Some(hand) = self.hands.iter_mut().find(|hand| hand.hand == sample.hand) else { continue };
             let age = SimTime::from_micros(u64::from(sample.age_us));
             hand.tell(Some(Arrival {
@@ -219,13 +259,15 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
                 sent_at: header.sent_at,
                 arrived_at: now,
                 sample: *sample,
+                coupled: self.arrived_coupled.get(index).copied(),
             }));
         }
     }
 
     fn tick(&mut self, now: SimTime, send: &mut dyn FnMut(A, &[u8]) -> bool) {
         let mut is_new = false;
-        for ((hand, sample), sampled) in self.hands.iter_mut().zip(&mut self.samples).zip(&mut self.sampled) {
+        let places = self.samples.iter_mut().zip(&mut self.coupled).zip(&mut self.sampled);
+        for (hand, ((sample, coupled), sampled)) in self.hands.iter_mut().zip(places) {
             if let Some(newest) = *hand.masters.read()
                 && *sampled != Some(newest.sampled_at)
             {
@@ -233,6 +275,9 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
                 *sampled = Some(newest.sampled_at);
                 sample.state = newest.state;
                 sample.wrench = Wrench::ZERO;
+                if let Some(ends) = newest.coupled {
+                    (*coupled, self.feeds_back) = (ends, true);
+                }
             }
             if let Some(sampled) = *sampled {
                 let age_us = (now.since(sampled).as_nanos() + 500) / 1_000;
@@ -242,7 +287,7 @@ impl<A: Copy + PartialEq + Send + 'static> HandsLink<A> for ReflectedLink<A> {
         if is_new && self.sampled.iter().all(Option::is_some) {
             let mut out = [0; DATAGRAM_MAX];
             // Samples are checked before they come here, and their number fits; a key wears out after millennia.
-            if let Ok(length) = self.sealer.seal_hands(now, None, &self.samples, &mut out)
+            if let Ok(length) = self.seal(now, &mut out)
                 && send(self.reflector, &out[..length])
             {
                 self.report.sent += 1;

@@ -23,7 +23,7 @@ fn over(
         let now = SimTime::from_millis(step);
         let mut state = DeviceState { connected: true, ..DeviceState::unknown() };
         state.pose_in_device.translation.x = 1e-4 * step as f64;
-        device.masters.write(Some(MasterSample { sampled_at: now, state }));
+        device.masters.write(Some(MasterSample { sampled_at: now, state, coupled: None }));
         while let Some(due) = reflector.next_due().filter(|due| *due <= now) {
             let Some(Parcel { mut bytes, .. }) = reflector.due(due) else { break };
             link.receive(due, (), &mut bytes, &mut |(), _| panic!("nothing is answered"));

@@ -34,7 +34,8 @@ impl Bench {
         sample.state.pose_in_device = master;
         sample.state.connected = true;
         sample.state.buttons = buttons;
-        self.slave.admit(now, &Arrival { sampled_at: now, sent_at: now, arrived_at: now, sample });
+        self.slave
+            .admit(now, &Arrival { sampled_at: now, sent_at: now, arrived_at: now, sample, coupled: None });
         self.slave.step(now)
     }
 
@@ -233,7 +234,7 @@ fn a_step_that_follows_a_late_one_has_as_much_time_as_any_other() {
         let mut sample = HandSample::unknown(0);
         sample.state.connected = true;
         sample.state.pose_in_device.translation.x = (5e-4 * step as f64).min(0.07);
-        slave.admit(now, &Arrival { sampled_at: now, sent_at: now, arrived_at: now, sample });
+        slave.admit(now, &Arrival { sampled_at: now, sent_at: now, arrived_at: now, sample, coupled: None });
         x = slave.step(now).pose_in_device.translation.x;
     }
     assert!((x - 0.07).abs() < 1e-9);

@@ -118,7 +118,7 @@ fn round_trips(trace: &TeleoperationTrace, (from, to): (f64, f64), mean: Option<
 fn told(hand: &str, figures: &TeleoperationFigures) -> String {
     let ms = |value: Option<f64>| value.map(|value| format!("{} ms", short(value * MS)));
     let mm = |value: Option<f64>| value.map(|value| format!("{} mm", short(value * MM)));
-    let rows: [(&str, Option<String>); 18] = [
+    let rows: [(&str, Option<String>); 19] = [
         ("round trip, mean", figures.round_trip_mean.map(|trip| format!("{:.2} ms", trip * MS))),
         ("round trip, shortest", ms(figures.round_trip_min)),
         ("round trip, of 99 %", ms(figures.round_trip_p99)),
@@ -139,6 +139,7 @@ fn told(hand: &str, figures: &TeleoperationFigures) -> String {
         ),
         ("steps in which a limit held the slave back", Some(figures.limited.to_string())),
         ("current on at the slave", Some(format!("{} s", short(figures.energised)))),
+        ("felt of the force at the slave", figures.felt_share.map(|share| format!("{:.0} %", 100.0 * share))),
         ("emergency stops, silences of 100 ms", Some(format!("{}, {}", figures.stops, figures.silences))),
     ];
     let rows = rows

@@ -5,6 +5,8 @@
 //! hands = ["right"]
 //! round_trip_secs = 0.15057            # the mean; the trace is made, see `internet_path`
 //! slave = { scale = 1.0 }
+//! feedback = "automatic"               # the master's hand feels what the slave touches; or passivity, wave-variables,
+//!                                      # model-mediated; nothing without it
 //! ```
 //!
 //! Live the packets go over real sockets, to a reflector that the session starts on the loopback, or to one that
@@ -17,6 +19,8 @@ use std::sync::Arc;
 use serde::Deserialize;
 use trocar_devices::HapticDevice;
 use trocar_kernel::spec::{Factory, Peer};
+use trocar_network::compensation::Compensation;
+use trocar_network::datagram::COUPLED_HANDS_MAX;
 use trocar_network::impairments::{DELAY_MAX, DelayTrace, Impairments};
 use trocar_network::live::reflected::{OwnReflector, socket};
 use trocar_network::lockstep::ReflectedPeer;
@@ -26,7 +30,7 @@ use trocar_network::teleoperation::{
     TeleoperationWatch, WatchedHand, WatchedLink, internet_path,
 };
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{BuildContext, Controller, Entity, SimTime};
+use trocar_scene::{BuildContext, Controller, Entity, Hand, Instrument, SimTime, Snapshot};
 
 use super::NetworkError;
 use super::host::NetworkSettings;
@@ -64,6 +68,8 @@ pub(super) struct ReflectorSettings {
     corrupt: f64,
     /// The robot.
     slave: SlaveConfig,
+    /// How the forces at the slave are brought to the master's hand; none: it feels none.
+    feedback: Option<Compensation>,
 }
 
 impl Default for ReflectorSettings {
@@ -79,6 +85,7 @@ impl Default for ReflectorSettings {
             reorder: 0.0,
             corrupt: 0.0,
             slave: SlaveConfig::default(),
+            feedback: None,
         }
     }
 }
@@ -102,6 +109,12 @@ impl ReflectorSettings {
             range(field, share, 0.0, 1.0, "")?;
         }
         range("burst", self.burst, 0.0, 1e6, " packets")?;
+        if self.feedback.is_some() && self.hands.len() > COUPLED_HANDS_MAX {
+            let hands = self.hands.len();
+            return Err(format!(
+                "reflector.feedback: {hands} hands are too many for one packet; {COUPLED_HANDS_MAX} fit with their forces"
+            ));
+        }
         let known = || scenario.hands.iter().map(|hand| hand.name.as_str()).collect::<Vec<_>>().join(", ");
         match self.hands.iter().find(|name| !scenario.hands.iter().any(|hand| hand.name == **name)) {
             Some(name) => Err(format!("reflector.hands: no hand is called '{name}'; there are: {}", known())),
@@ -206,6 +219,7 @@ impl TeleoperatedHands {
         &mut self,
         name: &str,
         entity: Entity,
+        scene: &Snapshot,
         mut device: Box<dyn HapticDevice>,
     ) -> Result<Box<dyn HapticDevice>, NetworkError> {
         let elsewhere = device.as_any().and_then(|any| any.downcast_mut::<ItpDevice>());
@@ -227,6 +241,10 @@ impl TeleoperatedHands {
         let number = self.linked.len() as u8;
         let (hand, linked, watched) = ReflectedHand::new(number, settings.slave, device)
             .map_err(|error| NetworkError::Scenario(format!("reflector: {error}")))?;
+        let hand = match settings.feedback {
+            Some(choice) => hand.feeding_back(choice, &settings.slave, coupling_stiffness(scene, entity)),
+            None => hand,
+        };
         self.linked.push(linked);
         self.reflected.push((name.to_owned(), entity, watched));
         Ok(Box::new(hand))
@@ -315,6 +333,12 @@ impl ReflectedOrigin {
         };
         hands.iter_mut().filter_map(of).unzip()
     }
+}
+
+/// Stiffness between a hand and its instrument [N/m].
+fn coupling_stiffness(scene: &Snapshot, hand: Entity) -> f64 {
+    let instrument = scene.get::<Hand>(hand).and_then(|hand| scene.get::<Instrument>(hand.instrument));
+    instrument.map_or_else(|| Instrument::default().coupling_stiffness, |tool| tool.coupling_stiffness)
 }
 
 /// The path in virtual time.
