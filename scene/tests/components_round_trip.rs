@@ -394,6 +394,7 @@ fn tele_surgery(formats: &mut Formats) {
         stops: 1,
         silences: 2,
         energised: 4.5,
+        felt_share: Some(0.98),
         ..TeleoperationFigures::default()
     };
     let value = Teleoperation {
@@ -406,6 +407,8 @@ fn tele_surgery(formats: &mut Formats) {
         applied: SimTime(5),
         round_trip: 0.15,
         force_in_world: v(0.3),
+        feedback: ForceFeedback::WaveVariables,
+        felt_in_world: v(0.2),
         protected: true,
         figures,
     };
