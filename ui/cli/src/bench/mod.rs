@@ -101,7 +101,7 @@ const RECORDING: [Part; 3] = [
 ];
 
 /// The parts of the suite `network`.
-const NETWORK: [Part; 9] = [
+const NETWORK: [Part; 10] = [
     ("sealing, and allocations of a hands link", network::sealing),
     ("round trips beside bare datagrams", network::round_trip),
     ("a path that loses a fifth", network::lossy_sender),
@@ -110,6 +110,7 @@ const NETWORK: [Part; 9] = [
     ("a liver that is pulled", network::liver),
     ("three architectures", network::architectures),
     ("a thin client", network::thin_client),
+    ("a slave's forces", network::force_feedback),
     ("a stranger's flood", network::flood),
 ];
 

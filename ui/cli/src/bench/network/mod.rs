@@ -1,7 +1,8 @@
 //! The suite `network`: hands between stations beside bare datagrams, many stations at one host, joins, a scene that
-//! moves, and a stranger's flood. Hosts and stations are those of a session, over sockets of this machine.
+//! moves, a slave's forces, and a stranger's flood. Hosts and stations are those of a session, over sockets of this machine.
 
 mod architectures;
+mod feedback;
 mod flood;
 mod link;
 mod load;
@@ -18,6 +19,7 @@ mod stations;
 mod veth;
 
 pub use architectures::{architectures, thin_client};
+pub use feedback::force_feedback;
 pub use flood::flood;
 pub use round_trip::round_trip;
 pub use rows::liver;

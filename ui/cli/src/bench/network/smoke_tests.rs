@@ -9,7 +9,7 @@ use super::link::{HANDS, hands_at};
 use super::raw::{RawEcho, round_trips};
 use super::round_trip::{Question, through_links};
 use super::veth::Place;
-use super::{architectures, flood, rows, scenes, sealing, stations};
+use super::{architectures, feedback, flood, rows, scenes, sealing, stations};
 use crate::failure::Failure;
 
 const BRIEF: Duration = Duration::from_millis(200);
@@ -87,4 +87,10 @@ fn a_flood_comes_and_the_hands_are_still_served() {
 fn a_thin_client_computes_less_than_its_server() {
     let rows = good(architectures::thin_client());
     assert!(rows.len() == 1 && rows[0].value > 0.0 && rows[0].floor > Some(0.0), "{rows:?}");
+}
+
+#[test]
+fn a_liver_is_felt_by_way_of_its_slave() {
+    let share = good(feedback::felt("passivity", feedback::DELAYS[0].0));
+    assert!((0.5..1.2).contains(&share), "{share}");
 }
