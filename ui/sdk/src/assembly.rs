@@ -267,7 +267,9 @@ fn open_hands(
         }
         let device = app.make_device(&hand.name, hand.entity, text)?;
         let device = network.wrap(&hand.name, hand.entity, scene, device)?;
-        opened.push(OpenedHand::new(&hand.name, hand.entity, device));
+        let is_far = options.network.station().is_some() && !network.sharing.is_among_peers();
+        let open = if is_far { OpenedHand::far_from_its_scene } else { OpenedHand::new };
+        opened.push(open(hand.name.as_str(), hand.entity, device));
     }
     Ok(opened)
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use trocar_devices::{
     Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DeviceState as Measured, DriverConfig, DriverCore,
     DriverResume, DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent,
-    HapticDevice, PortEnergy, SessionTime, Wrench, link,
+    HapticDevice, PassivityConfig, PortEnergy, SessionTime, Wrench, link,
 };
 use trocar_haptics::pressed;
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
@@ -55,9 +55,29 @@ pub struct OpenedHand {
 impl OpenedHand {
     /// Wraps a device in the driver's safety layer.
     pub fn new(name: impl Into<String>, entity: Entity, device: Box<dyn HapticDevice>) -> Self {
+        Self::with(DriverConfig::default(), name, entity, device)
+    }
+
+    /// The same for a hand whose scene is computed elsewhere. Energy is lent to what moves by itself; what comes late looks
+    /// like that, and would be lent the energy that a delay makes. So nothing is lent.
+    pub(crate) fn far_from_its_scene(
+        name: impl Into<String>,
+        entity: Entity,
+        device: Box<dyn HapticDevice>,
+    ) -> Self {
+        let passivity = PassivityConfig { lend_power: 0.0, ..PassivityConfig::default() };
+        Self::with(DriverConfig { passivity, ..DriverConfig::default() }, name, entity, device)
+    }
+
+    fn with(
+        config: DriverConfig,
+        name: impl Into<String>,
+        entity: Entity,
+        device: Box<dyn HapticDevice>,
+    ) -> Self {
         let (end, slot, monitor) = link();
         let faults = DeviceFaults::new();
-        let core = DriverCore::new(DriverConfig::default(), device.as_ref(), end, faults.clone());
+        let core = DriverCore::new(config, device.as_ref(), end, faults.clone());
         let capabilities = device.capabilities().clone();
         let port = HandPort { name: name.into(), entity, slot, monitor, faults, capabilities };
         Self { port, core, device }

@@ -17,14 +17,14 @@ const STROKES: &str = "
     { seconds = 1.2, to = [-0.060, 0.040, 0.078] },
 ";
 const RETRACTIONS: &str = "
-    { seconds = 0.8, to = [0.000, 0.002, 0.070], jaws = 0.7 },
-    { seconds = 1.2, to = [0.000, 0.002, 0.037] },
+    { seconds = 0.8, to = [0.000, 0.005, 0.070], jaws = 0.7 },
+    { seconds = 1.2, to = [0.000, 0.005, 0.035] },
     { seconds = 0.6, jaws = 0.0 },
     { seconds = 1.8, to = [-0.008, 0.020, 0.055] },
     { seconds = 1.0 },
-    { seconds = 1.8, to = [0.000, 0.002, 0.040] },
+    { seconds = 1.8, to = [0.000, 0.005, 0.040] },
     { seconds = 0.5, jaws = 0.7 },
-    { seconds = 0.8, to = [0.000, 0.002, 0.070] },
+    { seconds = 0.8, to = [0.000, 0.005, 0.070] },
 ";
 /// How long both take.
 const ROUND: SimTime = SimTime::from_millis(8_500);
