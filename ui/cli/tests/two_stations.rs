@@ -202,5 +202,6 @@ fn a_liver_under_two_hands_is_the_same_at_two_peers_for_ten_minutes() {
     let (p95, most, repairs) = pulled_apart(71);
     println!("apart: {:.4} mm (95 %), {:.3} mm at most, {repairs} repairs", p95 * 1e3, most * 1e3);
     assert!(p95 <= 1e-3, "{p95}");
-    assert_eq!(repairs, 0, "nothing had to be repaired");
+    // A repair takes 100 kB at most, and 46 kB a second go to the station.
+    assert!(100e3 * f64::from(repairs) <= 0.05 * 46e3 * 600.0, "{repairs} repairs");
 }
