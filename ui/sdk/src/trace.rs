@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, LinkState, SimTime,
-    Snapshot, Station, TaskState, Teleoperation,
+    Component, DeviceForce, DeviceState, Entity, ForceFeedback, Grasp, Hand, HapticStatus, JawState,
+    LinkState, SimTime, Snapshot, Station, TaskState, Teleoperation,
 };
 
 use crate::decimate::{Series, Track};
@@ -84,12 +84,22 @@ pub struct TeleoperationTrace {
     pub slave_x: Series,
     /// Round trip of the newest packet \[s\].
     pub round_trip: Series,
+    /// Force on the master's hand \[N\], if forces are fed back.
+    pub felt_force: Series,
+    /// Force at the slave \[N\], if forces are fed back.
+    pub slave_force: Series,
 }
 
 impl Default for TeleoperationTrace {
     fn default() -> Self {
         let series = || Series::new(INTERVAL_SECS, TELEOPERATION_BUCKETS);
-        Self { master_x: series(), slave_x: series(), round_trip: series() }
+        Self {
+            master_x: series(),
+            slave_x: series(),
+            round_trip: series(),
+            felt_force: series(),
+            slave_force: series(),
+        }
     }
 }
 
@@ -102,6 +112,10 @@ impl TeleoperationTrace {
         }
         if row.round_trip > 0.0 {
             self.round_trip.push(secs, row.round_trip.into());
+        }
+        if row.feedback != ForceFeedback::None {
+            self.felt_force.push(secs, row.felt_in_world.norm().into());
+            self.slave_force.push(secs, row.force_in_world.norm().into());
         }
     }
 }

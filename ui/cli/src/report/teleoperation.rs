@@ -3,6 +3,7 @@
 
 use std::fmt::Write as _;
 
+use trocar::decimate::Series;
 use trocar::summary::TeleoperationFigures;
 use trocar::trace::TeleoperationTrace;
 
@@ -38,6 +39,11 @@ pub fn teleoperation(report: &Report) -> String {
             positions(trace, whole, "X positions of master and slave over time"),
             positions(trace, part, "X positions of master and slave in three seconds"),
         );
+        if !trace.felt_force.is_empty() {
+            let what = "Force on the master's hand and at the slave over time";
+            let lines = lines(&trace.felt_force, &trace.slave_force, whole, ("force [N]", what), 1.0);
+            let _ = write!(body, "<h3>{side}: force on the master's hand, and at the slave</h3>{lines}");
+        }
         if !trace.round_trip.is_empty() {
             let _ = write!(
                 body,
@@ -73,14 +79,25 @@ fn fastest(trace: &TeleoperationTrace) -> f64 {
     fastest.map_or(0.0, |pair| pair[0].0)
 }
 
-fn positions(trace: &TeleoperationTrace, (from, to): (f64, f64), describe: &str) -> String {
+fn positions(trace: &TeleoperationTrace, span: (f64, f64), describe: &str) -> String {
+    lines(&trace.master_x, &trace.slave_x, span, ("x [mm]", describe), MM)
+}
+
+/// A line of the master and one of the slave, each times `unit`, with the name of the axis and a description.
+fn lines(
+    master: &Series,
+    slave: &Series,
+    (from, to): (f64, f64),
+    (axis, describe): (&str, &str),
+    unit: f64,
+) -> String {
     const HEIGHT: f64 = 260.0;
-    let within = |series: &trocar::decimate::Series| -> Vec<(f64, f64)> {
+    let within = |series: &Series| -> Vec<(f64, f64)> {
         let inside = series.iter().filter(|(secs, _)| (from..=to).contains(secs));
-        inside.map(|(secs, extent)| (secs, extent.last * MM)).collect()
+        inside.map(|(secs, extent)| (secs, extent.last * unit)).collect()
     };
-    let (master, slave) = (within(&trace.master_x), within(&trace.slave_x));
-    let all = || master.iter().chain(&slave).map(|(_, x)| *x);
+    let (master, slave) = (within(master), within(slave));
+    let all = || master.iter().chain(&slave).map(|(_, value)| *value);
     let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
     if !(low.is_finite() && high.is_finite()) {
         return String::new();
@@ -88,7 +105,7 @@ fn positions(trace: &TeleoperationTrace, (from, to): (f64, f64), describe: &str)
     let x = Scale::linear((from, to.max(from + 0.1)), MARGINS.left, WIDTH - MARGINS.right);
     let y = Scale::linear((low, high.max(low + 1.0)), HEIGHT - MARGINS.bottom, MARGINS.top).nice();
     let mut chart = Chart::new(WIDTH, HEIGHT, describe, x, y);
-    chart.axes("session time [s]", "x [mm]", 12, 9);
+    chart.axes("session time [s]", axis, 12, 9);
     chart.line(MASTER, master).line(SLAVE, slave);
     chart.finish()
 }
@@ -193,8 +210,41 @@ mod tests {
         assert_eq!(html.matches("class=\"mean\"").count(), 1);
         assert!(html.contains("150.57 ms") && html.contains("in numbers"), "{html}");
         assert!(!html.contains("NaN") && !html.contains("inf"), "{html}");
+        assert!(!html.contains("force on"), "no forces are fed back: {html}");
         // What is not known is not told as a number.
         assert!(html.contains("–"), "{html}");
+    }
+
+    #[test]
+    fn the_force_on_the_hand_is_drawn_beside_that_at_the_slave() {
+        let mut trace = RunTrace::new();
+        let one = trace.teleoperations.entry("right".to_owned()).or_default();
+        for step in 0..500 {
+            let secs = f64::from(step) * 0.02;
+            let force = |secs: f64| secs.sin().max(0.0);
+            one.slave_force.push(secs, force(secs).into());
+            one.felt_force.push(secs, force(secs - 0.1).into());
+        }
+        trace.secs = 10.0;
+        let mut summary = RunSummary::new("tele-palpation", Mode::Lockstep, 1);
+        let figures = TeleoperationFigures { felt_share: Some(0.936), ..TeleoperationFigures::default() };
+        summary.teleoperation.insert("right".to_owned(), figures);
+        let report = Report {
+            title: "Tele",
+            summary: &summary,
+            trace: &trace,
+            lateness: &[],
+            health: &[],
+            incidents: &[],
+            failures: &[],
+            force_limits: &BTreeMap::new(),
+        };
+        let html = teleoperation(&report);
+        assert!(
+            html.contains("force on the master&#39;s hand") || html.contains("force on the master's hand")
+        );
+        assert!(html.contains("force [N]") && html.contains("94 %"), "{html}");
+        assert_eq!(html.matches("<svg").count(), 1);
     }
 
     #[test]
