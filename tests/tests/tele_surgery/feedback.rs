@@ -85,12 +85,12 @@ struct Outcome {
 fn direct() -> Outcome {
     let mut session = wall("");
     let mut outcome = Outcome::default();
-    for press in 0..2 {
-        session.run_until(SimTime::from_millis(ENDS[press]));
+    for (stiffness, end) in outcome.stiffness.iter_mut().zip(ENDS) {
+        session.run_until(SimTime::from_millis(end));
         let scene = session.snapshot();
         let (_, device) = scene.iter::<DeviceState>().next().expect("a hand");
         // The device's z axis points down, and the tip is 10 mm above the wall at its origin.
-        outcome.stiffness[press] = -device.applied_force.z / (device.handle_in_device.translation.z - 0.010);
+        *stiffness = -device.applied_force.z / (device.handle_in_device.translation.z - 0.010);
     }
     outcome
 }
@@ -107,10 +107,8 @@ fn outcome(mut session: Session) -> Outcome {
             work -= held.dot(&(place - was));
             outcome.gained = outcome.gained.max(-work);
         }
-        for press in 0..2 {
-            if ms == ENDS[press] {
-                outcome.stiffness[press] = row.felt_in_world.z / -place.z;
-            }
+        for (stiffness, _) in outcome.stiffness.iter_mut().zip(ENDS).filter(|(_, end)| *end == ms) {
+            *stiffness = row.felt_in_world.z / -place.z;
         }
         for (range, from) in range.iter_mut().zip([ENDS[1] - 9_000, ENDS[1] - 2_000]) {
             if (from..from + 2_000).contains(&ms) {
