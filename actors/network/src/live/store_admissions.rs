@@ -1,11 +1,11 @@
 //! Admissions of a host whose tickets are on its disk.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::control::{Credential, PlainText, Refusal};
 use crate::session::{Admissions, SteppedClock, examine, no_station};
-use crate::ticket::{Admission, Role, StoreError, TicketId, TicketStore};
+use crate::ticket::{Admission, HostTime, Role, StoreError, TicketId, TicketStore};
 
 /// Tries before a book that another program is changing counts as busy; a change takes milliseconds.
 const TRIES_MAX: u32 = 200;
@@ -26,12 +26,21 @@ pub fn wait_for_the_book(tries: u32) -> bool {
 pub struct StoreAdmissions {
     store: Arc<Mutex<TicketStore>>,
     clock: Arc<SteppedClock>,
+    /// The steady clock: when it began, and what the wall clock showed then. It stands still while the computer sleeps.
+    begun: (Instant, u64),
 }
 
 impl StoreAdmissions {
     /// Of this book.
     pub fn new(store: TicketStore) -> Self {
-        Self { store: Arc::new(Mutex::new(store)), clock: Arc::default() }
+        let begun = (Instant::now(), unix_secs());
+        Self { store: Arc::new(Mutex::new(store)), clock: Arc::default(), begun }
+    }
+
+    fn now(&self) -> HostTime {
+        let (instant, begun_unix_secs) = self.begun;
+        let steady = begun_unix_secs.saturating_add(instant.elapsed().as_secs());
+        HostTime { wall: self.clock.stepped(unix_secs()), steady }
     }
 
     /// What faults have done to the wall clock by which tickets expire.
@@ -54,11 +63,11 @@ impl Admissions for StoreAdmissions {
     fn examine(&mut self, credential: &Credential) -> Result<(Option<u16>, Role), Refusal> {
         let mut store = self.store();
         store.refresh().map_err(|error| trouble(&error))?;
-        examine(store.book(), credential, self.clock.stepped(unix_secs())).map_err(Refusal::Ticket)
+        examine(store.book(), credential, self.now()).map_err(Refusal::Ticket)
     }
 
     fn admit(&mut self, credential: &Credential) -> Result<Admission, Refusal> {
-        let (mut store, now) = (self.store(), self.clock.stepped(unix_secs()));
+        let (mut store, now) = (self.store(), self.now());
         let admitted = match credential {
             Credential::Ticket { token, resume } => {
                 let station = store.book().free_station().ok_or_else(no_station)?;
@@ -78,6 +87,6 @@ impl Admissions for StoreAdmissions {
     }
 
     fn unix_secs(&self) -> u64 {
-        self.clock.stepped(unix_secs())
+        self.now().wall
     }
 }

@@ -6,18 +6,18 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink};
 
 use crate::control::{Credential, Refusal};
-use crate::ticket::{Admission, Refused, Role, TicketBook, TicketId};
+use crate::ticket::{Admission, HostTime, Refused, Role, TicketBook, TicketId};
 
 /// Seconds since 1970, for the expiry of tickets alone: nothing else in a session asks what day it is.
 pub trait UnixClock: Send + 'static {
     /// Now.
-    fn unix_secs(&self) -> u64;
+    fn now(&self) -> HostTime;
 }
 
 /// A clock that stands still, for sessions in virtual time.
 impl UnixClock for u64 {
-    fn unix_secs(&self) -> u64 {
-        *self
+    fn now(&self) -> HostTime {
+        (*self).into()
     }
 }
 
@@ -64,7 +64,7 @@ pub trait Admissions: Send + 'static {
     fn refresh(&mut self) -> Result<(), String>;
     /// Whether the ticket with which a station came in was withdrawn.
     fn is_revoked(&self, ticket: TicketId) -> bool;
-    /// Seconds since 1970.
+    /// Seconds since 1970, by the wall clock.
     fn unix_secs(&self) -> u64;
 }
 
@@ -84,7 +84,11 @@ impl<C> BookAdmissions<C> {
 }
 
 /// What a book says of a credential, without spending it.
-pub fn examine(book: &TicketBook, credential: &Credential, now: u64) -> Result<(Option<u16>, Role), Refused> {
+pub fn examine(
+    book: &TicketBook,
+    credential: &Credential,
+    now: HostTime,
+) -> Result<(Option<u16>, Role), Refused> {
     match credential {
         Credential::Ticket { token, resume } => {
             book.examine(token, resume, now).map(|(role, _)| (None, role))
@@ -102,11 +106,11 @@ pub fn no_station() -> Refusal {
 
 impl<C: UnixClock> Admissions for BookAdmissions<C> {
     fn examine(&mut self, credential: &Credential) -> Result<(Option<u16>, Role), Refusal> {
-        examine(&self.book(), credential, self.clock.unix_secs()).map_err(Refusal::Ticket)
+        examine(&self.book(), credential, self.clock.now()).map_err(Refusal::Ticket)
     }
 
     fn admit(&mut self, credential: &Credential) -> Result<Admission, Refusal> {
-        let now = self.clock.unix_secs();
+        let now = self.clock.now();
         let mut book = self.book();
         let admitted = match credential {
             Credential::Ticket { token, resume } => {
@@ -127,6 +131,6 @@ impl<C: UnixClock> Admissions for BookAdmissions<C> {
     }
 
     fn unix_secs(&self) -> u64 {
-        self.clock.unix_secs()
+        self.clock.now().wall
     }
 }

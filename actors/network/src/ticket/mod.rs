@@ -13,13 +13,14 @@
 //!
 //! Whoever reads the host's file can stand in for the host, so it has mode 0600, but cannot join with what is in it.
 //!
-//! Only the host's clock judges an expiry, with a tolerance of [`CLOCK_TOLERANCE_SECS`]. A station whose clock is wrong
-//! can join all the same; [`clock_difference`] says in words what is wrong.
+//! Only the host's clocks judge an expiry, with a tolerance of [`CLOCK_TOLERANCE_SECS`]: [`HostTime`] says which one when.
+//! A station whose clock is wrong can join all the same; [`clock_difference`] says in words what is wrong.
 
 mod base32_line;
 mod byte_reader;
 mod fingerprint;
 mod host_address;
+mod host_time;
 mod identity;
 mod join_ticket;
 mod plain_name;
@@ -38,6 +39,7 @@ mod unix_time;
 pub use base32_line::{LINE_MAX, LineError};
 pub use fingerprint::{FINGERPRINT_BYTES, Fingerprint};
 pub use host_address::{AddressError, DNS_NAME_MAX, HostAddress, HostPlace, ZONE_MAX};
+pub use host_time::HostTime;
 pub use identity::{Identity, IdentityError, SERVER_NAME};
 pub use join_ticket::{ADDRESSES_MAX, EXPIRY_MAX_SECS, Ticket, TicketError};
 pub use plain_name::{NAME_MAX, NameError, PlainName};

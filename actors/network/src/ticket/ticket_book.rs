@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::host_address::HostAddress;
+use super::host_time::HostTime;
 use super::identity::{Identity, IdentityError};
 use super::join_ticket::{Ticket, TicketError};
 use super::plain_name::PlainName;
@@ -183,11 +184,8 @@ struct Entry {
     revoked_at: Option<u64>,
 }
 
-/// Refuses what a clock says has not begun or is over.
-fn check_span(issued_at: u64, expired_at: u64, now: u64) -> Result<(), Refused> {
-    if now.saturating_add(CLOCK_TOLERANCE_SECS) < issued_at {
-        return Err(Refused::ClockWentBack { issued_at, now });
-    }
+/// Refuses what is over.
+fn check_expiry(expired_at: u64, now: u64) -> Result<(), Refused> {
     if now > expired_at.saturating_add(CLOCK_TOLERANCE_SECS) {
         return Err(Refused::Expired { expired_at, now });
     }
@@ -303,7 +301,7 @@ impl TicketBook {
     }
 
     /// The entry that this token would redeem.
-    fn open_entry(&self, token: &Token, resume: &ResumeSecret, now: u64) -> Result<usize, Refused> {
+    fn open_entry(&self, token: &Token, resume: &ResumeSecret, now: HostTime) -> Result<usize, Refused> {
         let (hash, resume) = (token.hash(), resume.hash());
         let is_in_use = self
             .entries
@@ -318,11 +316,23 @@ impl TicketBook {
         if let Some(redeemed) = &entry.redeemed {
             return Err(Refused::Spent { at: redeemed.at });
         }
-        check_span(entry.issued_at, entry.expires, now)?;
+        let (issued_at, now) = (entry.issued_at, now.latest());
+        if now.saturating_add(CLOCK_TOLERANCE_SECS) < issued_at {
+            return Err(Refused::ClockWentBack { issued_at, now });
+        }
+        // Tickets that were given out later were not given out earlier, whatever the clocks show now.
+        let later = self.entries[at + 1..].iter().map(|later| later.issued_at).max().unwrap_or(0);
+        check_expiry(entry.expires, now.max(later).max(self.joined_after(at)))?;
         if is_in_use {
             return Err(Refused::SecretInUse);
         }
         Ok(at)
+    }
+
+    /// When somebody came in with a ticket that was given out later than that of this entry; 0 if nobody has.
+    fn joined_after(&self, at: usize) -> u64 {
+        let joins = self.entries[at + 1..].iter().filter_map(|later| later.redeemed.as_ref());
+        joins.map(|join| join.at).max().unwrap_or(0)
     }
 
     /// What a token would let in as; nothing is spent.
@@ -333,9 +343,9 @@ impl TicketBook {
         &self,
         token: &Token,
         resume: &ResumeSecret,
-        now: u64,
+        now: impl Into<HostTime>,
     ) -> Result<(Role, PlainName), Refused> {
-        let entry = &self.entries[self.open_entry(token, resume, now)?];
+        let entry = &self.entries[self.open_entry(token, resume, now.into())?];
         Ok((entry.role, entry.person.clone()))
     }
 
@@ -362,31 +372,33 @@ impl TicketBook {
         token: &Token,
         station: u16,
         resume: &ResumeSecret,
-        now: u64,
+        now: impl Into<HostTime>,
     ) -> Result<Admission, Refused> {
+        let now = now.into();
         let at = self.open_entry(token, resume, now)?;
         let entry = &mut self.entries[at];
-        let resume = resume.hash();
-        let resume_expires = now.saturating_add(RESUME_LIFE_SECS);
-        entry.redeemed = Some(Redeemed { at: now, station, resume, resume_expires });
+        let (at, resume) = (now.steady, resume.hash());
+        let resume_expires = at.saturating_add(RESUME_LIFE_SECS);
+        entry.redeemed = Some(Redeemed { at, station, resume, resume_expires });
         Ok(entry.admission(station))
     }
 
-    /// Lets a station come back, as often as it needs.
+    /// Lets a station come back, as often as it needs, also if the host's clock has gone back since it came in: that it was
+    /// let in is known.
     ///
     /// # Errors
     /// [`Refused`].
-    pub fn resume(&self, secret: &ResumeSecret, now: u64) -> Result<Admission, Refused> {
+    pub fn resume(&self, secret: &ResumeSecret, now: impl Into<HostTime>) -> Result<Admission, Refused> {
         let hash = secret.hash();
-        let found = self.entries.iter().find_map(|entry| {
+        let found = self.entries.iter().enumerate().find_map(|(at, entry)| {
             let redeemed = entry.redeemed.as_ref()?;
-            (redeemed.resume == hash).then_some((entry, redeemed))
+            (redeemed.resume == hash).then_some((at, entry, redeemed))
         });
-        let (entry, redeemed) = found.ok_or(Refused::Unknown)?;
+        let (at, entry, redeemed) = found.ok_or(Refused::Unknown)?;
         if let Some(at) = entry.revoked_at {
             return Err(Refused::Revoked { at });
         }
-        check_span(redeemed.at, redeemed.resume_expires, now)?;
+        check_expiry(redeemed.resume_expires, now.into().steady.max(self.joined_after(at)))?;
         Ok(entry.admission(redeemed.station))
     }
 

@@ -107,11 +107,59 @@ fn a_host_whose_clock_went_back_by_an_hour_says_so() {
         book.redeem(&token, 1, &resume_secret(1), NOW - CLOCK_TOLERANCE_SECS).is_ok(),
         "a little is nothing"
     );
-    assert_eq!(
-        book.resume(&resume_secret(1), NOW - 2 * HOUR)
-            .map_err(|refused| matches!(refused, Refused::ClockWentBack { .. })),
-        Err(true)
-    );
+}
+
+#[test]
+fn a_station_comes_back_whichever_way_the_wall_clock_was_set_and_no_later_than_its_time() {
+    let mut book = book();
+    let (_, token) = issue(&mut book, Role::Operate, "Ana");
+    // It comes in while the wall clock is an hour ahead; its time counts by the steady clock all the same.
+    let ahead = HostTime { wall: NOW + 50 * 60, steady: NOW };
+    let admission = book.redeem(&token, 1, &resume_secret(1), ahead).expect("it lets in");
+    let last = NOW + RESUME_LIFE_SECS + CLOCK_TOLERANCE_SECS;
+    for wall in [0, NOW - HOUR, NOW, NOW + HOUR, NOW + 10_000 * HOUR, u64::MAX] {
+        for steady in [NOW, NOW + HOUR, last] {
+            let back = book.resume(&resume_secret(1), HostTime { wall, steady });
+            assert_eq!(back.as_ref(), Ok(&admission), "{wall} {steady}");
+        }
+        let late = book.resume(&resume_secret(1), HostTime { wall, steady: last + 1 });
+        assert!(matches!(late, Err(Refused::Expired { .. })), "{wall}: {late:?}");
+    }
+    // The host was started again with a clock that is an hour wrong.
+    assert_eq!(book.resume(&resume_secret(1), NOW - HOUR), Ok(admission));
+}
+
+#[test]
+fn a_wall_clock_that_is_set_back_lets_no_expired_ticket_in() {
+    let mut book = book();
+    let (_, token) = issue(&mut book, Role::Operate, "Ana");
+    let steady = NOW + HOUR + CLOCK_TOLERANCE_SECS + 1;
+    let back = HostTime { wall: NOW + 60, steady };
+    let refused = book.redeem(&token, 1, &resume_secret(1), back);
+    assert_eq!(refused, Err(Refused::Expired { expired_at: NOW + HOUR, now: steady }));
+    // A clock that was behind and is right now counts, too.
+    let corrected = HostTime { wall: steady, steady: NOW };
+    let refused = book.redeem(&token, 1, &resume_secret(1), corrected);
+    assert_eq!(refused, Err(Refused::Expired { expired_at: NOW + HOUR, now: steady }));
+}
+
+#[test]
+fn a_host_that_starts_with_a_clock_that_was_set_back_knows_the_time_of_later_tickets() {
+    let mut book = book();
+    let random = SystemRandom::new();
+    let (_, old) = issue(&mut book, Role::Operate, "Ana");
+    let day = NOW + 24 * HOUR;
+    let next = Offer { expires: day + HOUR, ..offer(Role::Operate, "Bo") };
+    let (_, bo) = book.issue(next, day, &random).expect("a ticket");
+    let expired = |now| Some(Refused::Expired { expired_at: NOW + HOUR, now });
+    assert_eq!(book.redeem(&old, 1, &resume_secret(1), NOW + 60).err(), expired(day));
+    book.redeem(bo.token(), 2, &resume_secret(2), day + 30).expect("it lets in");
+    assert_eq!(book.examine(&old, &resume_secret(1), NOW + 60).err(), expired(day + 30));
+    // What was given out after the clock was right again is judged by itself.
+    let (_, fresh) = issue(&mut book, Role::Operate, "Cy");
+    assert!(book.redeem(&fresh, 3, &resume_secret(3), NOW + 60).is_ok());
+    // A station that returns is late by what somebody's later ticket shows, and never early.
+    assert!(book.resume(&resume_secret(2), NOW).is_ok());
 }
 
 #[test]

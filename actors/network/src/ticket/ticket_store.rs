@@ -24,6 +24,7 @@ use ring::rand::SecureRandom;
 use thiserror::Error;
 
 use super::byte_reader::ByteReader;
+use super::host_time::HostTime;
 use super::identity::{Identity, IdentityError};
 use super::join_ticket::Ticket;
 use super::plain_name::PlainName;
@@ -198,7 +199,7 @@ impl TicketStore {
         token: &Token,
         station: u16,
         resume: &ResumeSecret,
-        now: u64,
+        now: impl Into<HostTime>,
     ) -> Result<Result<Admission, Refused>, StoreError> {
         self.edit(|book| book.redeem(token, station, resume, now))
     }
@@ -210,7 +211,7 @@ impl TicketStore {
     pub fn resume(
         &mut self,
         secret: &ResumeSecret,
-        now: u64,
+        now: impl Into<HostTime>,
     ) -> Result<Result<Admission, Refused>, StoreError> {
         self.refresh()?;
         Ok(self.book.resume(secret, now))

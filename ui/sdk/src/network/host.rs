@@ -32,7 +32,8 @@ use trocar_network::session::{
 };
 use trocar_network::streams::HostStreams;
 use trocar_network::ticket::{
-    ADDRESSES_MAX, HostAddress, Identity, NameError, Offer, PlainName, Role, Ticket, TicketBook, TicketStore,
+    ADDRESSES_MAX, HostAddress, HostTime, Identity, NameError, Offer, PlainName, Role, Ticket, TicketBook,
+    TicketStore,
 };
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{BuildContext, Controller, ControllerError, Entity, Registry, SimTime, Snapshot};
@@ -267,8 +268,8 @@ pub struct LockstepHost {
 struct VirtualClock(Arc<SteppedClock>);
 
 impl UnixClock for VirtualClock {
-    fn unix_secs(&self) -> u64 {
-        self.0.stepped(VIRTUAL_UNIX_SECS)
+    fn now(&self) -> HostTime {
+        HostTime { wall: self.0.stepped(VIRTUAL_UNIX_SECS), steady: VIRTUAL_UNIX_SECS }
     }
 }
 
