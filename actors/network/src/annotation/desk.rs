@@ -32,6 +32,9 @@ pub struct DeskOwner<'a> {
     pub is_heard: bool,
     /// The hands of the session.
     pub hands: &'a [HandInfo],
+    /// At the host, what the pedals of its own devices say, by the numbers of their hands: there the scene shows the pedals of
+    /// whoever has the hand. At a station the scene shows its own.
+    pub pedals: &'a [(u8, Pedals)],
 }
 
 /// Reads the [`MentorInput`] of a station's own person and turns it into notes: each deed once, in order, and no more than
@@ -162,7 +165,7 @@ impl MentorDesk {
             };
             if scene.get::<TakeOverRequest>(info.entity).filter(is_lent).is_none() {
                 self.ready.remove(&info.entity);
-            } else if !is_pressed(scene, info.entity, owner.station) {
+            } else if !is_pressed(scene, info, owner) {
                 self.ready.insert(info.entity);
             } else if self.ready.remove(&info.entity) && owner.is_heard {
                 notes.push(NoteKind::TakeOver { hand: info.number, step: TakeOver::Return });
@@ -220,15 +223,17 @@ pub(crate) fn shown_role(role: Role) -> StationRole {
     }
 }
 
-/// Whether the station's own person presses the pedal of a hand: that of its device, or the key that stands for it. At the
-/// host the device shows the pedals of whoever has the hand.
-fn is_pressed(scene: &Snapshot, hand: Entity, station: u16) -> bool {
-    let device = scene.get::<DeviceState>(hand).filter(|_| station != HOST);
-    let pedals = device.map_or(Pedals::None, |state| Pedals::of(state.buttons));
-    if matches!(pedals, Pedals::Energy | Pedals::Coagulate) {
+/// Whether the station's own person presses the pedal of a hand: that of its device, or the key that stands for it.
+fn is_pressed(scene: &Snapshot, info: &HandInfo, owner: &DeskOwner<'_>) -> bool {
+    let pedals = if owner.station == HOST {
+        owner.pedals.iter().find(|(number, _)| *number == info.number).map(|(_, pedals)| *pedals)
+    } else {
+        scene.get::<DeviceState>(info.entity).map(|state| Pedals::of(state.buttons))
+    };
+    if matches!(pedals, Some(Pedals::Energy | Pedals::Coagulate)) {
         return true;
     }
-    let Some(hand) = scene.get::<Hand>(hand) else { return false };
-    let mut own = scene.iter::<PersonInput>().filter(|(entity, _)| entity.station() == station);
+    let Some(hand) = scene.get::<Hand>(info.entity) else { return false };
+    let mut own = scene.iter::<PersonInput>().filter(|(entity, _)| entity.station() == owner.station);
     own.any(|(_, input)| input.hand(hand.side).activation >= PEDAL_PRESSED)
 }

@@ -11,6 +11,7 @@ use trocar_scene::{
 
 use super::{DeskOwner, MentorDesk};
 use crate::control::{HandInfo, NoteKind, TakeOver};
+use crate::hands_link::HOST;
 use crate::ticket::Role;
 
 const STATION: u16 = 3;
@@ -21,6 +22,9 @@ struct Station {
     desk: MentorDesk,
     window: Entity,
     hands: Vec<HandInfo>,
+    /// The station's number, and its own devices' pedals, if it is the host.
+    number: u16,
+    pedals: Vec<(u8, Pedals)>,
     input: MentorInput,
     role: Option<Role>,
     is_heard: bool,
@@ -43,7 +47,9 @@ impl Station {
         let role = Some(Role::Mentor);
         let desk = MentorDesk::of(&store.snapshot(), out.me());
         let now = SimTime::from_millis(1_000);
-        let mut station = Self { store, out, desk, window, hands, input, role, is_heard: true, now };
+        let (number, pedals, is_heard) = (STATION, Vec::new(), true);
+        let mut station =
+            Self { store, out, desk, window, hands, number, pedals, input, role, is_heard, now };
         station.write(|_, _| ());
         station
     }
@@ -61,8 +67,13 @@ impl Station {
     /// A tick of the network's actor; the window takes the answer in.
     fn tick(&mut self, millis: u64) -> Vec<NoteKind> {
         self.now += SimTime::from_millis(millis);
-        let owner =
-            DeskOwner { station: STATION, role: self.role, is_heard: self.is_heard, hands: &self.hands };
+        let owner = DeskOwner {
+            station: self.number,
+            role: self.role,
+            is_heard: self.is_heard,
+            hands: &self.hands,
+            pedals: &self.pedals,
+        };
         let notes = self.desk.take(self.now, &self.store.snapshot(), &owner);
         self.desk.show(self.out.me(), &mut self.out);
         let me = self.out.me();
@@ -243,4 +254,26 @@ fn who_has_handed_an_instrument_over_takes_it_back_by_its_pedal() {
     station.tick(4);
     press(&mut station, 1.0);
     assert!(station.tick(4).is_empty());
+}
+
+#[test]
+fn a_pedal_at_the_host_takes_back_and_that_of_whoever_has_the_hand_does_not() {
+    let mut station = Station::new();
+    (station.number, station.role) = (HOST, None);
+    let by = |station| Signature { station, name: "Ana".to_owned(), at: SimTime::ZERO };
+    let lent = TakeOverRequest { by: by(9), step: TakeOverStep::Accepted, answer: Some(by(HOST)) };
+    station.pedals = vec![(0, Pedals::None), (1, Pedals::Energy)];
+    station.write(|out, hand| out.put(hand, lent));
+    assert!(station.tick(4).is_empty(), "the pedal was pressed before");
+    station.pedals[1].1 = Pedals::Released;
+    // The mentor's pedal, which the scene shows.
+    let buttons = Pedals::Energy.buttons();
+    let state = DeviceState { buttons, connected: true, ..DeviceState::default() };
+    station.write(|out, hand| out.put(hand, state));
+    assert!(station.tick(4).is_empty());
+    station.pedals[0].1 = Pedals::Energy;
+    assert!(station.tick(4).is_empty(), "that of the other hand");
+    station.pedals[1].1 = Pedals::Energy;
+    assert_eq!(station.tick(4), [NoteKind::TakeOver { hand: 1, step: TakeOver::Return }]);
+    assert!(station.tick(4).is_empty(), "once");
 }

@@ -309,6 +309,7 @@ impl HapticDevice for RemoteHand {
         let reading = match (self.owner.station(), &mut self.local) {
             (Some(station), local) => {
                 let pedals = local.as_mut().map_or(0, |local| local.idle(now_ns));
+                self.control.set_local_pedals(pedals);
                 let mut state = self.serve_station(now_ns, station);
                 if self.control.mirroring() {
                     // At a station the pedals are those of its own person, who takes a hand back by them.
@@ -316,9 +317,12 @@ impl HapticDevice for RemoteHand {
                 }
                 Ok(state)
             }
-            (None, Some(local)) => local
-                .read(now_ns)
-                .map(|state| local.shown(state, self.shown.as_ref(), step_secs, self.door.limits())),
+            (None, Some(local)) => {
+                let reading = local.read(now_ns);
+                let pedals = reading.as_ref().ok().filter(|state| state.connected);
+                self.control.set_local_pedals(pedals.map_or(0, |state| state.buttons));
+                reading.map(|state| local.shown(state, self.shown.as_ref(), step_secs, self.door.limits()))
+            }
             (None, None) => Ok(self.shown.as_ref().map_or_else(DeviceState::unknown, DeviceState::unplugged)),
         };
         match reading {

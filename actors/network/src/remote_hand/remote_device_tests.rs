@@ -393,3 +393,27 @@ fn a_closed_hand_gives_no_reading_and_takes_no_force() {
     hand.open(0).unwrap();
     assert!(!hand.read(0).unwrap().connected);
 }
+
+#[test]
+fn the_pedals_of_a_local_device_are_known_while_a_station_has_the_hand_and_switch_nothing() {
+    let (device, desk) = BenchDevice::on_a_desk();
+    let mut bench = Bench::over(device);
+    let control = bench.end.control().clone();
+    let press = |pedals: Pedals| desk.lock().unwrap().state.buttons = pedals.buttons();
+    bench.run(10, None);
+    assert_eq!(control.local_pedals(), Pedals::None);
+    press(Pedals::Energy);
+    bench.run(10, None);
+    assert_eq!(control.local_pedals(), Pedals::Energy);
+    control.take(1);
+    let theirs = sample(Isometry3::identity(), 0.0, Pedals::Released.buttons());
+    for pedals in [Pedals::Energy, Pedals::Released, Pedals::Coagulate] {
+        press(pedals);
+        bench.run(10, Some((1, theirs)));
+        assert_eq!(control.local_pedals(), pedals);
+        assert_eq!(Pedals::of(bench.shown.state.buttons), Pedals::Released, "the station's own count");
+    }
+    desk.lock().unwrap().present = false;
+    bench.run(10, Some((1, theirs)));
+    assert_eq!(control.local_pedals(), Pedals::None, "unplugged");
+}

@@ -6,10 +6,10 @@
 
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use triple_buffer::{Input, Output};
-use trocar_devices::{DeviceState, Wrench};
+use trocar_devices::{DeviceState, Pedals, Wrench};
 use trocar_scene::SimTime;
 
 use super::door::DoorStatistics;
@@ -106,6 +106,8 @@ struct Shared {
     lost: AtomicU64,
     holding: AtomicBool,
     mirroring: AtomicBool,
+    /// Pedals of the local device, as bits of its buttons.
+    local_pedals: AtomicU32,
 }
 
 /// Says which station has a hand; clones share it. No method blocks.
@@ -161,6 +163,15 @@ impl HandControl {
     /// for a station's own hand, which the host shows where it is.
     pub fn set_mirroring(&self, mirroring: bool) {
         self.shared.mirroring.store(mirroring, Ordering::Release);
+    }
+
+    /// What the pedals of the local device say, also while a station has the hand: by them its person takes the hand back.
+    pub fn local_pedals(&self) -> Pedals {
+        Pedals::of(self.shared.local_pedals.load(Ordering::Acquire))
+    }
+
+    pub(super) fn set_local_pedals(&self, buttons: u32) {
+        self.shared.local_pedals.store(buttons & Pedals::MASK, Ordering::Release);
     }
 
     pub(super) fn mirroring(&self) -> bool {

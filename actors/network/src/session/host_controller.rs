@@ -41,8 +41,9 @@ impl<A: Copy + PartialEq + Send + 'static> HostController<A> {
     fn serve_own_person(&mut self, now: SimTime, scene: &Snapshot) {
         let desk = &mut self.desk;
         self.machine.work(|machine| {
-            let hands = machine.hand_infos().to_vec();
-            let owner = DeskOwner { station: HOST, role: None, is_heard: true, hands: &hands };
+            let (hands, pedals) = (machine.hand_infos().to_vec(), machine.own_pedals());
+            let owner =
+                DeskOwner { station: HOST, role: None, is_heard: true, hands: &hands, pedals: &pedals };
             for note in desk.take(now, scene, &owner) {
                 if let Err(refusal) = machine.show(note, now) {
                     desk.refuse(now, &refusal);

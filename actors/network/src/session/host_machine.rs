@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
+use trocar_devices::Pedals;
 use trocar_scene::{Entity, SimTime, Snapshot, TakeOverRequest};
 
 use super::admissions::Admissions;
@@ -181,6 +182,11 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             .members
             .iter()
             .filter_map(|(station, member)| Some((*station, *member.quality.as_ref()?.curve().last()?)));
+    /// What the pedals of the host's own devices say, by the numbers of their hands.
+    pub fn own_pedals(&self) -> Vec<(u8, Pedals)> {
+        self.members.hands.iter().map(|hand| (hand.number, hand.control.local_pedals())).collect()
+    }
+
         points.collect()
     }
 

@@ -38,7 +38,8 @@ fn show_own<A: Copy + PartialEq + Send + 'static>(
     let Some(welcome) = machine.welcome() else { return };
     let hands = welcome.session.hands.clone();
     let is_heard = machine.state() == ClientState::Running;
-    let owner = DeskOwner { station: welcome.station, role: Some(welcome.role), is_heard, hands: &hands };
+    let role = Some(welcome.role);
+    let owner = DeskOwner { station: welcome.station, role, is_heard, hands: &hands, pedals: &[] };
     for note in desk.take(now, scene, &owner) {
         if let Err(error) = machine.request(RequestKind::Note(note), now) {
             desk.refuse(now, &error);

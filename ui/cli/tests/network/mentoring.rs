@@ -6,8 +6,9 @@ use trocar::play::person;
 use trocar::session::Session;
 use trocar_scene::annotation::{nearest_place, place_in_world};
 use trocar_scene::{
-    Entity, HandOverStep, MentorAnswer, MentorDeed, MentorInput, MentorPointer, MentorStroke, PersonInput,
-    Pose, SimTime, Snapshot, Station, SurfacePlace, SurfacePoint, TakeOverRequest, TakeOverStep,
+    Commands, DeviceState, Entity, HandOverStep, HandTarget, MentorAnswer, MentorDeed, MentorInput,
+    MentorPointer, MentorStroke, PersonInput, Pose, PressTarget, SimTime, Snapshot, Station, SurfacePlace,
+    SurfacePoint, TakeOverRequest, TakeOverStep,
 };
 
 use crate::support::party::{Guest, Party};
@@ -239,5 +240,38 @@ fn the_hosts_own_person_draws_asks_and_clears_and_a_mentor_that_is_cut_off_loses
     party.wires[ANA].disconnect();
     party.run(300);
     assert_eq!(Station::serving(&party.host.snapshot(), hand), 1, "it is Bo's again");
+    assert!(party.host.snapshot().get::<TakeOverRequest>(hand).is_none());
+}
+
+#[test]
+fn a_pedal_of_the_hosts_own_device_takes_an_instrument_back_once_it_was_released() {
+    let guests = [Guest { name: "Ana", role: Role::Mentor, hands: &["right"] }];
+    let mut party = Party::new("wall", &path(), &guests);
+    party.run(300);
+    let hand = party.host.snapshot().find("hand.right").expect("a hand");
+    let serving = |party: &mut Party| Station::serving(&party.host.snapshot(), hand);
+    // What a device with pedals says; a virtual one takes it from whoever moves it.
+    let foot = |party: &mut Party, is_down: bool| {
+        let at = party.host.snapshot().get::<DeviceState>(hand).expect("a device").handle_in_device;
+        let target = HandTarget { handle_in_device: at, gripper: 0.0 };
+        let press = PressTarget { buttons: 0, energy: is_down, coagulate: false };
+        let apply = |out: &mut Commands| {
+            out.put(hand, target);
+            out.put(hand, press);
+        };
+        party.host.apply(apply).expect("a foot on the pedal");
+        party.run(300);
+    };
+    foot(&mut party, true);
+    let mut ana = Window::open(&mut party.stations[0]);
+    ana.does(&mut party.stations[0], MentorDeed::HandOver { hand, step: HandOverStep::Ask });
+    party.run(500);
+    assert_eq!(serving(&mut party), 1, "nobody is at the host's window, so the host has agreed");
+    foot(&mut party, true);
+    assert_eq!(serving(&mut party), 1, "the pedal was down before");
+    foot(&mut party, false);
+    assert_eq!(serving(&mut party), 1);
+    foot(&mut party, true);
+    assert_eq!(serving(&mut party), 0, "{}", refusal(&mut party.host));
     assert!(party.host.snapshot().get::<TakeOverRequest>(hand).is_none());
 }
