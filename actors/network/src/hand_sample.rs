@@ -21,7 +21,8 @@ pub struct HandSample {
     /// How old the measurement was when it was sent \[µs\].
     pub age_us: u32,
     /// From the station that owns the scene: how often it has taken up the hand's motion anew from where the instrument
-    /// was, modulo [`CLUTCHES`]. The device's station then brings its own hand there.
+    /// was, modulo [`CLUTCHES`]. The device's station then brings its own hand there, and tells in the same way how often it
+    /// has offered it from there.
     pub clutch: u8,
 }
 

@@ -10,7 +10,7 @@ use super::order::{HandNumbers, HandsNews, HandsOrder, LinkEnd};
 use super::playout::{Played, Playout};
 use crate::control::STATIONS_MAX;
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
-use crate::hand_sample::HandSample;
+use crate::hand_sample::{CLUTCHES, HandSample};
 use crate::remote_hand::{PedalGate, Presence, StationEnd};
 
 /// Orders that are taken at one tick.
@@ -47,6 +47,8 @@ pub struct StationHand {
     clutch: Option<u8>,
     /// The count when the hand was offered.
     clutch_before: u8,
+    /// How often the hand was offered, modulo [`CLUTCHES`].
+    offers: u8,
     /// What the person at the station does with its pedals, and when that was said.
     pedals: (Pedals, SimTime),
     gate: PedalGate,
@@ -68,6 +70,7 @@ impl StationHand {
             offered_since: None,
             clutch: None,
             clutch_before: 0,
+            offers: 0,
             pedals: (Pedals::None, SimTime::ZERO),
             gate: PedalGate::default(),
             playout: None,
@@ -135,6 +138,7 @@ impl StationHand {
             self.clutch_before = sample.clutch;
             (self.placing_since, self.there_since) = (None, None);
             self.offered_since = Some(now);
+            self.offers = (self.offers + 1) % CLUTCHES;
         }
     }
 
@@ -474,6 +478,6 @@ fn shown(hand: &mut StationHand, now: SimTime) -> HandSample {
         wrench: answer.local_wrench,
         grabbed: None,
         age_us: u32::try_from(age).unwrap_or(u32::MAX),
-        clutch: 0,
+        clutch: hand.offers,
     }
 }

@@ -8,8 +8,8 @@
 //! - forces are within the limits, and fade with the time since the newest datagram *arrived*, never with the path's
 //!   delay: 1 up to 50 ms, 0 from 100 ms;
 //! - silence of 100 ms releases every button and pedal, holds the jaws, and stops the motion, short of the goal at the latest;
-//! - who returns from silence, and who takes the hand over, moves nothing by it (a [`Clutch`] takes up the difference),
-//!   and must release a button or pedal before a press of it counts.
+//! - who returns from silence, takes the hand over, or offers his own anew, moves nothing by it (a [`Clutch`] takes up the
+//!   difference), and must release a button or pedal before a press of it counts.
 //!
 //! A sample that is refused counts as not having arrived: a station that sends only nonsense falls silent.
 //! A door reads no clock, allocates nothing and never blocks; same inputs, same bits.
@@ -122,6 +122,8 @@ pub struct Door {
     motion: Option<MotionLimiter>,
     // None while the clutch is open.
     clutch: Option<Clutch>,
+    // How often the station has offered its hand anew, as it said last.
+    offers: Option<u8>,
     goal_in_device: Isometry3<f64>,
     // Caps of speed while the motion stops.
     stopping: Caps,
@@ -165,6 +167,7 @@ impl Door {
             stepped_at: None,
             motion: None,
             clutch: None,
+            offers: None,
             goal_in_device: Isometry3::identity(),
             stopping: Caps { linear_speed: 0.0, angular_speed: 0.0 },
             interval_secs: 0.0,
@@ -223,6 +226,7 @@ impl Door {
         self.since = now;
         self.arrived_at = None;
         self.stepped_at = Some(now);
+        self.offers = None;
         self.bounds = self.workspace;
         self.release();
         self.buttons = 0;
@@ -275,6 +279,11 @@ impl Door {
         }
         self.statistics.returns += u64::from(self.standing == Standing::Silent);
         self.standing = Standing::Live;
+        let offers = self.offers.replace(sample.clutch);
+        if !self.mirroring && offers.is_some_and(|before| before != sample.clutch) {
+            // The station has brought its hand to where the instrument is; it may have taken less time than a silence.
+            self.release();
+        }
         self.aim(&hand_in_device, gap_secs);
         self.press(&sample.state);
         self.wrench = self.limited(&sample.wrench);

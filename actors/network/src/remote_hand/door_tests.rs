@@ -311,6 +311,31 @@ fn a_return_after_silence_moves_nothing_and_continues_by_the_clutch() {
 }
 
 #[test]
+fn a_hand_that_its_station_offers_anew_is_taken_up_from_where_the_instrument_is_without_a_silence() {
+    let mut bench = Bench::new();
+    bench.feed_for(10, &sample_at([0.0; 3]));
+    bench.wait(150);
+    // Back after a silence, 20 mm from where the instrument is.
+    bench.feed_for(50, &sample_at([0.02, 0.0, 0.0]));
+    assert_eq!((bench.door.statistics().clutches, x(&bench.door.state())), (2, 0.0));
+    // The station brings its hand to the instrument, and offers it there sooner than it would have fallen silent.
+    bench.wait(60);
+    let offered = HandSample { clutch: 1, ..sample_at([0.0; 3]) };
+    assert!(x(&bench.feed_for(50, &offered)).abs() < 1e-15, "nothing moves by it");
+    assert_eq!(bench.door.statistics().clutches, 3);
+    let moved = HandSample { clutch: 1, ..sample_at([0.01, 0.0, 0.0]) };
+    assert!((x(&bench.feed_for(50, &moved)) - 0.01).abs() < 1e-15, "both are at one place");
+    assert_eq!((bench.door.statistics().clutches, bench.door.statistics().silences), (3, 1));
+    // For a station's own hand, which goes where the host has it, the host's count is no offer.
+    let mut mirror = Bench::new();
+    mirror.door.set_mirroring(true);
+    for clutch in 0..5 {
+        mirror.feed_for(50, &HandSample { clutch, ..sample_at([0.01, 0.0, 0.0]) });
+    }
+    assert_eq!(mirror.door.statistics().clutches, 1);
+}
+
+#[test]
 fn a_pedal_held_through_silence_must_be_released_and_pressed_again() {
     let mut bench = Bench::new();
     bench.feed_for(5, &pressed(0));

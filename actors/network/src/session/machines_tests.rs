@@ -7,7 +7,7 @@ mod diagnosis_tests;
 use std::sync::{Arc, Mutex};
 
 use trocar_devices::{DeviceState, HandIntent, HapticDevice, VirtualHand, VirtualHandConfig, Wrench};
-use trocar_kernel::spec::Peer;
+use trocar_kernel::spec::{FaultKind, FaultOrder};
 use trocar_scene::{
     Commands, Entity, EntityAllocator, Hand, Name, Pose, Registry, Side as Handedness, SimTime, Snapshot,
     Store, Velocity,
@@ -239,6 +239,14 @@ impl Host {
     }
 }
 
+    /// Nothing passes between both any more, or all does again.
+    fn partition(&self, begins: bool) {
+        let lossy = Impairments { loss: 1.0, ..Impairments::default() };
+        for order in lossy.orders(1) {
+            self.wire.fault(&FaultOrder { kind: FaultKind::Partition, index: 9, begins, ..order });
+        }
+    }
+
 impl Station {
     fn new(
         wires: &Wires,
@@ -418,6 +426,38 @@ fn a_station_whose_network_died_at_work_comes_back_with_the_same_scene_and_hand(
     let (here, there) = (bench.host.device.x(), bench.station.device.x());
     assert!((here - there).abs() < 2e-4, "{here} and {there}");
 }
+#[test]
+fn after_a_short_silence_the_hand_is_at_one_place_again_however_short_the_path_is() {
+    for delay in [1, 5, 20, 40, 75] {
+        let mut bench =
+            Bench::new(&Impairments::delay(SimTime::from_millis(delay)), 20, Role::Operate, &["left"]);
+        bench.run_until(5_000, Bench::is_running);
+        bench.run(1_500);
+        let mut goal = bench.station.device.shown.expect("it is shown").pose_in_device;
+        for (silence, to_x) in [(150, 0.02), (800, -0.03), (1_500, 0.01)] {
+            // The hand moves on while nothing passes.
+            goal.translation.vector.x += to_x;
+            bench.partition(true);
+            (0..silence).for_each(|_| bench.step(Some(HandIntent::at(goal, 0.2))));
+            bench.partition(false);
+            let mut stood = bench.host.device.x();
+            let took = (0..3_000).find(|_| {
+                bench.step(None);
+                let (here, there) = (bench.host.device.x(), bench.station.device.x());
+                assert!((here - stood).abs() < 1.1e-3, "no jump");
+                stood = here;
+                let is_own = bench.station.device.hand.presence() == Presence::Local;
+                is_own && (here - there).abs() < 1e-5
+            });
+            let took = took.expect("they come together again");
+            assert!(took <= 250 + 6 * delay, "{delay} ms of path, {silence} ms of silence: {took} ms");
+            bench.run(500);
+            let (here, there) = (bench.host.device.x(), bench.station.device.x());
+            assert!((here - there).abs() < 1e-5, "{delay} ms: {here} and {there}");
+        }
+    }
+}
+
 
 #[test]
 fn a_watcher_sees_all_and_serves_nothing() {
