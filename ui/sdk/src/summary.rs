@@ -419,7 +419,8 @@ impl FaultSummary {
     /// From the moment at which only recovery was left to do, to the first good work \[s\].
     pub fn recovery_secs(&self) -> Option<f64> {
         let from = match (self.restarted_secs, self.healed_secs) {
-            (None, Some(healed)) => healed,
+            // What was killed and nobody restarts is back by itself, and counts from the blow.
+            (None, Some(healed)) if self.kind != FaultKind::Kill.name() => healed,
             _ => self.injected_secs?,
         };
         Some(self.resumed_secs? - from)

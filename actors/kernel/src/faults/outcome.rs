@@ -29,10 +29,11 @@ pub struct FaultRow {
 }
 
 impl FaultRow {
-    /// Recovery time: from the injection (or the healing, for faults that heal) to the first good work.
+    /// Recovery time: from the injection (or the healing, for faults that heal) to the first good work. What was killed and
+    /// nobody restarts, such as a link, is back by itself, and counts from the blow.
     pub fn recovery(&self) -> Option<SimTime> {
         let from = match (self.restarted, self.healed) {
-            (None, Some(healed)) => healed,
+            (None, Some(healed)) if self.kind != FaultKind::Kill => healed,
             _ => self.injected?,
         };
         Some(self.resumed?.since(from))

@@ -23,6 +23,8 @@ struct Known {
     station: u16,
     name: String,
     heard_at: Option<SimTime>,
+    /// Whether a fault has cut it; what was under way may come all the same.
+    is_cut: bool,
 }
 
 /// Orders with their numbers.
@@ -53,7 +55,7 @@ impl LinkBoard {
     /// Of a station, which has one link.
     pub fn station() -> Self {
         let board = Self::default();
-        let own = Known { connection: None, station: 0, name: String::new(), heard_at: None };
+        let own = Known { connection: None, station: 0, name: String::new(), heard_at: None, is_cut: false };
         board.lock().known.push(own);
         board
     }
@@ -86,11 +88,18 @@ impl LinkBoard {
         let mut inner = self.lock();
         inner.known.retain(|known| known.station != station);
         if inner.known.len() < STATIONS_MAX {
-            let name = name.to_owned();
-            inner.known.push(Known { connection: Some(connection), station, name, heard_at: None });
+            let (name, connection) = (name.to_owned(), Some(connection));
+            inner.known.push(Known { connection, station, name, heard_at: None, is_cut: false });
         }
         drop(inner);
         self.version.fetch_add(1, Ordering::Release);
+    }
+
+    /// A station's own link begins anew.
+    pub(super) fn reconnect(&self) {
+        for known in self.lock().known.iter_mut().filter(|known| known.connection.is_none()) {
+            (known.heard_at, known.is_cut) = (None, false);
+        }
     }
 
     /// Shows each connection with all its orders so far, numbered; false if somebody else looks at them.
@@ -123,18 +132,23 @@ fn concerns(target: &str, known: &Known) -> bool {
 }
 
 fn is_sound(known: &Known, now: SimTime) -> bool {
-    known.heard_at.is_some_and(|at| now.since(at) <= SOUND_FOR)
+    !known.is_cut && known.heard_at.is_some_and(|at| now.since(at) <= SOUND_FOR)
 }
 
 impl FaultSink for LinkBoard {
     fn fault(&self, order: &FaultOrder) {
         if order.target == LINKS {
             if order.kind == FaultKind::Kill && order.begins {
+                self.lock().known.iter_mut().for_each(|known| known.is_cut = true);
                 self.dies.store(true, Ordering::Release);
             }
             return;
         }
         let mut inner = self.lock();
+        if order.kind == FaultKind::Kill && order.begins {
+            let struck = inner.known.iter_mut().filter(|known| concerns(&order.target, known));
+            struck.for_each(|known| known.is_cut = true);
+        }
         if inner.orders.len() < ORDERS_MAX {
             inner.orders.push(order.clone());
         }

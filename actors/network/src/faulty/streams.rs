@@ -237,6 +237,7 @@ impl<A: 'static> StationStream<A> for FaultyStationStream<A> {
 
     fn connect(&mut self, now: SimTime) {
         self.stream.reset();
+        self.board.reconnect();
         self.inner.connect(now);
     }
 

@@ -179,6 +179,30 @@ fn a_link_that_is_killed_ends_once_and_the_next_connection_lives() {
 }
 
 #[test]
+fn a_link_that_was_cut_is_sound_once_its_station_has_come_back_and_was_heard() {
+    for target in ["link.Ana", "links"] {
+        let board = Arc::new(LinkBoard::host());
+        let came = Arc::new(Mutex::new(Vec::new()));
+        let mut hands = FaultyHands::new(Box::new(Chatty(came.clone())), board.clone());
+        board.admit(7, 1, "Ana");
+        board.admit(8, 2, "Bo");
+        chat(&mut hands, &came, 0..50);
+        let sound = || [board.is_target_sound("link.Ana"), board.is_target_sound("link.Bo")];
+        assert_eq!(sound(), [Some(true); 2]);
+        board.fault(&order(target, FaultKind::Kill, true));
+        // Datagrams come for a while after the stream was cut.
+        chat(&mut hands, &came, 50..60);
+        let others = Some(target != "links");
+        assert_eq!((sound(), board.is_sound()), ([Some(false), others], Some(false)), "{target}");
+        board.admit(7, 1, "Ana");
+        board.admit(8, 2, "Bo");
+        assert_eq!(sound(), [Some(false); 2], "nothing was heard yet");
+        chat(&mut hands, &came, 60..70);
+        assert_eq!((sound(), board.is_sound()), ([Some(true); 2], Some(true)), "{target}");
+    }
+}
+
+#[test]
 fn a_network_that_is_killed_dies_at_work_and_once() {
     let boards = [Arc::new(LinkBoard::host()), Arc::new(LinkBoard::station())];
     let mut pair = Pair::new(&boards[0], &boards[1]);
