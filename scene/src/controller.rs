@@ -26,6 +26,13 @@ pub trait Controller: Send + 'static {
     /// # Errors
     /// An error ends this life of the controller; the supervisor decides about the next one.
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError>;
+
+    /// Called about 20 times a second while a live session is paused: for those who keep something alive that does not
+    /// stand still, such as connections. Session time is that of the last step or a little later; `passed` is how long
+    /// the pause has lasted by a clock that runs on. Nothing can be written. Must not block.
+    fn rest(&mut self, passed: SimTime, scene: &Snapshot) {
+        let _ = (passed, scene);
+    }
 }
 
 /// The circumstances of one step.

@@ -40,6 +40,27 @@ fn a_paused_session_stands_still_and_goes_on_without_a_missed_tick_or_a_stall() 
 }
 
 #[test]
+fn who_keeps_something_alive_is_called_on_within_a_pause_and_lives_again_if_it_dies_there() {
+    let _alone = alone();
+    let (a, wish) = toy("a", 1, 500.0);
+    let live = LiveSession::start(session(vec![a])).expect("starts");
+    eventually("it ticks", || wish.ticks.load(Ordering::Relaxed) > 5);
+    assert_eq!(wish.rests.load(Ordering::Relaxed), 0);
+    assert!(live.pause(|| {}));
+    let (ticks, time) = (wish.ticks.load(Ordering::Relaxed), live.elapsed());
+    eventually("it is called on", || wish.rests.load(Ordering::Relaxed) > 4);
+    assert!(wish.rested_ns.load(Ordering::Relaxed) >= 150_000_000, "by a clock that runs on");
+    wish.panic.store(true, Ordering::Relaxed);
+    let before = wish.rests.load(Ordering::Relaxed);
+    eventually("its next life is called on as well", || wish.rests.load(Ordering::Relaxed) > before + 3);
+    assert_eq!((wish.ticks.load(Ordering::Relaxed), live.elapsed()), (ticks, time), "time stands still");
+    assert!(live.resume());
+    eventually("it goes on", || wish.ticks.load(Ordering::Relaxed) > ticks + 5);
+    let outcome = live.stop(0);
+    assert_eq!((outcome.code, outcome.zombies), (0, 0));
+}
+
+#[test]
 fn a_paused_session_can_be_ended() {
     let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);

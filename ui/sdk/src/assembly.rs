@@ -9,7 +9,7 @@ use trocar_kernel::spec::{Factory, SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_network::control::Architecture;
 use trocar_network::peers::repaired::rebuilding;
-use trocar_network::session::InstrumentFollower;
+use trocar_network::session::{HostPause, InstrumentFollower};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{
     Commands, ControllerEntry, ControllerError, Entity, EntityAllocator, Hand, SCENARIO_SPAWNER, SimTime,
@@ -54,6 +54,8 @@ pub struct Assembly {
     pub network: Vec<NetworkPart>,
     /// What is said to the others at the end.
     pub(crate) last_word: Option<LastWord>,
+    /// At a station, whether its host has paused the session.
+    pub(crate) host_pause: Option<HostPause>,
     /// The plan for branches and resets. Changes to `spec` hold for this session only.
     pub(crate) plan: Arc<SessionPlan>,
     /// Actors that join when the session runs live.
@@ -101,15 +103,15 @@ impl Assembly {
             commands.put(hand.port().entity, hand.info());
         }
         let mut roles = Vec::with_capacity(scenario.controllers.len() + 1);
-        let (mut network, mut last) = (Vec::new(), None);
+        let (mut network, mut last, mut host_pause) = (Vec::new(), None, None);
         let mut fault_targets = options.fault_targets.clone();
         if let Some(station) = station {
-            let TakingPart { actor, part, last_word, fault_sinks } =
+            let TakingPart { actor, part, last_word, host_pause: paused, fault_sinks } =
                 network::stationed(station, network_hands.take_station(), options.faults.is_some())?;
             fault_targets.0.extend(fault_sinks);
             roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, network_actor(actor)));
             network.push(part);
-            last = Some(last_word);
+            (last, host_pause) = (Some(last_word), paused);
         }
         if !ports.is_empty() && (station.is_some() || sharing.is_among_peers()) {
             let touch = station_touch(store.view(), &ports);
@@ -147,7 +149,7 @@ impl Assembly {
         let (host_hands, has_faults) = (network_hands.take_host(), options.faults.is_some());
         let hosted =
             network::hosted(&options.network, scenario, options.seed, &scene, host_hands, has_faults)?;
-        if let Some(TakingPart { actor, part, last_word, fault_sinks }) = hosted {
+        if let Some(TakingPart { actor, part, last_word, fault_sinks, .. }) = hosted {
             fault_targets.0.extend(fault_sinks);
             roles.push(Role::new(NETWORK, roles.len() as u16 + 1, NETWORK_HZ, network_actor(actor)));
             network.push(part);
@@ -173,7 +175,7 @@ impl Assembly {
         };
         let spec = plan.first((options.seed, begin), &ports);
         let (plan, actors) = (Arc::new(plan), app.actors.clone());
-        Ok(Self { spec, hands, network, last_word: last, plan, actors, reflected })
+        Ok(Self { spec, hands, network, last_word: last, host_pause, plan, actors, reflected })
     }
 }
 

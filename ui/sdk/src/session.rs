@@ -22,6 +22,7 @@ use trocar_kernel::runtime::sched;
 use trocar_kernel::runtime::{Clock, ControllerReport, PausableClock, TickStats};
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::{GroupSpec, RuntimeClass};
+use trocar_network::session::HostPause;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
@@ -37,6 +38,8 @@ const GUEST_CAPACITY: usize = 64;
 /// Longest wait for the other stations to take the last word, and time between two tries.
 const LAST_WORD_MAX: Duration = Duration::from_millis(300);
 const LAST_WORD_EVERY: Duration = Duration::from_millis(2);
+/// Time between two looks at whether a station's host has paused the session.
+const HOST_LOOK_EVERY: SimTime = SimTime::from_millis(20);
 /// Longest wait for the Model's answer to the operator.
 const ANSWER_MAX: Duration = Duration::from_secs(1);
 
@@ -49,6 +52,9 @@ pub struct Session {
     /// What moves the hands' datagrams.
     network: Vec<RunningPart>,
     last_word: Option<LastWord>,
+    /// At a station: whether its host has paused the session, and whether this one is paused for that.
+    host_pause: Option<HostPause>,
+    is_paused_by_host: bool,
     next_guest: u16,
     pub(crate) fences_raised: bool,
     /// In virtual time, the plan and prototypes for resets and branches.
@@ -139,10 +145,10 @@ impl Session {
         for part in assembly.network {
             network.extend(part.start(clock.clone()).map_err(RunError::Network)?);
         }
-        let last_word = assembly.last_word;
+        let (last_word, host_pause) = (assembly.last_word, assembly.host_pause);
         let live = LiveSession::start_on(assembly.spec, clock)?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
-        (session.network, session.last_word) = (network, last_word);
+        (session.network, session.last_word, session.host_pause) = (network, last_word, host_pause);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
             let Running::Live(live, _) = &session.running else { break };
@@ -159,8 +165,19 @@ impl Session {
         origin: Option<Origin>,
     ) -> Self {
         let (actors, next_guest) = (Vec::new(), GUESTS_FROM);
-        let (network, last_word) = (Vec::new(), None);
-        Self { running, hands, drivers, actors, network, last_word, next_guest, fences_raised: false, origin }
+        Self {
+            running,
+            hands,
+            drivers,
+            actors,
+            network: Vec::new(),
+            last_word: None,
+            host_pause: None,
+            is_paused_by_host: false,
+            next_guest,
+            fences_raised: false,
+            origin,
+        }
     }
 
     fn number_of_a_guest(&mut self) -> Result<WriterId, LiveError> {
@@ -233,16 +250,25 @@ impl Session {
     }
 
     /// Runs the session until `until`: computes in virtual time, waits in real time. Returns false when it has ended,
-    /// and at once while it is paused.
+    /// and at once while it is paused; that of a station whose host has paused the session, after some milliseconds.
     pub fn run_until(&mut self, until: SimTime) -> bool {
+        self.follow_host();
+        if self.is_paused_by_host {
+            std::thread::sleep(HOST_LOOK_EVERY.to_duration());
+            self.follow_host();
+        }
         match &mut self.running {
             Running::Lockstep(session) => session.step_until(until),
             Running::Live(session, _) => {
+                let look_every = self.host_pause.as_ref().map(|_| HOST_LOOK_EVERY);
+                let is_over = |now| now >= until || self.host_pause.as_ref().is_some_and(HostPause::is_on);
                 // The wait returns at once when the session ends.
-                while session.elapsed() < until
-                    && !session.is_paused()
-                    && !session.wait((until - session.elapsed()).to_duration())
-                {}
+                while !is_over(session.elapsed()) && !session.is_paused() {
+                    let rest = until - session.elapsed();
+                    if session.wait(look_every.map_or(rest, |most| rest.min(most)).to_duration()) {
+                        break;
+                    }
+                }
                 !session.has_ended()
             }
         }

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use actix::prelude::*;
 use trocar_scene::{
@@ -169,8 +169,8 @@ impl HostedController<'_> {
         ticker.set_spinning(budget.may_spin());
         loop {
             if self.shared.resting.load(Ordering::Acquire) {
-                if let Err(error) = self.rest(&mut ticker).await {
-                    return Cause::Error(format!("timer: {error}"));
+                if let Err(cause) = self.rest(&mut ticker).await {
+                    return cause;
                 }
                 if self.life.should_end() {
                     return Cause::Stop;
@@ -243,11 +243,18 @@ impl HostedController<'_> {
     }
 
     /// Waits without ticks until the session resumes or this life ends.
-    async fn rest(&self, ticker: &mut Ticker) -> std::io::Result<()> {
+    async fn rest(&mut self, ticker: &mut Ticker) -> Result<(), Cause> {
         self.life.at_rest.store(true, Ordering::Release);
+        let begun = Instant::now();
         let mut outcome = Ok(());
         while outcome.is_ok() && self.shared.resting.load(Ordering::Acquire) && !self.life.should_end() {
-            outcome = ticker.rest().await;
+            let scene = self.shared.published.load();
+            let controller = &mut self.controller;
+            outcome = guarded(|| controller.rest(begun.elapsed().into(), &scene)).map_err(Cause::Panic);
+            drop(scene);
+            if let (Ok(()), Err(error)) = (&outcome, ticker.rest().await) {
+                outcome = Err(Cause::Error(format!("timer: {error}")));
+            }
         }
         ticker.skip_to_now();
         // The watchdog checks again from here on; the beat restarts its limit.

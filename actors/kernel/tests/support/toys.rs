@@ -10,7 +10,7 @@ use trocar_kernel::spec::{ControllerSpec, SessionSpec};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Controller, ControllerError, Entity, EntitySet, Registry,
-    RegistryBuilder, Snapshot, Store, Tick,
+    RegistryBuilder, SimTime, Snapshot, Store, Tick,
 };
 
 /// How often its writer has ticked, through all its lives.
@@ -78,6 +78,9 @@ pub struct Wish {
     pub trap: AtomicU32,
     /// Ticks that began, of all lives.
     pub ticks: AtomicU64,
+    /// Calls while the session was paused, of all lives, and how long the pause had lasted at the latest one \[ns\].
+    pub rests: AtomicU64,
+    pub rested_ns: AtomicU64,
     /// The latest epoch.
     pub epoch: AtomicU32,
 }
@@ -116,6 +119,13 @@ impl Controller for Toy {
         let before = scene.get::<Count>(tick.me).map_or(0, |count| count.0);
         out.put(tick.me, Count(before + 1));
         Ok(())
+    }
+    fn rest(&mut self, passed: SimTime, _: &Snapshot) {
+        self.wish.rests.fetch_add(1, Ordering::Relaxed);
+        self.wish.rested_ns.store(passed.as_nanos(), Ordering::Relaxed);
+        if Wish::once(&self.wish.panic) {
+            panic!("as wished");
+        }
     }
 }
 

@@ -87,6 +87,8 @@ pub enum ClientEvent<'a> {
     Note(Note),
     /// The rows of a body that the station asked for.
     Repair(&'a [u8]),
+    /// The host has paused the session, or it goes on.
+    Paused(bool),
     /// Another station's ticket, with which this one can connect to it.
     PeerTicket {
         /// Who gives it.

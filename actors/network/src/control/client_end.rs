@@ -158,6 +158,7 @@ impl ClientEnd {
             }
             HostMessage::Note(note) => hear(ClientEvent::Note(note)),
             HostMessage::Repair(bytes) => hear(ClientEvent::Repair(bytes.as_slice())),
+            HostMessage::Paused(is_paused) => hear(ClientEvent::Paused(is_paused)),
             HostMessage::PeerTicket { from, ticket } => hear(ClientEvent::PeerTicket { from, ticket }),
             HostMessage::Answer { request, refusal } => hear(ClientEvent::Answer { request, refusal }),
             HostMessage::Ping(ping) => {

@@ -213,6 +213,14 @@ impl HostControl {
         self.end.send(HostState::Running, &HostMessage::PeerTicket { from, ticket }, now)
     }
 
+    /// Tells that the session is paused, or goes on.
+    ///
+    /// # Errors
+    /// [`SendError`].
+    pub fn send_paused(&mut self, is_paused: bool, now: SimTime) -> Result<(), SendError> {
+        self.end.send(HostState::Running, &HostMessage::Paused(is_paused), now)
+    }
+
     /// Sends the rows of a body that the station asked for, at most [`DELTA_MAX`] bytes.
     ///
     /// # Errors

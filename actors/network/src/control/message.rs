@@ -346,6 +346,9 @@ pub enum HostMessage<'a> {
     /// The rows of a body that the station asked for; among peers.
     #[serde(borrow)]
     Repair(Blob<'a>),
+    /// The session is paused, or goes on. While it is paused this is said again and again, so that silence tells of a host
+    /// that is gone.
+    Paused(bool),
 }
 
 fn decode<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, usize), MessageError> {
@@ -459,6 +462,7 @@ impl<'a> HostMessage<'a> {
             Self::Note(_) => "note",
             Self::PeerTicket { .. } => "peer ticket",
             Self::Repair(_) => "repair",
+            Self::Paused(_) => "pause",
             Self::Answer { .. } => "answer",
             Self::Ping(_) => "ping",
             Self::Pong(_) => "pong",

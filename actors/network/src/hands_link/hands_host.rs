@@ -122,7 +122,10 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                 }
             }
             // A host's own pedals are in its scene already.
-            HandsOrder::Press { .. } | HandsOrder::ServePair { .. } | HandsOrder::ClosePair { .. } => {}
+            HandsOrder::Press { .. }
+            | HandsOrder::Place
+            | HandsOrder::ServePair { .. }
+            | HandsOrder::ClosePair { .. } => {}
             // The host is connected to all stations.
             HandsOrder::OpenPair { connection, .. } => {
                 self.controller.tell(HandsNews::Closed(connection));

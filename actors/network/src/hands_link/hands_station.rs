@@ -257,6 +257,11 @@ impl<A: Copy + PartialEq> HandsStation<A> {
                     hand.press(now, pedals);
                 }
             }
+            HandsOrder::Place => {
+                let serves = self.serves;
+                let is_served = |hand: &&mut StationHand| serves.as_slice().contains(&hand.number);
+                self.hands.iter_mut().filter(is_served).for_each(StationHand::place);
+            }
             HandsOrder::Send { connection, parcel } => {
                 let Self { host, connection: open, controller, out, .. } = self;
                 if let Some(open) = open.as_deref_mut().filter(|open| open.id() == connection) {

@@ -125,6 +125,8 @@ pub enum HandsOrder<A> {
         /// Its pedals.
         pedals: Pedals,
     },
+    /// The session goes on after a pause: a station brings its hands to where the host has them.
+    Place,
     /// A connection to another station begins, at a station; one to the same ends.
     OpenPair {
         /// The other station.

@@ -6,6 +6,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use trocar_kernel::runtime::{Clock, Permission, sched};
@@ -19,6 +20,8 @@ use crate::hands_link::HandsLink;
 pub const TICK: SimTime = SimTime::from_millis(1);
 /// The same while there is no connection.
 const IDLE_TICK: SimTime = SimTime::from_millis(10);
+/// The same while the session is paused and its time stands still, so that orders are obeyed.
+const PAUSED_TICK: Duration = Duration::from_millis(50);
 /// Datagrams taken between two ticks: more than a flood of 200,000 a second brings. What is beyond them waits in the
 /// socket's buffer, and is lost when that is full.
 const TAKEN_MAX: usize = 256;
@@ -86,7 +89,7 @@ fn run(
     counts: &HandsThreadCounts,
 ) {
     let mut bytes = [0; DATAGRAM_MAX + 1];
-    let mut due = clock.now();
+    let (mut due, mut ticked) = (clock.now(), Instant::now());
     let mut send = |to: SocketAddr, datagram: &[u8]| {
         // A datagram that the system does not take is lost, as on any path; the sender's next one is newer.
         let is_sent = matches!(socket.send_to(datagram, to), Ok(length) if length == datagram.len());
@@ -95,14 +98,17 @@ fn run(
         is_sent
     };
     while !stop.load(Ordering::Acquire) {
-        let now = clock.now();
-        if now >= due {
+        let (now, since) = (clock.now(), ticked.elapsed());
+        if now >= due || since >= PAUSED_TICK {
             link.tick(now, &mut send);
+            ticked = Instant::now();
             let period = if link.is_idle() { IDLE_TICK } else { TICK };
             // A tick that is late is not made up for.
             due = (due + period).max(now + SimTime(period.0 / 2));
         }
-        wait(socket, due.since(clock.now()).min(IDLE_TICK));
+        // Time that stands still does not come nearer to the next tick.
+        let stands_still = since >= 2 * IDLE_TICK.to_duration();
+        wait(socket, if stands_still { IDLE_TICK } else { due.since(clock.now()).min(IDLE_TICK) });
         for _ in 0..TAKEN_MAX {
             match socket.recv_from(&mut bytes) {
                 Ok((length, from)) => {

@@ -80,18 +80,26 @@ impl Peer for HandsPeer {
     }
 
     fn step(&mut self, now: SimTime) {
+        self.step_at(now, now);
+    }
+}
+
+impl HandsPeer {
+    /// One step of a session whose clock shows `now`, when time on the wires is `wire_now`: it goes on while a session stands
+    /// still.
+    pub fn step_at(&mut self, now: SimTime, wire_now: SimTime) {
         let hosts = self.wires.all().into_iter().map(|wire| (wire, self.end)).enumerate();
         let pairs = self.pairs.all().into_iter().enumerate().map(|(at, wire)| (FIRST_PAIR + at, wire));
         let wires: BTreeMap<usize, (Wire, End)> = hosts.chain(pairs).collect();
         let mut send = |to: usize, bytes: &[u8]| {
             let wire = wires.get(&to);
             if let Some((wire, end)) = wire {
-                wire.send_datagram(*end, now, bytes);
+                wire.send_datagram(*end, wire_now, bytes);
             }
             wire.is_some()
         };
         for (address, (wire, end)) in &wires {
-            while let Some(mut bytes) = wire.receive_datagram(*end, now) {
+            while let Some(mut bytes) = wire.receive_datagram(*end, wire_now) {
                 self.link.receive(now, *address, &mut bytes, &mut send);
             }
         }

@@ -28,7 +28,7 @@ fn begin(bench: &Bench, wire: &Wire, number: usize) -> Examination<usize> {
 /// One millisecond of a host and of those who ask it, each over its wire. `there` says which datagrams pass to the host,
 /// and `back` whether any pass from it.
 fn step(bench: &mut Bench, asking: &mut [(Wire, Examination<usize>)], there: fn(&[u8]) -> bool, back: bool) {
-    bench.now += MS(1);
+    bench.pass();
     let now = bench.now;
     bench.host.step(now);
     for (wire, examination) in asking {

@@ -145,4 +145,13 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for HostController<A> {
         self.board.follow(scene, out);
         Ok(())
     }
+
+    fn rest(&mut self, passed: SimTime, scene: &Snapshot) {
+        self.machine.work(|machine| {
+            machine.rest(passed, scene);
+            for incident in machine.take_incidents() {
+                tracing::info!("{}", incident.what);
+            }
+        });
+    }
 }

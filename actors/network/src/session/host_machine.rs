@@ -38,6 +38,8 @@ const ORDERS_KEPT: usize = ORDERS_MAX / 4;
 const REFRESH_EVERY: SimTime = SimTime::from_millis(1_000);
 /// Time between two rosters with new figures of the links.
 const ROSTER_EVERY: SimTime = SimTime::from_millis(1_000);
+/// Time between two words that the session is paused.
+const PAUSED_EVERY: SimTime = SimTime::from_millis(1_000);
 /// Incidents that wait for the actor, the newest.
 const INCIDENTS_MAX: usize = 64;
 
@@ -73,6 +75,8 @@ struct Link {
     /// Pieces of a delta that wait for room.
     pieces: VecDeque<Vec<u8>>,
     is_told: bool,
+    /// Whether the station was told that the session is paused.
+    is_paused: bool,
 }
 
 /// Something that a person at the host should know.
@@ -107,6 +111,8 @@ pub struct HostMachine<A> {
     strangers: u64,
     /// Time of the last step.
     now: SimTime,
+    /// While the session is paused: when stations are told so again, counted from the beginning of the pause.
+    paused_again_at: Option<SimTime>,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
@@ -162,6 +168,7 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             shown: VecDeque::new(),
             strangers: 0,
             now: SimTime::ZERO,
+            paused_again_at: None,
         }
     }
 
@@ -175,6 +182,11 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         self.members.roster.hands()
     }
 
+    /// What the pedals of the host's own devices say, by the numbers of their hands.
+    pub fn own_pedals(&self) -> Vec<(u8, Pedals)> {
+        self.members.hands.iter().map(|hand| (hand.number, hand.control.local_pedals())).collect()
+    }
+
     /// The last second of each link.
     pub fn points(&self) -> Vec<(u16, LinkPoint)> {
         let points = self
@@ -182,11 +194,6 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             .members
             .iter()
             .filter_map(|(station, member)| Some((*station, *member.quality.as_ref()?.curve().last()?)));
-    /// What the pedals of the host's own devices say, by the numbers of their hands.
-    pub fn own_pedals(&self) -> Vec<(u8, Pedals)> {
-        self.members.hands.iter().map(|hand| (hand.number, hand.control.local_pedals())).collect()
-    }
-
         points.collect()
     }
 
@@ -234,6 +241,40 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
     /// One step: takes what has come, and sends what is due of the scene as it is now.
     pub fn step(&mut self, now: SimTime, scene: &Snapshot) {
         self.now = now;
+        if self.paused_again_at.take().is_some() {
+            self.go_on(now);
+        }
+        self.work(now, scene);
+    }
+
+    /// The session is paused: its time stands still at that of the last step, and stations that are told so stand still as
+    /// well. What comes is answered, so that nobody takes the host for gone, and whoever joins gets in; nothing expires.
+    /// `passed` is how long the pause has lasted.
+    pub fn rest(&mut self, passed: SimTime, scene: &Snapshot) {
+        let now = self.now;
+        let is_due = self.paused_again_at.is_none_or(|at| passed >= at);
+        if is_due {
+            self.paused_again_at = Some(passed + PAUSED_EVERY);
+        }
+        let running = |link: &&mut Link| link.control.state() == HostState::Running;
+        for link in self.links.values_mut().filter(running).filter(|link| is_due || !link.is_paused) {
+            link.is_paused = true;
+            told(link.control.send_paused(true, now));
+        }
+        self.work(now, scene);
+    }
+
+    /// The session goes on after a pause. Hands that stations serve stand where they are until their stations have brought
+    /// their own there.
+    fn go_on(&mut self, now: SimTime) {
+        for link in self.links.values_mut().filter(|link| link.is_paused) {
+            link.is_paused = false;
+            told(link.control.send_paused(false, now));
+        }
+        self.members.retake_hands();
+    }
+
+    fn work(&mut self, now: SimTime, scene: &Snapshot) {
         if self.members.scene.revision() != scene.revision() {
             self.members.scene = Arc::new(scene.clone());
             self.members.tell_holding();
@@ -252,7 +293,9 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
             self.serve(stream, now);
         }
         self.tell_all(now);
-        self.feed(now);
+        if self.paused_again_at.is_none() {
+            self.feed(now);
+        }
         if self.members.info.architecture == Architecture::PeerToPeer {
             self.repair(now);
             self.send_sketches(now);
@@ -291,8 +334,14 @@ impl<A: Copy + PartialEq + Send + 'static> HostMachine<A> {
         self.streams.work(now, &mut self.opened);
         for stream in self.opened.drain(..) {
             let control = HostControl::new(self.facts.clone(), now);
-            let link =
-                Link { control, opened: None, is_echoed: false, pieces: VecDeque::new(), is_told: false };
+            let link = Link {
+                control,
+                opened: None,
+                is_echoed: false,
+                pieces: VecDeque::new(),
+                is_told: false,
+                is_paused: false,
+            };
             self.links.insert(stream, link);
         }
     }

@@ -145,6 +145,16 @@ impl Members {
         self.roster_changed = true;
     }
 
+    /// Takes the motion of all hands that stations serve up anew, from where the hands are.
+    pub fn retake_hands(&self) {
+        for (info, hand) in self.roster.hands().iter().zip(&self.hands) {
+            // One that was lost in a silence comes back by its station's first word.
+            if info.station.is_some() && hand.control.station() == info.station {
+                info.station.into_iter().for_each(|station| hand.control.take(station));
+            }
+        }
+    }
+
     /// A station's connection ended; `is_over` if it left and does not come back.
     pub fn disconnected(&mut self, station: u16, connection: u32, is_over: bool, now: SimTime) {
         self.roster_changed = true;

@@ -3,6 +3,8 @@
 
 #[path = "diagnosis_tests.rs"]
 mod diagnosis_tests;
+#[path = "pause_tests.rs"]
+mod pause_tests;
 
 use std::sync::{Arc, Mutex};
 
@@ -13,6 +15,7 @@ use trocar_scene::{
     Store, Velocity,
 };
 
+use self::pause_tests::{ByTheWall, Wall};
 use super::admissions::BookAdmissions;
 use super::host_machine::{HostMachine, HostSetup};
 use super::host_members::HostHandControl;
@@ -64,6 +67,7 @@ pub(super) struct Host {
     hands: HandsPeer,
     pub(super) device: Device,
     pub(super) moving: Vec<Entity>,
+    wall: Wall,
 }
 
 pub(super) struct Station {
@@ -78,6 +82,7 @@ pub(super) struct Station {
     setup: StationSetup,
     controller: ControllerEnd<usize>,
     wire: Wire,
+    wall: Wall,
 }
 
 pub(super) struct Bench {
@@ -87,6 +92,10 @@ pub(super) struct Bench {
     pub(super) host: Host,
     pub(super) station: Station,
     credential: Credential,
+    /// How far the session clocks of both are behind, as they stood still for so long.
+    host_behind: SimTime,
+    station_behind: SimTime,
+    wall: Wall,
 }
 
 fn remote_hand(at_x: f64) -> (RemoteHand, crate::remote_hand::StationEnd) {
@@ -132,7 +141,7 @@ impl Bench {
         let (host_hand, host_end) = remote_hand(0.0);
         let control = HostHandControl { number: 0, control: host_end.control().clone() };
         let (controller, link) = hands_channel();
-        let wires = Wires::default();
+        let (wires, wall) = (Wires::default(), Wall::default());
         let wire = Wire::new(path, 11);
         wires.add(wire.clone());
         let links = HandsHost::new(vec![HostHand { number: 0, end: host_end, playout: None }], link);
@@ -170,7 +179,7 @@ impl Bench {
         };
         let machine = HostMachine::new(
             setup,
-            Box::new(WireHostStreams::new(wires.clone())),
+            Box::new(ByTheWall(WireHostStreams::new(wires.clone()), wall.clone())),
             Box::new(BookAdmissions { book: Arc::new(Mutex::new(book)), clock: NOW }),
             controller,
             scene.clone(),
@@ -183,16 +192,31 @@ impl Bench {
             hands: HandsPeer::new("network.hands", Box::new(links), wires.clone(), End::Host),
             device: Device { hand: host_hand, shown: None },
             moving,
+            wall: wall.clone(),
         };
-        let station = Station::new(&wires, &wire, credential.clone(), hands, columns);
-        Self { now: SimTime::ZERO, wires, wire, host, station, credential }
+        let station = Station::new(&wires, &wire, &wall, credential.clone(), hands, columns);
+        let (now, host_behind, station_behind) = (SimTime::ZERO, SimTime::ZERO, SimTime::ZERO);
+        Self { now, wires, wire, host, station, credential, host_behind, station_behind, wall }
     }
 
     pub(super) fn step(&mut self, intent: Option<HandIntent>) {
+        self.pass();
+        self.step_host();
+        self.step_station(intent);
+    }
+
+    /// A millisecond passes.
+    fn pass(&mut self) {
         self.now += SimTime::from_millis(1);
-        let now = self.now;
-        self.host.step(now);
-        self.station.step(now, intent);
+        self.wall.set(self.now);
+    }
+
+    fn step_host(&mut self) {
+        self.host.step(self.now - self.host_behind);
+    }
+
+    fn step_station(&mut self, intent: Option<HandIntent>) {
+        self.station.step(self.now - self.station_behind, intent);
     }
 
     pub(super) fn run(&mut self, millis: u64) {
@@ -215,6 +239,14 @@ impl Bench {
         );
     }
 
+    /// Nothing passes between both any more, or all does again.
+    fn partition(&self, begins: bool) {
+        let lossy = Impairments { loss: 1.0, ..Impairments::default() };
+        for order in lossy.orders(1) {
+            self.wire.fault(&FaultOrder { kind: FaultKind::Partition, index: 9, begins, ..order });
+        }
+    }
+
     pub(super) fn is_running(&self) -> bool {
         self.station.machine.state() == ClientState::Running
     }
@@ -223,7 +255,7 @@ impl Bench {
 impl Host {
     fn step(&mut self, now: SimTime) {
         self.device.step(now, None);
-        self.hands.step(now);
+        self.hands.step_at(now, self.wall.now());
         if now.as_nanos().is_multiple_of(4_000_000) {
             self.commands.begin(now);
             let phase = now.as_secs_f64();
@@ -239,18 +271,11 @@ impl Host {
     }
 }
 
-    /// Nothing passes between both any more, or all does again.
-    fn partition(&self, begins: bool) {
-        let lossy = Impairments { loss: 1.0, ..Impairments::default() };
-        for order in lossy.orders(1) {
-            self.wire.fault(&FaultOrder { kind: FaultKind::Partition, index: 9, begins, ..order });
-        }
-    }
-
 impl Station {
     fn new(
         wires: &Wires,
         wire: &Wire,
+        wall: &Wall,
         credential: Credential,
         hands: &[&str],
         columns: Arc<ReplicatedColumns>,
@@ -275,6 +300,7 @@ impl Station {
             secret: 5,
         };
         let stream = WireStationStream::new(wire.clone(), number, SimTime::from_millis(300));
+        let stream = ByTheWall(stream, wall.clone());
         let machine = StationMachine::new(setup.clone(), Box::new(stream), controller.clone(), SimTime::ZERO);
         Self {
             store: Store::new(registry.clone()),
@@ -287,6 +313,7 @@ impl Station {
             setup,
             controller,
             wire: wire.clone(),
+            wall: wall.clone(),
         }
     }
 
@@ -294,6 +321,7 @@ impl Station {
     fn lose_machine(&mut self, now: SimTime) {
         let parts = self.machine.parts().expect("it is in the session");
         let stream = WireStationStream::new(self.wire.clone(), 0, SimTime::from_millis(300));
+        let stream = ByTheWall(stream, self.wall.clone());
         let (setup, controller) = (self.setup.clone(), self.controller.clone());
         let scene = self.store.snapshot();
         self.machine = StationMachine::again(setup, Box::new(stream), controller, parts, &scene, now);
@@ -301,7 +329,7 @@ impl Station {
 
     fn step(&mut self, now: SimTime, intent: Option<HandIntent>) {
         self.device.step(now, intent);
-        self.hands.step(now);
+        self.hands.step_at(now, self.wall.now());
         if !now.as_nanos().is_multiple_of(4_000_000) {
             return;
         }
@@ -399,34 +427,6 @@ fn after_a_break_the_station_is_back_with_what_it_missed_and_its_hand_is_at_one_
 }
 
 #[test]
-fn a_station_whose_network_died_at_work_comes_back_with_the_same_scene_and_hand() {
-    let mut bench = Bench::new(&bad_path(), 200, Role::Operate, &["left"]);
-    bench.run_until(5_000, Bench::is_running);
-    bench.run(1_000);
-    // What happened at the host meanwhile it does not know.
-    let gone = bench.host.moving.pop().expect("a body");
-    bench.host.commands.begin(bench.now);
-    bench.host.commands.despawn(gone);
-    bench.host.commands.seal();
-    bench.host.store.apply(&mut bench.host.commands, bench.now);
-    bench.host.commands.clear();
-    bench.station.lose_machine(bench.now);
-    let took = bench.run_until(5_000, Bench::is_running);
-    assert!(took < 1_500, "{took} ms");
-    bench.run(1_500);
-    let stations = bench.host.machine.stations();
-    assert_eq!((stations.len(), stations[0].is_here, &stations[0].hands[..]), (1, true, &[0][..]));
-    assert!(!bench.station.store.view().contains(gone), "a despawn that was missed");
-    let (host, station) = (&bench.host.scene, bench.station.store.view());
-    for entity in &bench.host.moving {
-        let (here, there) = (host.get::<Pose>(*entity), station.get::<Pose>(*entity));
-        let (here, there) = (here.expect("a pose"), there.expect("it is there"));
-        assert!((here.translation - there.translation).norm() < 1.5e-3);
-    }
-    let (here, there) = (bench.host.device.x(), bench.station.device.x());
-    assert!((here - there).abs() < 2e-4, "{here} and {there}");
-}
-#[test]
 fn after_a_short_silence_the_hand_is_at_one_place_again_however_short_the_path_is() {
     for delay in [1, 5, 20, 40, 75] {
         let mut bench =
@@ -458,6 +458,34 @@ fn after_a_short_silence_the_hand_is_at_one_place_again_however_short_the_path_i
     }
 }
 
+#[test]
+fn a_station_whose_network_died_at_work_comes_back_with_the_same_scene_and_hand() {
+    let mut bench = Bench::new(&bad_path(), 200, Role::Operate, &["left"]);
+    bench.run_until(5_000, Bench::is_running);
+    bench.run(1_000);
+    // What happened at the host meanwhile it does not know.
+    let gone = bench.host.moving.pop().expect("a body");
+    bench.host.commands.begin(bench.now);
+    bench.host.commands.despawn(gone);
+    bench.host.commands.seal();
+    bench.host.store.apply(&mut bench.host.commands, bench.now);
+    bench.host.commands.clear();
+    bench.station.lose_machine(bench.now);
+    let took = bench.run_until(5_000, Bench::is_running);
+    assert!(took < 1_500, "{took} ms");
+    bench.run(1_500);
+    let stations = bench.host.machine.stations();
+    assert_eq!((stations.len(), stations[0].is_here, &stations[0].hands[..]), (1, true, &[0][..]));
+    assert!(!bench.station.store.view().contains(gone), "a despawn that was missed");
+    let (host, station) = (&bench.host.scene, bench.station.store.view());
+    for entity in &bench.host.moving {
+        let (here, there) = (host.get::<Pose>(*entity), station.get::<Pose>(*entity));
+        let (here, there) = (here.expect("a pose"), there.expect("it is there"));
+        assert!((here.translation - there.translation).norm() < 1.5e-3);
+    }
+    let (here, there) = (bench.host.device.x(), bench.station.device.x());
+    assert!((here - there).abs() < 2e-4, "{here} and {there}");
+}
 
 #[test]
 fn a_watcher_sees_all_and_serves_nothing() {

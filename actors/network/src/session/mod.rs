@@ -17,6 +17,7 @@ mod carrier;
 mod host_controller;
 mod host_machine;
 mod host_members;
+mod host_pause;
 mod instrument_follower;
 mod machine_slot;
 #[cfg(test)]
@@ -30,6 +31,7 @@ pub use admissions::{Admissions, BookAdmissions, SteppedClock, UnixClock, examin
 pub use host_controller::HostController;
 pub use host_machine::{HostMachine, HostSetup, Incident};
 pub use host_members::{AcceptedNote, HostHandControl};
+pub use host_pause::HostPause;
 pub use instrument_follower::InstrumentFollower;
 pub use machine_slot::{HeldMachine, MachineSlot};
 pub use own_rows::own_rows;

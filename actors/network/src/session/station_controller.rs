@@ -59,6 +59,8 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
             let stepped = machine.step(now, scene, out);
             for news in machine.take_news() {
                 match news {
+                    StationNews::Paused(true) => tracing::warn!("the host has paused the session"),
+                    StationNews::Paused(false) => tracing::warn!("the session goes on"),
                     StationNews::Away(why) => tracing::warn!("away from the host: {why}"),
                     StationNews::Carried(true) => {
                         tracing::warn!(
@@ -86,5 +88,9 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
             out.put(tick.me, row);
         }
         stepped.map_err(|error| ControllerError::Failed(error.to_string()))
+    }
+
+    fn rest(&mut self, passed: SimTime, _: &Snapshot) {
+        self.machine.work(|machine| machine.rest(passed));
     }
 }

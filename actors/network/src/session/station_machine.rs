@@ -14,12 +14,13 @@ use trocar_scene::{
 use super::carrier::Carrier;
 use super::host_controller::{role, state};
 use super::host_members::digest_of;
+use super::host_pause::HostPause;
 use super::own_rows::own_rows;
 use super::peer_repair::PeerRepair;
 use crate::control::{
     ClientControl, ClientEvent, ClientFacts, ClientState, ControlError, Credential, HandInfo, HeldScene,
-    Note, Refusal, RequestKind, SceneCounts, SceneKind, SceneManifest, SendError, StationInfo, StreamWish,
-    Welcome,
+    Note, Refusal, RequestKind, SILENCE_MAX, SceneCounts, SceneKind, SceneManifest, SendError, StationInfo,
+    StreamWish, Welcome,
 };
 use crate::datagram::{Keys, Kind, Side};
 use crate::hands_link::{Connection, ControllerEnd, HandNumbers, HandsNews, HandsOrder, Parcel};
@@ -84,6 +85,8 @@ pub enum StationNews {
     Carried(bool),
     /// A body of the station's differed, and is its owner's again.
     Repaired(Entity),
+    /// The host has paused the session, or it goes on.
+    Paused(bool),
 }
 
 /// Why a station cannot go on.
@@ -140,6 +143,10 @@ pub struct StationMachine<A> {
     is_protected: bool,
     /// Time of the last step.
     now: SimTime,
+    /// Whether the host has paused the session.
+    host_pause: HostPause,
+    /// Within a pause of the host's: when something came last, counted from the beginning of the station's own pause.
+    heard_in_pause: Option<SimTime>,
 }
 
 impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
@@ -184,6 +191,8 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             is_in_session: false,
             is_protected: true,
             now,
+            host_pause: HostPause::default(),
+            heard_in_pause: None,
         }
     }
 
@@ -313,6 +322,10 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
     /// [`StationError`] when all is over.
     pub fn step(&mut self, now: SimTime, scene: &Snapshot, out: &mut Commands) -> Result<(), StationError> {
         self.now = now;
+        if self.heard_in_pause.take().is_some() {
+            // Where its device is now is not where the host has the hand.
+            self.hands.order(HandsOrder::Place);
+        }
         self.connect(now);
         self.receive(now);
         if let Some(peer) = &mut self.peer {
@@ -328,6 +341,9 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         self.press(now, scene);
         self.flush(now);
         let is_running = self.control.state() == ClientState::Running;
+        if !is_running {
+            self.note_pause(false);
+        }
         if self.was_running && !is_running {
             let why = self.control.error().map_or_else(String::new, ToString::to_string);
             self.tell(StationNews::Away(why));
@@ -336,6 +352,49 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
         match (self.control.state(), self.control.error()) {
             (ClientState::Ended, Some(error)) => Err(StationError::Over(error.clone())),
             _ => Ok(()),
+        }
+    }
+
+    /// Whether the host has paused the session: the station's own is then to pause as well, so that both clocks stand still.
+    pub fn host_pause(&self) -> &HostPause {
+        &self.host_pause
+    }
+
+    /// Tells it to who was told by the machine before this one.
+    #[must_use]
+    pub fn telling(self, host_pause: HostPause) -> Self {
+        Self { host_pause, ..self }
+    }
+
+    /// The station's session is paused, `passed` ago, and its time stands still. As long as the host has paused it, too, the
+    /// machine listens to when it goes on; the pause is over as well if the host falls silent or the stream closes. A station
+    /// that has paused by itself is silent.
+    pub fn rest(&mut self, passed: SimTime) {
+        if !self.host_pause.is_on() {
+            return;
+        }
+        let now = self.now;
+        let heard_at = *self.heard_in_pause.get_or_insert(passed);
+        if let StreamState::Closed(why) = self.stream.work(now) {
+            self.drain(now);
+            self.control.broke(&why, now);
+        } else {
+            self.receive(now);
+            if !self.received.is_empty() {
+                self.heard_in_pause = Some(passed);
+            } else if passed.since(heard_at) >= SILENCE_MAX {
+                self.control.broke("the host has fallen silent within a pause", now);
+            }
+        }
+        self.flush(now);
+        if self.control.state() != ClientState::Running {
+            self.note_pause(false);
+        }
+    }
+
+    fn note_pause(&mut self, is_paused: bool) {
+        if self.host_pause.set(is_paused) {
+            self.tell(StationNews::Paused(is_paused));
         }
     }
 
@@ -435,7 +494,11 @@ impl<A: Copy + PartialEq + Send + 'static> StationMachine<A> {
             }
             ClientEvent::Carried { hears, taken, datagram } => carrier.arrived(hears, taken, datagram),
             ClientEvent::Rekey(phase) => heard.rekey = Some(phase),
+            ClientEvent::Paused(is_paused) => heard.paused = Some(is_paused),
         });
+        if let Some(is_paused) = heard.paused {
+            self.note_pause(is_paused);
+        }
         if let Some(why) = failed {
             self.control.broke(&why, now);
         }
@@ -772,6 +835,7 @@ struct Heard {
     scene: Option<(SceneManifest, Vec<u8>)>,
     hands_changed: bool,
     rekey: Option<u32>,
+    paused: Option<bool>,
 }
 
 fn push(news: &mut VecDeque<StationNews>, what: StationNews) {

@@ -50,6 +50,8 @@ pub struct SessionHost {
     /// In virtual time: wall-clock time and session time at which the current speed was set.
     pace: Option<(Instant, SimTime)>,
     paused: bool,
+    /// Whether the windows show that the host of the session has paused it.
+    paused_by_host: bool,
     again: bool,
     told: Option<Instant>,
     /// Sessions that are over.
@@ -67,6 +69,7 @@ impl SessionHost {
             begun: false,
             pace: None,
             paused: false,
+            paused_by_host: false,
             again: false,
             told: None,
             sessions: 0,
@@ -78,6 +81,7 @@ impl SessionHost {
         options.fault_targets.0.push((VIEWER.to_owned(), self.viewers.clone()));
         let stop = options.stop.clone();
         (self.stop, self.begun, self.paused, self.again, self.told) = (stop, false, false, false, None);
+        self.paused_by_host = false;
     }
 
     /// Whether the first picture is still to come.
@@ -104,6 +108,7 @@ impl SessionHost {
         while let Some(request) = self.link.requested() {
             self.handle(progress.session, tuning_service, request);
         }
+        self.follow_host(progress.session);
         self.tell(progress.session);
         self.keep_pace(progress.session, tuning_service);
         while self.paused && !self.shall_end() {
@@ -185,6 +190,20 @@ impl SessionHost {
         }
     }
 
+    /// Shows that the host of the session has paused it; only that can let it go on.
+    fn follow_host(&mut self, session: &Session) {
+        let by_host = session.is_paused_by_host();
+        if std::mem::replace(&mut self.paused_by_host, by_host) == by_host || self.paused {
+            return;
+        }
+        let (play_state, text) = match by_host {
+            true => (PlayState::Paused, "the host has paused the session"),
+            false => (PlayState::Running, "the session goes on"),
+        };
+        self.link.tell(|state| state.play_state = play_state);
+        self.link.note(text.to_owned(), false);
+    }
+
     fn resume(&mut self, session: &mut Session) {
         session.resume();
         self.paused = false;
@@ -200,6 +219,9 @@ impl SessionHost {
 
     fn handle(&mut self, session: &mut Session, tuning_service: &mut TuningService<'_>, request: Request) {
         match request {
+            Request::Resume if self.paused_by_host && !self.paused => {
+                self.link.note("the host has paused the session, and lets it go on".to_owned(), true);
+            }
             Request::Pause if !self.paused => self.pause(session),
             Request::Resume if self.paused => self.resume(session),
             Request::Step { back: false } if self.paused => {

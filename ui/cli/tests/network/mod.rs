@@ -2,6 +2,7 @@
 
 mod blocked_datagrams;
 mod host_and_join;
+mod live_pairs;
 mod mentoring;
 mod robots;
 mod stations;

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each program of tests uses a part of it")]
 
 pub mod hosting;
+pub mod live;
 pub mod pair;
 pub mod party;
 pub mod projects;

@@ -409,7 +409,8 @@ pub(crate) fn hosted(
                 Ok(HostMachine::new(setup.clone(), streams, admissions, controller.clone(), scene))
             };
             let (actor, last_word) = blueprint(first, is_protected, again);
-            Ok(Some(TakingPart { actor, part: NetworkPart::Live { socket, link }, last_word, fault_sinks }))
+            let part = NetworkPart::Live { socket, link };
+            Ok(Some(TakingPart { actor, part, last_word, host_pause: None, fault_sinks }))
         }
         Network::LockstepHost(host) => {
             let setup = setup(scenario, &settings, sharing, (seed, scene), hands.infos, false)?;
@@ -430,7 +431,7 @@ pub(crate) fn hosted(
                 make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
             let (actor, last_word) = blueprint(first, true, make);
             let part = NetworkPart::Lockstep(Box::new(peer));
-            Ok(Some(TakingPart { actor, part, last_word, fault_sinks }))
+            Ok(Some(TakingPart { actor, part, last_word, host_pause: None, fault_sinks }))
         }
     }
 }

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use trocar_devices::SessionTime;
 use trocar_kernel::runtime::PausableClock;
+use trocar_network::session::HostPause;
 use trocar_scene::SimTime;
 
 use super::{Running, Session};
@@ -46,6 +47,21 @@ impl Session {
         match &self.running {
             Running::Live(session, _) => session.resume(),
             Running::Lockstep(_) => false,
+        }
+    }
+
+    /// Whether it is paused because it is a station's, whose host has paused the session. It goes on when that does.
+    pub fn is_paused_by_host(&self) -> bool {
+        self.is_paused_by_host
+    }
+
+    /// Pauses and resumes a station's session as its host does.
+    pub(super) fn follow_host(&mut self) {
+        let Some(is_on) = self.host_pause.as_ref().map(HostPause::is_on) else { return };
+        if is_on && self.pause() {
+            self.is_paused_by_host = true;
+        } else if !is_on && std::mem::take(&mut self.is_paused_by_host) {
+            self.resume();
         }
     }
 
