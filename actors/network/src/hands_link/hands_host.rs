@@ -336,3 +336,7 @@ fn answer_of(hand: &mut HostHand, now: SimTime) -> HandSample {
         clutch: (answer.door.clutches % u64::from(CLUTCHES)) as u8,
     }
 }
+
+#[cfg(test)]
+#[path = "hands_host_tests.rs"]
+mod tests;

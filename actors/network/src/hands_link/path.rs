@@ -3,7 +3,8 @@
 //! A station's address changes when it goes to another network, or when a router forgets it. A host follows the newest
 //! authentic datagram, but only after the new address has answered a challenge: otherwise whoever can copy a datagram and
 //! send it from elsewhere would turn the stream of hands on a victim (as in QUIC, RFC 9000, section 9.3). Until then
-//! datagrams go to the old address.
+//! datagrams go to the old address. The same challenge goes to an address again and again, since a long path has several of
+//! them under way at once, and the answer to the first one counts.
 
 use trocar_scene::SimTime;
 
@@ -11,6 +12,8 @@ use trocar_scene::SimTime;
 pub const CHALLENGE_BYTES: usize = 8;
 /// Least time between two challenges.
 pub const CHALLENGE_EVERY: SimTime = SimTime::from_millis(20);
+/// How long the same challenge goes to an address: longer than the longest round trip.
+const CHALLENGE_MAX: SimTime = SimTime::from_millis(5_000);
 
 /// What a datagram's address means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,13 +26,21 @@ pub enum PathNews {
     Challenge([u8; CHALLENGE_BYTES]),
 }
 
+/// An address that is being challenged.
+#[derive(Clone, Copy, Debug)]
+struct Candidate<A> {
+    to: A,
+    challenge: [u8; CHALLENGE_BYTES],
+    since: SimTime,
+    sent_at: SimTime,
+}
+
 /// The path to the other side; `A` is an address.
 #[derive(Clone, Copy, Debug)]
 pub struct Path<A> {
     address: Option<A>,
     newest: u64,
-    /// The address that is being challenged, with what it has to answer, and since when.
-    candidate: Option<(A, [u8; CHALLENGE_BYTES], SimTime)>,
+    candidate: Option<Candidate<A>>,
     /// What challenges are made of; secret, and different for each connection.
     secret: u64,
     challenges: u64,
@@ -67,10 +78,14 @@ impl<A: Copy + PartialEq> Path<A> {
     }
 
     fn challenge(&mut self, to: A, now: SimTime) -> PathNews {
-        if let Some((_, _, at)) = self.candidate
-            && now.since(at) < CHALLENGE_EVERY
-        {
-            return PathNews::Known;
+        if let Some(Candidate { to: before, challenge, since, sent_at }) = &mut self.candidate {
+            if now.since(*sent_at) < CHALLENGE_EVERY {
+                return PathNews::Known;
+            }
+            if *before == to && now.since(*since) < CHALLENGE_MAX {
+                *sent_at = now;
+                return PathNews::Challenge(*challenge);
+            }
         }
         self.challenges += 1;
         let mut text = [0; 16];
@@ -78,13 +93,14 @@ impl<A: Copy + PartialEq> Path<A> {
         text[8..].copy_from_slice(&self.challenges.to_le_bytes());
         let mut challenge = [0; CHALLENGE_BYTES];
         challenge.copy_from_slice(&blake3::hash(&text).as_bytes()[..CHALLENGE_BYTES]);
-        self.candidate = Some((to, challenge, now));
+        self.candidate = Some(Candidate { to, challenge, since: now, sent_at: now });
         PathNews::Challenge(challenge)
     }
 
     /// An authentic answer came from `from`; whether datagrams go there from now on.
     pub fn answered(&mut self, from: A, answer: &[u8]) -> bool {
-        let is_right = self.candidate.is_some_and(|(to, challenge, _)| to == from && challenge == *answer);
+        let is_asked = |candidate: &Candidate<A>| candidate.to == from && candidate.challenge == *answer;
+        let is_right = self.candidate.as_ref().is_some_and(is_asked);
         if is_right {
             self.address = Some(from);
             self.candidate = None;
@@ -120,13 +136,29 @@ mod tests {
         let mut path = Path::new(7);
         path.arrived('a', 10, MS(0));
         assert_eq!(path.arrived('b', 9, MS(1)), PathNews::Known, "overtaken");
-        let mut challenges = std::collections::BTreeSet::new();
-        for ms in 0..1_000 {
+        let mut challenges = Vec::new();
+        for ms in 0..10_000 {
             if let PathNews::Challenge(challenge) = path.arrived('b', 11 + ms, MS(ms)) {
-                assert!(challenges.insert(challenge), "each is another one");
+                challenges.push(challenge);
             }
         }
-        assert_eq!(challenges.len(), 50);
+        assert_eq!(challenges.len(), 500);
+        // Another one each 5 s.
+        challenges.dedup();
+        assert_eq!(challenges.len(), 2);
+    }
+
+    #[test]
+    fn an_answer_counts_that_takes_longer_than_until_the_next_challenge() {
+        let mut path = Path::new(7);
+        path.arrived('a', 1, MS(0));
+        let PathNews::Challenge(first) = path.arrived('b', 2, MS(0)) else { panic!("not challenged") };
+        // The other side sends on meanwhile, from its new address.
+        for ms in 1..1_500 {
+            path.arrived('b', 2 + ms, MS(ms));
+        }
+        assert!(path.answered('b', &first));
+        assert_eq!(path.address(), Some('b'));
     }
 
     #[test]
