@@ -20,6 +20,8 @@ const SKETCHES_IN_A_ROW: u32 = 2;
 const REPAIR_EVERY: SimTime = SimTime::from_millis(2_000);
 /// Most bodies that are asked for at once.
 const ASKED_MAX: usize = 4;
+/// Most bodies that differ and are remembered; others are when there is room.
+const DIFFERING_MAX: usize = 1_024;
 
 /// What was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -48,6 +50,8 @@ struct Differing {
 #[derive(Default)]
 pub struct Comparison {
     remembered: VecDeque<(SimTime, Snapshot)>,
+    /// Number of the last sketch.
+    number: u64,
     differing: BTreeMap<Entity, Differing>,
     counts: ComparisonCounts,
 }
@@ -80,13 +84,12 @@ impl Comparison {
         let nearest = self.remembered.iter().min_by_key(|(then, _)| from(*then));
         let nearest = nearest.filter(|(then, _)| from(*then) <= REMEMBER_EVERY);
         let Some(scene) = nearest.map(|(_, scene)| scene.clone()) else { return Ok(()) };
-        let mut own: Option<(Entity, Vec<BodySketch>)> = None;
+        let mut own: BTreeMap<Entity, Vec<BodySketch>> = BTreeMap::new();
         self.counts.distance = 0.0;
+        self.number = number;
         for theirs in &sketches {
-            if own.as_ref().is_none_or(|(entity, _)| *entity != theirs.entity) {
-                own = Some((theirs.entity, sketch::of(&scene, theirs.entity, number)));
-            }
-            let Some((_, parts)) = &own else { continue };
+            let entity = theirs.entity;
+            let parts = own.entry(entity).or_insert_with(|| sketch::of(&scene, entity, number));
             let apart = parts
                 .iter()
                 .find(|part| part.first == theirs.first)
@@ -109,12 +112,21 @@ impl Comparison {
     }
 
     fn differs(&mut self, entity: Entity, number: u64) {
+        if self.differing.len() >= DIFFERING_MAX && !self.differing.contains_key(&entity) {
+            return;
+        }
         let of = self.differing.entry(entity).or_default();
         if of.number == number && of.in_a_row > 0 {
             return;
         }
-        of.in_a_row = if of.number + 1 == number { of.in_a_row + 1 } else { 1 };
+        let is_next = of.number.checked_add(1) == Some(number);
+        of.in_a_row = if is_next { of.in_a_row.saturating_add(1) } else { 1 };
         of.number = number;
+    }
+
+    /// How many bodies have differed lately.
+    pub fn differing(&self) -> usize {
+        self.differing.len()
     }
 
     /// The bodies that are to be asked for now.
@@ -127,9 +139,99 @@ impl Comparison {
             (of.in_a_row, of.asked_at) = (0, Some(now));
             asked.push(*entity);
         }
-        self.differing
-            .retain(|_, of| of.in_a_row > 0 || of.asked_at.is_some_and(|at| now.since(at) < REPAIR_EVERY));
+        // One that has not differed in the last sketches begins anew.
+        let newest = self.number;
+        self.differing.retain(|_, of| {
+            let is_recent = of.in_a_row > 0 && of.number.abs_diff(newest) <= u64::from(SKETCHES_IN_A_ROW);
+            is_recent || of.asked_at.is_some_and(|at| now.since(at) < REPAIR_EVERY)
+        });
         self.counts.asked += asked.len() as u64;
         asked
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use trocar_scene::{Commands, EntityAllocator, Motion, Pose, Registry, RigidBody, Store};
+
+    use super::*;
+
+    const MS: fn(u64) -> SimTime = SimTime::from_millis;
+
+    /// A scene with as many rings at a place.
+    fn rings(count: usize, x: f64) -> Snapshot {
+        let registry = Registry::standard();
+        let (mut store, mut out) =
+            (Store::new(registry.clone()), Commands::new(registry, EntityAllocator::new(0, 0)));
+        for _ in 0..count {
+            let ring = out.spawn();
+            out.put(ring, RigidBody { motion: Motion::Dynamic, ..RigidBody::default() });
+            out.put(ring, Pose::at(x, 0.0, 0.1));
+        }
+        out.seal();
+        store.apply(&mut out, SimTime::ZERO);
+        store.snapshot()
+    }
+
+    fn payloads(scene: &Snapshot, number: u64) -> Vec<Vec<u8>> {
+        let sketches: Vec<BodySketch> =
+            sketch::bodies(scene).into_iter().flat_map(|body| sketch::of(scene, body, number)).collect();
+        sketch::write(number, &sketches)
+    }
+
+    fn compare(comparison: &mut Comparison, at: SimTime, theirs: &Snapshot, number: u64) {
+        for payload in payloads(theirs, number) {
+            comparison.compare(at, &payload).expect("it is the owner's");
+        }
+    }
+
+    #[test]
+    fn a_body_is_asked_for_once_it_has_differed_in_two_sketches_in_a_row() {
+        let (own, theirs) = (rings(2, 0.3), rings(2, 0.31));
+        let mut comparison = Comparison::default();
+        comparison.remember(MS(0), &own);
+        compare(&mut comparison, MS(0), &theirs, 7);
+        assert!(comparison.take_asked(MS(100)).is_empty());
+        // Of a time that is not remembered.
+        compare(&mut comparison, MS(500), &theirs, 8);
+        assert!(comparison.take_asked(MS(600)).is_empty());
+        compare(&mut comparison, MS(0), &theirs, 8);
+        assert_eq!(comparison.take_asked(MS(600)).len(), 2);
+        assert_eq!((comparison.counts().differing, comparison.counts().asked), (4, 2));
+        for number in 9..12 {
+            compare(&mut comparison, MS(0), &theirs, number);
+        }
+        assert!(comparison.take_asked(MS(2_000)).is_empty(), "the answer may be on its way");
+        assert_eq!(comparison.take_asked(MS(2_600)).len(), 2);
+    }
+
+    #[test]
+    fn one_that_differed_once_is_forgotten_and_no_number_is_beyond_counting() {
+        let (own, theirs) = (rings(2, 0.3), rings(2, 0.31));
+        let mut comparison = Comparison::default();
+        comparison.remember(MS(0), &own);
+        for number in [1, u64::MAX - 1, u64::MAX, 0, u64::MAX] {
+            compare(&mut comparison, MS(0), &theirs, number);
+        }
+        assert_eq!(comparison.differing(), 2);
+        compare(&mut comparison, MS(0), &own, 5);
+        assert!(comparison.take_asked(MS(10_000)).is_empty());
+        assert_eq!(comparison.differing(), 0);
+    }
+
+    #[test]
+    fn what_is_remembered_of_bodies_is_bounded() {
+        let (own, theirs) = (rings(0, 0.0), rings(2 * DIFFERING_MAX, 0.3));
+        let mut comparison = Comparison::default();
+        for ms in 0..10_000 {
+            comparison.remember(MS(ms), &own);
+        }
+        assert_eq!(comparison.remembered.len(), REMEMBERED_MAX);
+        // None of them is here.
+        for number in 1..3 {
+            compare(&mut comparison, MS(9_992), &theirs, number);
+        }
+        assert_eq!(comparison.differing(), DIFFERING_MAX);
+        assert_eq!(comparison.take_asked(MS(10_000)).len(), ASKED_MAX, "the others follow");
     }
 }

@@ -162,6 +162,9 @@ impl BodySketch {
                 let mut sums = [0.0; SUMS];
                 for sum in &mut sums {
                     *sum = f32::from_le_bytes(reader.array()?);
+                    if !sum.is_finite() {
+                        return Err(reader.refuse(u64::from(sum.to_bits()), "a sum of coordinates"));
+                    }
                 }
                 body.chunks.push(sums);
             }
