@@ -4,6 +4,7 @@
 
 mod allocations;
 mod hand_over_a_bad_path;
+mod station_gone;
 
 #[global_allocator]
 static ALLOCATOR: trocar_test_support::allocations::CountingAllocator =

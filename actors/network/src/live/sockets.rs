@@ -189,4 +189,15 @@ mod tests {
         let elsewhere = HostSockets::bind(Some(Ipv4Addr::new(203, 0, 113, 7).into()), 0);
         assert!(matches!(elsewhere, Err(SocketError::NotHere { .. })), "{elsewhere:?}");
     }
+
+    #[test]
+    fn datagrams_ask_for_expedited_forwarding() {
+        for address in [IpAddr::from(Ipv4Addr::LOCALHOST), Ipv6Addr::LOCALHOST.into()] {
+            // A machine without IPv6 has nothing to mark.
+            let Ok(socket) = datagrams(address, 0) else { continue };
+            let socket = Socket::from(socket);
+            let marked = if address.is_ipv4() { socket.tos_v4() } else { socket.tclass_v6() };
+            assert_eq!(marked.expect("it can be asked") >> 2, 46, "{address}");
+        }
+    }
 }
