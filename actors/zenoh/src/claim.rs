@@ -147,6 +147,8 @@ impl Claims {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     const A: ClaimCode = ClaimCode(0xa);
@@ -212,5 +214,56 @@ mod tests {
             assert_eq!(ClaimCode::parse(text), None, "{text}");
         }
         assert_eq!(format!("{A:?}"), "ClaimCode(…)", "it is a secret");
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+        /// Steps: how long after the one before \[ms\], what, by whom, and a sequence.
+        #[test]
+        fn only_the_newest_claim_commands_in_order_and_before_its_silence(
+            has_silence: bool,
+            steps in prop::collection::vec((0..900_u64, 0..4_u8, 0..3_u64, any::<u8>()), 1..60),
+        ) {
+            let silence = has_silence.then(|| ms(200));
+            let mut claims = Claims::new(silence);
+            let (mut now, mut holder, mut newest, mut epoch) = (ms(0), None, None, 0);
+            let mut heard = now;
+            for (pause, what, who, sequence) in steps {
+                now += ms(pause);
+                let code = ClaimCode(who);
+                let is_silent = silence.is_some_and(|silence| now.since(heard) >= silence);
+                match what {
+                    0 => {
+                        let is_free = holder.is_none() || is_silent || now.since(heard) >= LEAVES_AFTER;
+                        let claimed = claims.claim(now, code);
+                        prop_assert_eq!(claimed.is_ok(), is_free, "{:?}", claimed);
+                        if let Ok(given) = claimed {
+                            prop_assert!(given > epoch, "each claim has its own number");
+                            (holder, newest, heard, epoch) = (Some(code), None, now, given);
+                        }
+                    }
+                    1 => {
+                        let sequence = u64::from(sequence);
+                        let is_right = holder == Some(code)
+                            && !is_silent
+                            && newest.is_none_or(|newest| sequence > newest);
+                        prop_assert_eq!(claims.admit(now, code, sequence).is_ok(), is_right);
+                        if is_right {
+                            (newest, heard) = (Some(sequence), now);
+                        }
+                    }
+                    2 => {
+                        claims.give_back(code);
+                        if holder == Some(code) {
+                            holder = None;
+                        }
+                    }
+                    _ => {
+                        claims.watch(now);
+                    }
+                }
+            }
+        }
     }
 }

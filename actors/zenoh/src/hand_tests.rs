@@ -1,6 +1,9 @@
 //! A hand that is commanded from elsewhere: claims, the door, and what is answered.
 
+use proptest::prelude::*;
+
 use super::*;
+use crate::json_testing::any_value;
 
 const MS: u64 = 1_000_000;
 const CODE: ClaimCode = ClaimCode(7);
@@ -103,4 +106,69 @@ fn a_hand_needs_a_node_and_a_name_of_its_own_and_says_who_reaches_it() {
     board.open(true);
     assert!(board.names().is_empty(), "the next session begins anew");
     assert_eq!(board.device("right").expect("a hand").capabilities().name, MODEL);
+}
+
+/// What somebody sends who has the claim, or not: numbers of any size, JSON of any form, any bytes.
+fn any_command() -> impl Strategy<Value = Vec<u8>> {
+    let numbers = (any::<[f64; 3]>(), any::<[f64; 4]>(), any::<f64>(), any::<u32>(), any::<u8>());
+    let near = any::<[f64; 3]>().prop_map(|place| place.map(|x| x.sin() * 0.2));
+    let command = |position: [f64; 3], rotation: [f64; 4], gripper: f64, buttons: u32, sequence: u8| {
+        json!({
+            "claim": CODE.to_string(), "sequence": sequence, "position": position, "rotation": rotation,
+            "gripper": gripper, "buttons": buttons,
+        })
+        .to_string()
+        .into_bytes()
+    };
+    prop_oneof![
+        numbers.prop_map(move |(position, rotation, gripper, buttons, sequence)| {
+            command(position, rotation, gripper, buttons, sequence)
+        }),
+        (near, any::<u32>(), any::<u8>()).prop_map(move |(at, buttons, sequence)| command(
+            at,
+            upright(),
+            0.3,
+            buttons,
+            sequence
+        )),
+        any_value().prop_map(|value| value.to_string().into_bytes()),
+        prop::collection::vec(any::<u8>(), 0..200),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
+
+    #[test]
+    fn whatever_is_commanded_the_hand_is_within_its_workspace_and_its_speed(
+        commands in prop::collection::vec((any_command(), 0..150_u64), 1..20),
+    ) {
+        let (mut hand, mut lane) = ZenohHand::new(false).expect("a hand");
+        hand.open(0).expect("it opens");
+        lane.claim(SimTime(0), CODE).expect("it is free");
+        let (mut ms, mut before, mut sent) = (0, None, 0);
+        for (payload, millis) in commands {
+            sent += 1;
+            // Taken, or refused in words.
+            let _ = lane.command(SimTime(ms * MS), &payload);
+            for _ in 0..=millis {
+                ms += 1;
+                let state = hand.read(ms * MS).expect("it is open");
+                prop_assert!(state.is_valid(), "{state:?}");
+                let place = state.pose_in_device.translation.vector;
+                prop_assert!(place.iter().zip([0.08, 0.06, 0.035]).all(|(x, edge)| x.abs() <= edge + 1e-9));
+                prop_assert!((0.0..=DoorLimits::default().gripper_max).contains(&state.gripper));
+                if let Some(before) = before.filter(|_| state.connected) {
+                    let moved: f64 = (place - before as Vector3<f64>).norm();
+                    prop_assert!(moved <= 1e-3 + 1e-9, "{moved} m in a millisecond");
+                }
+                before = state.connected.then_some(place);
+            }
+        }
+        let answer = lane.answer().expect("it answers");
+        let refused = answer["refused"].as_u64().expect("a number");
+        let posted = answer["commands"].as_u64().expect("a number");
+        // A command that the device never saw was overtaken by a newer one.
+        prop_assert!(refused <= sent && posted <= sent, "{answer}");
+    }
 }

@@ -13,6 +13,8 @@
 pub mod certificates;
 pub mod claim;
 pub mod hand;
+#[cfg(test)]
+mod json_testing;
 pub mod keys;
 pub mod live;
 pub mod node_config;

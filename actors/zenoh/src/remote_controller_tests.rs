@@ -1,6 +1,7 @@
 //! Batches of a controller elsewhere: what is read, what is refused, and silence.
 
 use super::*;
+use crate::json_testing::any_value;
 use proptest::prelude::*;
 use trocar_scene::{EntityAllocator, Name, Pose, Store};
 
@@ -135,6 +136,41 @@ proptest! {
             if let Ok(batch) = controller.admit(SimTime(1), SimTime::ZERO, bytes) {
                 let _ = batch.write(store.view(), &mut commands(&store));
             }
+        }
+    }
+
+    #[test]
+    fn a_batch_of_any_values_of_any_components_is_refused_or_becomes_commands_that_are_valid(
+        rows in prop::collection::vec((any::<prop::sample::Index>(), any_value()), 0..6),
+        removed in prop::collection::vec(any::<prop::sample::Index>(), 0..3),
+        others in any_value(),
+    ) {
+        let store = scene();
+        let names: Vec<&str> = store.view().registry().iter().map(|(_, entry)| entry.name).collect();
+        let put: Vec<Value> = rows
+            .iter()
+            .map(|(at, value)| json!({ "entity": "ring.1", "component": at.get(&names), "value": value }))
+            .collect();
+        let remove: Vec<Value> =
+            removed.iter().map(|at| json!({ "entity": "0:0:1", "component": at.get(&names) })).collect();
+        let whole = json!({ "put": put, "remove": remove });
+        for more in [whole, json!({ "events": [others.clone()] }), json!({ "put": others })] {
+            let mut controller = RemoteController::new(right(json!([])));
+            controller.claim(SimTime::ZERO, CODE).expect("it is free");
+            let mut out = commands(&store);
+            let read = controller.admit(SimTime(1), SimTime::ZERO, &batch(1, &more));
+            if let Ok(batch) = &read
+                && batch.write(store.view(), &mut out).is_ok()
+            {
+                prop_assert!(out.len() <= COMMANDS_MAX);
+                out.seal();
+                // What a component refuses is found when it is sealed, and the batch with it.
+                let is_refused = out.error().is_some();
+                prop_assert!(is_refused || out.puts().all(|(_, puts)| puts.check().is_ok()));
+                prop_assert!(is_refused || out.events().iter().all(|event| event.value.is_finite()));
+            }
+            let refused = controller.status()["refused"].as_u64();
+            prop_assert_eq!(refused, Some(u64::from(read.is_err())));
         }
     }
 }
