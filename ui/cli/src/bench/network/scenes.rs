@@ -1,10 +1,9 @@
 //! Joining a session over TLS on the loopback, and coming back to it after a break, by the number of entities.
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use trocar::network::datagram::Seal;
-use trocar::network::live::sockets::HostSockets;
 use trocar::network::live::tls;
 use trocar::network::live::tls_host_streams::TlsHostStreams;
 use trocar::network::live::tls_station_stream::TlsStationStream;
@@ -15,6 +14,7 @@ use trocar_scene::{Entity, Name, Pose, SimTime};
 
 use super::Rows;
 use super::pair::{Book, Pair};
+use super::veth::Place;
 use crate::failure::Failure;
 
 const ENTITIES: [usize; 3] = [100, 1_000, 10_000];
@@ -66,11 +66,9 @@ impl Live {
     }
 }
 
-fn open(entities: usize) -> Result<(Live, Vec<Entity>), Failure> {
+fn open(place: &Place, entities: usize) -> Result<(Live, Vec<Entity>), Failure> {
     let book = Book::new()?;
-    let here = Ipv4Addr::LOCALHOST;
-    let sockets = HostSockets::bind(Some(here.into()), 0).map_err(Failure::internal)?;
-    let socket = SocketAddr::new(here.into(), sockets.port);
+    let (sockets, socket) = place.host()?;
     let address = HostAddress::of_socket(socket).map_err(Failure::internal)?;
     let identity = book.identity();
     let key = identity.private_key().map_err(Failure::internal)?;
@@ -92,8 +90,8 @@ fn open(entities: usize) -> Result<(Live, Vec<Entity>), Failure> {
     Ok((Live { pair, begun, _book: book }, all))
 }
 
-pub(super) fn block(entities: usize) -> Result<Block, Failure> {
-    let (mut live, all) = open(entities)?;
+pub(super) fn block(place: &Place, entities: usize) -> Result<Block, Failure> {
+    let (mut live, all) = open(place, entities)?;
     let join_ms = live.until("a join", Pair::is_running)?;
     if live.pair.station.store.view().iter::<Pose>().count() != entities {
         return Err(Failure::internal("the scene that was joined is not whole"));
@@ -122,7 +120,9 @@ pub(super) fn block(entities: usize) -> Result<Block, Failure> {
 pub fn joins() -> Rows {
     let mut rows = Vec::new();
     for entities in ENTITIES {
-        let blocks = (0..BLOCKS).map(|_| block(entities)).collect::<Result<Vec<Block>, Failure>>()?;
+        let blocks = (0..BLOCKS)
+            .map(|_| block(&Place::Loopback, entities))
+            .collect::<Result<Vec<Block>, Failure>>()?;
         let mut row = |what: &str, unit: &str, value: fn(&Block) -> f64, bar| {
             let values: Vec<f64> = blocks.iter().map(value).collect();
             let name = format!("network_{what}_{entities}_entities");

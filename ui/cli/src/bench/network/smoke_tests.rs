@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use trocar::network::datagram::DATAGRAM_MAX;
 use trocar_scene::SimTime;
 
 use super::link::{HANDS, hands_at};
@@ -64,9 +65,21 @@ fn the_hands_of_stations_reach_their_host_and_its_answers_come_back() {
 
 #[test]
 fn a_station_joins_and_comes_back_with_what_it_missed() {
-    let block = good(scenes::block(200));
+    let block = good(scenes::block(&Place::Loopback, 200));
     assert!(block.rejoin_bytes < block.join_bytes, "{} and {} B", block.rejoin_bytes, block.join_bytes);
     assert!(block.join_ms > 0.0 && block.rejoin_ms > 0.0);
+}
+
+#[test]
+fn a_station_joins_where_packets_have_1_280_bytes_at_most() {
+    let place = Place::new().with_packets_of(1_280);
+    println!("over {}", place.name());
+    let block = good(scenes::block(&place, 500));
+    assert!(block.join_bytes > 10_000.0 && block.rejoin_ms > 0.0, "{} B", block.join_bytes);
+    let (sockets, address) = good(place.host());
+    let echo = RawEcho::start(sockets.udp).expect("a thread");
+    assert!(good(round_trips(address, DATAGRAM_MAX, BRIEF)).count() > 10, "the longest datagrams pass");
+    drop(echo);
 }
 
 #[test]

@@ -59,7 +59,7 @@ impl Place {
             std::thread::sleep(Duration::from_millis(2));
         }
         let id = child.id().to_string();
-        let (near, far) = (format!("trb{id}a"), format!("trb{id}b"));
+        let (near, far) = interfaces(&id);
         let within = |arguments: &[&str]| {
             let inside = [&["--target", &id, "--net", "ip"], arguments].concat();
             succeeds("nsenter", &inside)
@@ -72,6 +72,18 @@ impl Place {
                 && within(&["link", "set", &far, "up"])
                 && within(&["link", "set", "lo", "up"]);
         is_made.then_some(place)
+    }
+
+    /// The same with packets of so many bytes at most; the loopback where that cannot be set.
+    #[cfg(test)]
+    pub fn with_packets_of(self, bytes: u32) -> Self {
+        let Self::Namespace(child) = &self else { return self };
+        let (id, bytes) = (child.id().to_string(), bytes.to_string());
+        let (near, far) = interfaces(&id);
+        let set = |interface| ["ip", "link", "set", interface, "mtu", &bytes];
+        let is_set = succeeds("ip", &set(near.as_str())[1..])
+            && succeeds("nsenter", &[&["--target", &id, "--net"][..], &set(&far)].concat());
+        if is_set { self } else { Self::Loopback }
     }
 
     /// Sockets of a host there, and where stations reach them.
@@ -108,6 +120,11 @@ impl Drop for Place {
             let _ = child.wait();
         }
     }
+}
+
+/// Names of the interfaces at both ends.
+fn interfaces(id: &str) -> (String, String) {
+    (format!("trb{id}a"), format!("trb{id}b"))
 }
 
 fn succeeds(program: &str, arguments: &[&str]) -> bool {
