@@ -11,6 +11,7 @@ use trocar_scene::{DeviceState, Grasp, HapticStatus, SimTime, Snapshot, Station}
 use crate::support::here;
 use crate::support::pair::Pair;
 use crate::support::shared_liver::{liver, pulled_apart};
+use crate::support::soak::soak;
 
 #[test]
 fn the_left_hand_at_a_station_and_the_right_one_at_the_host_transfer_the_pegs() {
@@ -204,4 +205,11 @@ fn a_liver_under_two_hands_is_the_same_at_two_peers_for_ten_minutes() {
     assert!(p95 <= 1e-3, "{p95}");
     // A repair takes 100 kB at most, and 46 kB a second go to the station.
     assert!(100e3 * f64::from(repairs) <= 0.05 * 46e3 * 600.0, "{repairs} repairs");
+}
+
+#[test]
+fn a_station_holds_the_state_of_its_host_each_second_for_an_hour() {
+    let soaked = soak(3_600);
+    println!("{soaked:?}");
+    assert!(soaked.agreed == 3_600 && soaked.differed == 3_600 && soaked.breaks > 130, "{soaked:?}");
 }

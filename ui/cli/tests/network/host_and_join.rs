@@ -4,6 +4,8 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use trocar::network::ticket::Ticket;
+
 use crate::support::hosting::Host;
 use crate::support::{here, object, stderr, trocar};
 
@@ -81,4 +83,38 @@ fn a_ticket_that_is_none_a_port_that_is_taken_and_a_hand_that_is_not_there_are_t
     assert_eq!(second.status.code(), Some(4), "{}", stderr(&second));
     assert!(stderr(&second).contains("another host runs"), "{}", stderr(&second));
     host.end();
+}
+
+#[test]
+fn a_ticket_is_in_no_output_of_its_station_and_one_on_the_command_line_is_warned_of() {
+    let folder = here();
+    let host = Host::start(folder.path(), &["operate=Ana", "watch=Bo"]);
+    let files = ["--record", "station.mcap", "--report", "station.html"];
+    let join = [&["join", "--hand", "left=virtual", "--seconds", "2"][..], &files].concat();
+    let joined = station(folder.path(), &host.tickets[0], &join);
+    assert_eq!(joined.status.code(), Some(0), "{}", stderr(&joined));
+    let watch = ["watch", host.tickets[1].as_str(), "--seconds", "1", "--headless", "--json"];
+    let warned = trocar(folder.path(), &watch);
+    assert_eq!(warned.status.code(), Some(0), "{}", stderr(&warned));
+    assert!(stderr(&warned).contains("others on this machine can read the ticket"), "{}", stderr(&warned));
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a file");
+    let written = ["station.mcap", "station.html", "host.tickets"].map(read);
+    let printed = [&joined, &warned].map(|output| [&output.stdout[..], &output.stderr].concat());
+    let tickets = host.tickets.clone();
+    let ended = host.end();
+    for ticket in tickets {
+        let parsed: Ticket = ticket.parse().expect("a ticket");
+        let token = parsed.token().as_bytes().to_vec();
+        let digits: String = token.iter().map(|byte| format!("{byte:02x}")).collect();
+        for form in [ticket.as_bytes(), &token, digits.as_bytes()] {
+            // The host has printed its tickets, to stderr; what it keeps are hashes.
+            for text in written.iter().chain(&printed).chain([&ended.stdout]) {
+                assert!(
+                    !text.windows(form.len()).any(|part| part == form),
+                    "{}",
+                    String::from_utf8_lossy(form)
+                );
+            }
+        }
+    }
 }

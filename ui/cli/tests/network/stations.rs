@@ -6,12 +6,14 @@ use trocar::app::App;
 use trocar::network::impairments::Impairments;
 use trocar::play::person;
 use trocar::run::{self, RunOptions};
+use trocar_kernel::recorder::Recording;
 use trocar_scene::{
     Activation, ActivationMode, DeviceForce, DeviceState, Name, PersonInput, SimTime, Snapshot, Station,
 };
 
 use crate::support::here;
 use crate::support::pair::{Pair, place};
+use crate::support::soak::soak;
 
 #[test]
 fn a_station_has_the_hosts_scene_and_follows_it() {
@@ -132,6 +134,78 @@ fn a_wall_feels_the_same_at_every_delay() {
                 (force - expected).abs() <= tolerance,
                 "{round_trip} ms: {force} N instead of {expected} at {depth} m, {millis} ms after contact"
             );
+        }
+    }
+}
+
+#[test]
+fn a_station_holds_the_state_of_its_host_each_second_in_spite_of_breaks() {
+    // An hour of it is among what runs before a release.
+    let soaked = soak(20);
+    println!("{soaked:?}");
+    assert!(
+        soaked.agreed == 20 && soaked.differed == 20 && soaked.breaks == 2 && soaked.bodies > 50,
+        "{soaked:?}"
+    );
+}
+
+#[test]
+fn a_station_is_back_within_a_second_of_its_hosts_restart() {
+    let path = Impairments { loss: 0.02, ..Impairments::delay(SimTime::from_millis(75)) };
+    let mut pair = Pair::new("peg-transfer", &path, &["left"]);
+    pair.run(3_000);
+    pair.restart_host();
+    let killed_at = pair.now;
+    // What was under way comes; then the instrument of the host's hand stands at the station until it is back.
+    pair.run(120);
+    let shown = |pair: &mut Pair| place(&pair.station.snapshot(), "grasper.right");
+    let stands = shown(&mut pair);
+    pair.run(30);
+    assert_eq!(shown(&mut pair), stands, "the host is gone");
+    while shown(&mut pair) == stands {
+        assert!(pair.step() && pair.now.since(killed_at) < SimTime::from_millis(1_000));
+    }
+    println!("back after {}", pair.now.since(killed_at));
+    // Its hand comes back from where it went meanwhile.
+    pair.run(2_000);
+    let (host, station) = (pair.host.snapshot(), pair.station.snapshot());
+    let row = host.iter::<Station>().next().expect("the host's row of it").1;
+    assert!(row.here && row.hands == ["left"], "{row:?}");
+    let far = (place(&host, "grasper.left").translation - place(&station, "grasper.left").translation).norm();
+    // 0.3 m/s over 100 ms.
+    assert!(far < 0.03, "{far} m");
+}
+
+#[test]
+fn no_secret_is_in_a_recording_or_in_a_scene() {
+    let mut pair = Pair::new("wall", &Impairments::delay(SimTime::from_millis(20)), &["right"]);
+    pair.run(1_200);
+    pair.wire.disconnect();
+    // Back by the resume secret.
+    pair.run(3_000);
+    let mut texts: Vec<Vec<u8>> = Vec::new();
+    for scene in [pair.host.snapshot(), pair.station.snapshot()] {
+        assert!(scene.iter::<Station>().any(|(_, row)| row.here));
+        for (id, _) in scene.registry().iter() {
+            let column = scene.erased_column(id);
+            column.for_each_entity(&mut |entity| {
+                let row = column.row_json(entity).map(|row| row.to_string().into_bytes());
+                texts.extend(row);
+            });
+        }
+    }
+    for file in pair.recordings() {
+        let recording = Recording::open(&file).expect("it is whole so far");
+        texts.extend(recording.bodies().expect("they unpack"));
+        texts.push(std::fs::read(&file).expect("it is there"));
+    }
+    assert!(texts.len() > 50);
+    for secret in &pair.secrets {
+        let digits: String = secret.iter().map(|byte| format!("{byte:02x}")).collect();
+        let list = format!("{secret:?}").replace(' ', "");
+        for form in [&secret[..], digits.as_bytes(), list.as_bytes()] {
+            let has = |text: &&Vec<u8>| text.windows(form.len()).any(|part| part == form);
+            assert!(!texts.iter().any(|text| has(&text)), "a secret of {} bytes", secret.len());
         }
     }
 }

@@ -8,6 +8,7 @@ pub mod party;
 pub mod projects;
 pub mod screen;
 pub mod shared_liver;
+pub mod soak;
 
 use std::path::Path;
 use std::process::{Command, Output};

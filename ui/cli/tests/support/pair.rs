@@ -1,5 +1,6 @@
 //! A host and a station that joined it, in one process and in virtual time.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use tempfile::TempDir;
@@ -26,6 +27,8 @@ pub struct Pair {
     /// What lies between them.
     pub wire: Wire,
     pub now: SimTime,
+    /// What lets the station in and back: the token of its ticket, and its resume secret.
+    pub secrets: [Vec<u8>; 2],
     /// How far a host that was killed is behind.
     lag: SimTime,
     scenario: Scenario,
@@ -82,17 +85,24 @@ impl Pair {
             assert!(now < SimTime::from_millis(10_000), "{:?} {:?}", joining.progress(), joining.trouble());
         }
         let station = Arc::new(joining.joined(&wire, number).expect("it is in the session"));
+        let secrets = [ticket.token().as_bytes().to_vec(), station.resume.as_bytes().to_vec()];
         let options = RunOptions {
             lockstep: true,
             begin: now,
             hands,
             play,
+            record: Some(recording.path().join("station-1.mcap")),
             network: Network::Station(station.clone()),
             ..RunOptions::default()
         };
         let station = run::start(&app, &station.scenario, &options).expect("it starts");
         let lag = SimTime::ZERO;
-        Self { host, station, wire, now, lag, scenario: scenario.clone(), network, recording }
+        Self { host, station, wire, now, secrets, lag, scenario: scenario.clone(), network, recording }
+    }
+
+    /// The recordings of host and station as they are on the disk.
+    pub fn recordings(&self) -> [PathBuf; 2] {
+        ["host-1.mcap", "station-1.mcap"].map(|name| self.recording.path().join(name))
     }
 
     /// A millisecond at both; whether the host goes on.
@@ -120,6 +130,13 @@ impl Pair {
         };
         self.host = run::start(&app, &self.scenario, &options).expect("it goes on");
         self.lag = self.now.since(self.host.now());
+    }
+
+    /// The same, and the new one has caught up with the time when its station tries to come back.
+    pub fn restart_host(&mut self) {
+        self.kill_host();
+        assert!(self.host.run_until(self.now), "it goes on");
+        self.lag = SimTime::ZERO;
     }
 
     /// The path between them is gone, or there again.
