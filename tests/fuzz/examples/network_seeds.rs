@@ -6,6 +6,7 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_fuzz::control_session::{client_facts, digest_of, host_facts, name, ticket};
+use trocar_fuzz::peer_scene::{BODIES, PEER_COLUMNS, PEER_SCENES, sketches};
 use trocar_fuzz::replica_scene::{FIRST_DELTA, SCENES, feed};
 use trocar_fuzz::{pause_of, push_step};
 use trocar_network::compensation::{
@@ -20,6 +21,8 @@ use trocar_network::hand_sample::HandSample;
 use trocar_network::haptic::LinkReport;
 use trocar_network::itp::packet::CONSOLE_MATRIX_BYTES;
 use trocar_network::itp::{Console, ConsoleConfig, ConsoleHand, Dialect, Robot, RobotConfig};
+use trocar_network::pairs::{Invitation, TOKEN_BYTES};
+use trocar_network::peers::{repair, sketch};
 use trocar_network::replication::{Replica, StateDigest, pieces};
 use trocar_network::ticket::{ResumeSecret, Role, SecretHash, Token};
 use trocar_scene::{
@@ -126,7 +129,7 @@ fn control() -> Vec<(&'static str, Input)> {
     for what in 1..6 {
         session = session.step(7, 1, &[what, 0]).step(8, 1, &[what.min(3), 0]);
     }
-    session = session.step(1, 1, &[]).step(8, 1, &[4]).step(1, 1, &[]);
+    session = session.step(7, 1, &[7, 1, 2, 3]).step(1, 1, &[]).step(8, 1, &[4]).step(1, 1, &[]);
     for note in notes() {
         let request = [&[1][..], &encoded(&RequestKind::Note(note.clone()))].concat();
         session = session.step(8, 1, &request).step(7, 1, &[&[3][..], &encoded(&note)].concat());
@@ -182,6 +185,15 @@ fn control() -> Vec<(&'static str, Input)> {
     ]
 }
 
+fn invitation() -> Invitation {
+    Invitation { token: [7; TOKEN_BYTES], door: b"198.51.100.7:40001".to_vec() }
+}
+
+/// A peer asks for the first body.
+fn repair_request() -> repair::RepairRequest {
+    repair::request(&PEER_SCENES[1], &PEER_COLUMNS, BODIES[0])
+}
+
 fn client_messages() -> Vec<ClientMessage<'static>> {
     let sent_at = SimTime(u64::MAX);
     vec![
@@ -189,8 +201,9 @@ fn client_messages() -> Vec<ClientMessage<'static>> {
         ClientMessage::Request(Request { number: 1, what: RequestKind::GiveHand(name("left")) }),
         ClientMessage::Request(Request {
             number: 2,
-            what: RequestKind::PeerTicket { to: 3, ticket: b"trocar1".to_vec() },
+            what: RequestKind::PeerTicket { to: 3, ticket: invitation().to_bytes() },
         }),
+        ClientMessage::Request(Request { number: 3, what: RequestKind::Repair(repair_request()) }),
         ClientMessage::Write((&[1, 2, 3][..]).into()),
         ClientMessage::Ping(Ping { sent_at }),
         ClientMessage::Pong(Pong { ping_sent_at: sent_at, received_at: sent_at, sent_at }),
@@ -211,11 +224,42 @@ fn host_messages() -> Vec<HostMessage<'static>> {
         HostMessage::PeerTicket { from: 1, ticket: b"trocar1".to_vec() },
         HostMessage::Answer { request: Some(1), refusal: Some(Refusal::HandNotServed { hand }) },
         HostMessage::Ping(Ping { sent_at: SimTime(7) }),
+        HostMessage::Repair((&[7, 0, 0, 0, 0, 0, 0, 0, 0][..]).into()),
         HostMessage::Rekey { phase: 1 },
         HostMessage::ScenePart { offset: 0, bytes: (&[0; 8][..]).into() },
         HostMessage::Refused(Refusal::OtherRegistry(facts.components)),
         HostMessage::Goodbye(Goodbye::Broken(PlainText::new("nonsense"))),
     ]
+}
+
+fn peers() -> Vec<(&'static str, Input)> {
+    let [owner, peer] = &*PEER_SCENES;
+    let mut asks = Input::default().step(2, 0, &[]);
+    for number in 1..4 {
+        for payload in sketch::write(number, &sketches(owner, number)) {
+            asks = asks.step(0, 1, &payload);
+        }
+        asks = asks.step(1, 1, &[number as u8, 9, 1]);
+    }
+    asks = asks.step(3, 1, &[]).step(2, 10, &[]).step(1, 1, &[8, 0, 0]).step(3, 3_000, &[]);
+    let mut repairs = Input::default();
+    for body in BODIES.iter() {
+        let asked = repair::request(peer, &PEER_COLUMNS, *body);
+        repairs = repairs.step(6, 1, &encoded(&asked));
+        if let Some(answer) = repair::answer(owner, &PEER_COLUMNS, &asked) {
+            repairs = repairs.step(4, 1, &answer).step(5, 1, &[&[1], &answer[8..]].concat());
+        }
+    }
+    let invitations = Input::default().step(7, 1, &invitation().to_bytes());
+    // A number beyond all counting, before and after.
+    let mut numbers = Input::default().step(2, 0, &[]);
+    for number in [u64::MAX, 0, u64::MAX - 1, u64::MAX] {
+        for payload in sketch::write(number, &sketches(owner, number)[..2]) {
+            numbers = numbers.step(0, 1, &payload);
+        }
+    }
+    numbers = numbers.step(3, 1, &[]);
+    vec![("asks", asks), ("repairs", repairs), ("invitations", invitations), ("numbers", numbers)]
 }
 
 fn replica() -> Vec<(&'static str, Input)> {
@@ -361,7 +405,13 @@ fn main() {
         std::fs::create_dir_all(&folder).expect("the corpus can be written to");
         std::fs::write(folder.join(name), bytes).expect("the corpus can be written to");
     };
-    let inputs = [("datagram", datagram()), ("control", control()), ("replica", replica()), ("itp", itp())];
+    let inputs = [
+        ("datagram", datagram()),
+        ("control", control()),
+        ("replica", replica()),
+        ("peers", peers()),
+        ("itp", itp()),
+    ];
     for (target, inputs) in inputs {
         inputs.iter().for_each(|(name, input)| save(target, name, &input.0));
     }

@@ -138,7 +138,7 @@ fn main() {
     recording(&registry, &file);
     let bodies = Recording::open(&file).and_then(|recording| recording.bodies()).expect("just written");
     for (number, body) in bodies.iter().enumerate() {
-        save("block", &format!("{number}"), body);
+        save("batch", &format!("block.{number}"), &[&[2], &body[..]].concat());
     }
     let mut bytes = std::fs::read(&file).expect("just written");
     clear_checksums(&mut bytes);

@@ -1,6 +1,7 @@
 //! What the targets share: memory counted per input, and how much an input may cost; inputs that are lists of steps.
 
 pub mod control_session;
+pub mod peer_scene;
 pub mod replica_scene;
 mod steps;
 

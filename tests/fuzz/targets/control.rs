@@ -211,7 +211,7 @@ impl Pair {
         let (now, (what, rest)) = (self.now, first(bytes));
         let Some(host) = &mut self.host else { return };
         let is_running = host.state() == HostState::Running;
-        let sent = match what % 8 {
+        let sent = match what % 9 {
             0 => host.send_delta(rest, now),
             1 => host.send_roster(self.session.roster.stations(), now),
             2 => host.send_hand_served(first(rest).0, Some(100), now),
@@ -226,6 +226,7 @@ impl Pair {
                 assert_eq!(host.state(), HostState::Ended);
                 return;
             }
+            7 => host.send_repair(rest, now),
             _ => {
                 host.broke("read error", now);
                 assert_eq!(host.state(), HostState::Ended);
