@@ -146,7 +146,7 @@ proptest! {
         let (mut hand, mut lane) = ZenohHand::new(false).expect("a hand");
         hand.open(0).expect("it opens");
         lane.claim(SimTime(0), CODE).expect("it is free");
-        let (mut ms, mut before, mut sent) = (0, None, 0);
+        let (mut ms, mut before, mut sent) = (0, None::<Vector3<f64>>, 0);
         for (payload, millis) in commands {
             sent += 1;
             // Taken, or refused in words.
@@ -159,7 +159,7 @@ proptest! {
                 prop_assert!(place.iter().zip([0.08, 0.06, 0.035]).all(|(x, edge)| x.abs() <= edge + 1e-9));
                 prop_assert!((0.0..=DoorLimits::default().gripper_max).contains(&state.gripper));
                 if let Some(before) = before.filter(|_| state.connected) {
-                    let moved: f64 = (place - before as Vector3<f64>).norm();
+                    let moved = (place - before).norm();
                     prop_assert!(moved <= 1e-3 + 1e-9, "{moved} m in a millisecond");
                 }
                 before = state.connected.then_some(place);

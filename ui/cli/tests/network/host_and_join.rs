@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
 use trocar::network::ticket::Ticket;
+use trocar_kernel::recorder::Recording;
 
 use crate::support::hosting::Host;
 use crate::support::{here, object, stderr, trocar};
@@ -98,7 +99,9 @@ fn a_ticket_is_in_no_output_of_its_station_and_one_on_the_command_line_is_warned
     assert_eq!(warned.status.code(), Some(0), "{}", stderr(&warned));
     assert!(stderr(&warned).contains("others on this machine can read the ticket"), "{}", stderr(&warned));
     let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a file");
-    let written = ["station.mcap", "station.html", "host.tickets"].map(read);
+    let mut written = ["station.mcap", "station.html", "host.tickets"].map(read).to_vec();
+    let recording = Recording::open(&folder.path().join("station.mcap")).expect("a recording");
+    written.extend(recording.bodies().expect("they unpack"));
     let printed = [&joined, &warned].map(|output| [&output.stdout[..], &output.stderr].concat());
     let tickets = host.tickets.clone();
     let ended = host.end();

@@ -91,7 +91,6 @@ impl Pair {
             begin: now,
             hands,
             play,
-            record: Some(recording.path().join("station-1.mcap")),
             network: Network::Station(station.clone()),
             ..RunOptions::default()
         };
@@ -100,9 +99,9 @@ impl Pair {
         Self { host, station, wire, now, secrets, lag, scenario: scenario.clone(), network, recording }
     }
 
-    /// The recordings of host and station as they are on the disk.
-    pub fn recordings(&self) -> [PathBuf; 2] {
-        ["host-1.mcap", "station-1.mcap"].map(|name| self.recording.path().join(name))
+    /// The host's recording as it is on the disk.
+    pub fn recording(&self) -> PathBuf {
+        self.recording.path().join("host-1.mcap")
     }
 
     /// A millisecond at both; whether the host goes on.
