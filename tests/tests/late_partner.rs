@@ -24,7 +24,7 @@ const LOOK_EVERY: SimTime = SimTime::from_millis(10);
 const AFTERWARDS: f64 = 1.5;
 
 /// The moment at which a scenario is struck \[s\]: instruments hold, press or cut.
-const MOMENTS: [(&str, f64); 16] = [
+const MOMENTS: [(&str, f64); 17] = [
     ("peg-transfer", 6.0),
     ("wall", 0.8),
     ("collision-gallery", 1.0),
@@ -41,6 +41,7 @@ const MOMENTS: [(&str, f64); 16] = [
     ("tube-loop", 4.0),
     ("instruments", 2.0),
     ("tele-liver", 3.0),
+    ("tele-palpation", 5.0),
 ];
 
 /// What makes a partner late.

@@ -8,7 +8,6 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector3;
 use trocar_devices::DeviceState;
 use trocar_scene::SimTime;
 
@@ -16,10 +15,6 @@ use crate::hand_sample::HandSample;
 
 /// Most samples that wait: a second of them.
 pub const WAITING_MAX: usize = 1_024;
-
-/// Farthest that a hand is from the straight line between two samples \[m\]: more than an acceleration of 10 m/s² takes it in
-/// 20 ms, after which a hand is sent in any case.
-const BEND_MAX: f64 = 5e-4;
 
 /// What is played of a hand now.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,8 +74,8 @@ impl Playout {
         let (measured_at, sample) = self.waiting.front().filter(|(first, _)| *first <= at)?;
         let (measured_at, sample) = match self.waiting.get(1) {
             Some((next_at, next)) => {
-                let secs = next_at.since(*measured_at).as_secs_f64();
-                (at, between(sample, next, at.since(*measured_at).as_secs_f64() / secs, secs))
+                let share = at.since(*measured_at).as_secs_f64() / next_at.since(*measured_at).as_secs_f64();
+                (at, between(sample, next, share))
             }
             None => (*measured_at, *sample),
         };
@@ -89,9 +84,8 @@ impl Playout {
     }
 }
 
-/// The hand at this share of the way from one sample to the next, which was measured `secs` later. What has no middle is the
-/// earlier one's.
-fn between(first: &HandSample, next: &HandSample, share: f64, secs: f64) -> HandSample {
+/// The hand at this share of the way from one sample to the next. What has no middle is the earlier one's.
+fn between(first: &HandSample, next: &HandSample, share: f64) -> HandSample {
     let (a, b) = (&first.state, &next.state);
     if !(a.connected && b.connected) {
         return *first;
@@ -100,7 +94,8 @@ fn between(first: &HandSample, next: &HandSample, share: f64, secs: f64) -> Hand
     let rotation = a.pose_in_device.rotation.try_slerp(&b.pose_in_device.rotation, share, 1e-9);
     let mut pose_in_device = a.pose_in_device;
     pose_in_device.rotation = rotation.unwrap_or(a.pose_in_device.rotation);
-    pose_in_device.translation.vector = position_between(a, b, share, secs);
+    let [from, to] = [a, b].map(|state| state.pose_in_device.translation.vector);
+    pose_in_device.translation.vector = from.lerp(&to, share);
     let state = DeviceState {
         pose_in_device,
         linear_velocity: a.linear_velocity.lerp(&b.linear_velocity, share),
@@ -111,22 +106,9 @@ fn between(first: &HandSample, next: &HandSample, share: f64, secs: f64) -> Hand
     HandSample { state, ..*first }
 }
 
-/// The cubic through both positions with both velocities (Hermite): a hand that accelerates by 1 m/s² is up to 50 µm from the
-/// straight line between two samples 20 ms apart, and two peers would grip tissue at two places. A straight line where the
-/// velocities are not those of the way.
-fn position_between(a: &DeviceState, b: &DeviceState, share: f64, secs: f64) -> Vector3<f64> {
-    let [from, to] = [a, b].map(|state| state.pose_in_device.translation.vector);
-    let straight = from.lerp(&to, share);
-    let rest = 1.0 - share;
-    // How far the velocities are from that of the straight line, over the time between.
-    let [bend_from, bend_to] = [a, b].map(|state| state.linear_velocity * secs - (to - from));
-    let bend = (bend_from * rest - bend_to * share) * (share * rest);
-    if bend.norm() > BEND_MAX { straight } else { straight + bend }
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Translation3, UnitQuaternion};
+    use nalgebra::{Translation3, UnitQuaternion, Vector3};
 
     use super::*;
 
@@ -203,27 +185,5 @@ mod tests {
         assert!(!state.connected && state.pose_in_device.translation.x == 0.0);
         playout.clear();
         assert_eq!(playout.play(ms(16)), None);
-    }
-
-    #[test]
-    fn a_hand_that_accelerates_is_played_on_its_curve_and_one_that_jumps_on_a_straight_line() {
-        let at = |secs: f64| {
-            let mut sample = hand(0.0);
-            sample.state.pose_in_device.translation.x = 0.5 * 2.0 * secs * secs;
-            sample.state.linear_velocity.x = 2.0 * secs;
-            sample
-        };
-        let mut playout = Playout::new(ms(100));
-        (0..=5).for_each(|step| playout.push(ms(80), ms(20 * step), &at(0.02 * step as f64)));
-        for now in 100..=200 {
-            let secs = (now - 100) as f64 * 1e-3;
-            let (x, ..) = played(&mut playout, ms(now)).expect("it is known");
-            assert!((x - secs * secs).abs() < 1e-9, "{now} ms: {x}");
-        }
-        let mut jump = hand(0.5);
-        jump.state.linear_velocity.x = -3.0;
-        playout.push(ms(210), ms(120), &jump);
-        let (x, ..) = played(&mut playout, ms(210)).expect("it is known");
-        assert!((x - 0.5 * (0.01 + 0.5)).abs() < 1e-9, "{x}");
     }
 }
