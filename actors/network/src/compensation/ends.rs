@@ -287,15 +287,7 @@ impl SlaveEnd {
         let step_secs = self.clock.step(now, received.is_some());
         let force = if force.iter().all(|part| part.is_finite()) { *force } else { Vector3::zeros() };
         self.port.observe(&force);
-        if let Some(sample) = received {
-            self.port.tank().receive(&sample.block.account);
-            if let Payload::Wave(integrals) = &sample.block.payload {
-                self.wave.receive(integrals);
-            }
-            self.newest = Some(*sample);
-        }
-        let newest = self.newest?;
-        self.port.tank().settle(step_secs);
+        let newest = self.receive(received, step_secs)?;
         let method = newest.block.method;
         let before = self.port.command().copied().unwrap_or(newest.position);
         self.contact.step(&before, &self.velocity, &force, step_secs);
@@ -323,11 +315,8 @@ impl SlaveEnd {
         Some(CouplingSample { position, velocity: self.velocity, force, block })
     }
 
-    /// A step at which the slave stands where it is, whatever the master does: its pedal is up, or it was stopped. It tells
-    /// no force and no contact, and what the master has sent meanwhile is not made up for.
-    pub fn rest(&mut self, now: SimTime, received: Option<&CouplingSample>) -> Option<CouplingSample> {
-        let received = received.filter(|sample| sample.is_finite());
-        let step_secs = self.clock.step(now, received.is_some());
+    /// Takes what the master has sent. Returns the newest of it, once there is any.
+    fn receive(&mut self, received: Option<&CouplingSample>, step_secs: f64) -> Option<CouplingSample> {
         if let Some(sample) = received {
             self.port.tank().receive(&sample.block.account);
             if let Payload::Wave(integrals) = &sample.block.payload {
@@ -337,6 +326,15 @@ impl SlaveEnd {
         }
         let newest = self.newest?;
         self.port.tank().settle(step_secs);
+        Some(newest)
+    }
+
+    /// A step at which the slave stands where it is, whatever the master does: its pedal is up, or it was stopped. It tells
+    /// no force and no contact, and what the master has sent meanwhile is not made up for.
+    pub fn rest(&mut self, now: SimTime, received: Option<&CouplingSample>) -> Option<CouplingSample> {
+        let received = received.filter(|sample| sample.is_finite());
+        let step_secs = self.clock.step(now, received.is_some());
+        let newest = self.receive(received, step_secs)?;
         self.velocity = Vector3::zeros();
         let wave = *self.wave.rest();
         let method = newest.block.method;

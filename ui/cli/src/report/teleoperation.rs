@@ -173,6 +173,19 @@ mod tests {
     use trocar::summary::{Mode, RunSummary};
     use trocar::trace::RunTrace;
 
+    fn html(summary: &RunSummary, trace: &RunTrace) -> String {
+        teleoperation(&Report {
+            title: "Tele",
+            summary,
+            trace,
+            lateness: &[],
+            health: &[],
+            incidents: &[],
+            failures: &[],
+            force_limits: &BTreeMap::new(),
+        })
+    }
+
     #[test]
     fn both_figures_of_the_paper_are_drawn_with_their_numbers() {
         let mut trace = RunTrace::new();
@@ -192,17 +205,7 @@ mod tests {
             ..TeleoperationFigures::default()
         };
         summary.teleoperation.insert("right".to_owned(), figures);
-        let report = Report {
-            title: "Tele",
-            summary: &summary,
-            trace: &trace,
-            lateness: &[],
-            health: &[],
-            incidents: &[],
-            failures: &[],
-            force_limits: &BTreeMap::new(),
-        };
-        let html = teleoperation(&report);
+        let html = html(&summary, &trace);
         assert_eq!(html.matches("<svg").count(), 3);
         // Two lines in each of the first two, one and its mean in the last.
         assert_eq!(html.matches("class=\"line left\"").count(), 2);
@@ -229,20 +232,8 @@ mod tests {
         let mut summary = RunSummary::new("tele-palpation", Mode::Lockstep, 1);
         let figures = TeleoperationFigures { felt_share: Some(0.936), ..TeleoperationFigures::default() };
         summary.teleoperation.insert("right".to_owned(), figures);
-        let report = Report {
-            title: "Tele",
-            summary: &summary,
-            trace: &trace,
-            lateness: &[],
-            health: &[],
-            incidents: &[],
-            failures: &[],
-            force_limits: &BTreeMap::new(),
-        };
-        let html = teleoperation(&report);
-        assert!(
-            html.contains("force on the master&#39;s hand") || html.contains("force on the master's hand")
-        );
+        let html = html(&summary, &trace);
+        assert!(html.contains("force on the master's hand"), "{html}");
         assert!(html.contains("force [N]") && html.contains("94 %"), "{html}");
         assert_eq!(html.matches("<svg").count(), 1);
     }
@@ -252,17 +243,7 @@ mod tests {
         let mut trace = RunTrace::new();
         trace.teleoperations.entry("left".to_owned()).or_default().master_x.push(0.0, 0.0.into());
         let summary = RunSummary::new("tele-liver", Mode::Live, 1);
-        let report = Report {
-            title: "Tele",
-            summary: &summary,
-            trace: &trace,
-            lateness: &[],
-            health: &[],
-            incidents: &[],
-            failures: &[],
-            force_limits: &BTreeMap::new(),
-        };
-        let html = teleoperation(&report);
+        let html = html(&summary, &trace);
         assert!(!html.contains("NaN") && !html.contains("inf") && !html.contains("line right"), "{html}");
     }
 }
