@@ -260,7 +260,7 @@ fn attempt(
     if misplaced.is_none() {
         misplaced = files.begun().err();
     }
-    if let Some(by) = &mut outcome.summary.cut_off_by {
+    if let Some(by) = outcome.summary.cut_off_by.as_mut().filter(|by| *by == BY_THE_PROGRAM) {
         let signal = signals::catch()?.arrived().map(|(name, _)| name);
         *by = signal.or(host.is_some().then_some(BY_THE_WINDOW)).unwrap_or(BY_THE_PROGRAM).to_owned();
     }

@@ -1,6 +1,6 @@
 //! The result of a run for people: as text on the terminal, and as a card in the window.
 
-use trocar::summary::{Mode, RunSummary, TaskSummary, TeleoperationFigures};
+use trocar::summary::{BY_THE_HOST, Mode, RunSummary, TaskSummary, TeleoperationFigures};
 use trocar_viewer::window::subject::Verdict;
 
 use crate::escape::printable;
@@ -107,7 +107,10 @@ pub fn text(summary: &RunSummary) -> String {
     } else {
         vec![format!("{scenario}: {:.1} s; there is no exercise in it", summary.sim_secs)]
     };
-    lines.extend(summary.cut_off_by.as_ref().map(|by| format!("{by} ended the run before its time")));
+    lines.extend(summary.cut_off_by.as_ref().map(|by| match by.as_str() {
+        BY_THE_HOST => "the host ended the session".to_owned(),
+        by => format!("{by} ended the run before its time"),
+    }));
     lines.extend(summary.too_slow().map(|slow| console::style(slow).yellow().to_string()));
     lines.push(String::new());
     lines.extend(rates(summary));

@@ -9,7 +9,7 @@ use trocar_kernel::spec::{Factory, SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_network::control::Architecture;
 use trocar_network::peers::repaired::rebuilding;
-use trocar_network::session::{HostPause, InstrumentFollower};
+use trocar_network::session::{HostCourse, InstrumentFollower};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{
     Commands, ControllerEntry, ControllerError, Entity, EntityAllocator, Hand, SCENARIO_SPAWNER, SimTime,
@@ -55,7 +55,7 @@ pub struct Assembly {
     /// What is said to the others at the end.
     pub(crate) last_word: Option<LastWord>,
     /// At a station, whether its host has paused the session.
-    pub(crate) host_pause: Option<HostPause>,
+    pub(crate) host_course: Option<HostCourse>,
     /// The plan for branches and resets. Changes to `spec` hold for this session only.
     pub(crate) plan: Arc<SessionPlan>,
     /// Actors that join when the session runs live.
@@ -103,15 +103,15 @@ impl Assembly {
             commands.put(hand.port().entity, hand.info());
         }
         let mut roles = Vec::with_capacity(scenario.controllers.len() + 1);
-        let (mut network, mut last, mut host_pause) = (Vec::new(), None, None);
+        let (mut network, mut last, mut host_course) = (Vec::new(), None, None);
         let mut fault_targets = options.fault_targets.clone();
         if let Some(station) = station {
-            let TakingPart { actor, part, last_word, host_pause: paused, fault_sinks } =
+            let TakingPart { actor, part, last_word, host_course: paused, fault_sinks } =
                 network::stationed(station, network_hands.take_station(), options.faults.is_some())?;
             fault_targets.0.extend(fault_sinks);
             roles.push(Role::new(NETWORK, STATION_WRITER, NETWORK_HZ, network_actor(actor)));
             network.push(part);
-            (last, host_pause) = (Some(last_word), paused);
+            (last, host_course) = (Some(last_word), paused);
         }
         if !ports.is_empty() && (station.is_some() || sharing.is_among_peers()) {
             let touch = station_touch(store.view(), &ports);
@@ -175,7 +175,7 @@ impl Assembly {
         };
         let spec = plan.first((options.seed, begin), &ports);
         let (plan, actors) = (Arc::new(plan), app.actors.clone());
-        Ok(Self { spec, hands, network, last_word: last, host_pause, plan, actors, reflected })
+        Ok(Self { spec, hands, network, last_word: last, host_course, plan, actors, reflected })
     }
 }
 

@@ -10,6 +10,7 @@ use trocar_kernel::live::LiveError;
 use trocar_kernel::recorder::{self, Recorder, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
+use trocar_network::control::{ControlError, Goodbye};
 use trocar_scene::scenario::{HandEntry, Scenario};
 use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState, Teleoperation, output_file};
 
@@ -19,7 +20,7 @@ pub use crate::error::RunError;
 use crate::graph::ActorGraph;
 pub use crate::options::{FaultTargets, ResumeError, Resumed, RunOptions};
 use crate::session::{Finished, Session, doubts, forecast};
-use crate::summary::{BY_THE_PROGRAM, Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
+use crate::summary::{BY_THE_HOST, BY_THE_PROGRAM, Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 use crate::watch::contacts::ContactWatch;
 use crate::watch::frozen::FrozenWatch;
@@ -61,15 +62,22 @@ pub struct RunOutcome {
     pub graph: ActorGraph,
     /// Expectations of the fault plan that failed, one sentence each.
     pub failed_expectations: Vec<String>,
+    /// At a station, why the host's session was over for it.
+    pub host_end: Option<ControlError>,
 }
 
 impl RunOutcome {
-    /// The exit code of the process: not ok if the exercise was not completed, an expectation failed, a controller
+    /// The exit code of the process: not ok if the exercise was not completed (at a station, unless the host ended the
+    /// session), the host could not be reached any more or sent the station away, an expectation failed, a controller
     /// failed too often, everything that a controller wrote was refused, or an exercise had a contact that was not kept or a frozen body.
     /// The signal that ended a run is known to the caller only.
     pub fn exit(&self) -> Exit {
         if self.kernel.code != 0 {
             return Exit::Internal;
+        }
+        let of_network = self.host_end.as_ref().map_or(Exit::Ok, |end| Exit::of_network(end.exit_class()));
+        if of_network != Exit::Ok {
+            return of_network;
         }
         let held = !self.kernel.held.is_empty() || !self.kernel.refused.is_empty();
         let unkept = self.summary.contacts_not_kept > 0 || self.summary.bodies_frozen > 0;
@@ -193,6 +201,7 @@ pub fn run(
     frozen.look(&last);
     drop(last);
     let accesses = session.accesses();
+    let host_end = session.host_end().cloned();
     let finished = session.finish();
     let mut graph = ActorGraph::from_access(
         &scenario.name,
@@ -212,6 +221,16 @@ pub fn run(
     (summary.frozen_bodies, summary.bodies_frozen) = frozen.found();
     summary.warnings = warnings;
     summary.cut_off_by = is_cut_off.then(|| BY_THE_PROGRAM.to_owned());
+    match &host_end {
+        Some(ControlError::Goodbye(goodbye)) => {
+            summary.cut_off_by = Some(BY_THE_HOST.to_owned());
+            if *goodbye != Goodbye::SessionOver {
+                summary.error = Some(goodbye.to_string());
+            }
+        }
+        Some(end) => summary.error = Some(end.to_string()),
+        None => {}
+    }
     let failed_expectations = options.faults.as_ref().map_or_else(Vec::new, |plan| {
         let measured = Measured {
             force_newtons_max: finished.force_newtons_max,
@@ -223,7 +242,7 @@ pub fn run(
     });
     let reports = finished.outcome.controllers.clone();
     let (kernel, drivers) = (finished.outcome, finished.drivers);
-    Ok(RunOutcome { summary, trace, reports, kernel, drivers, health, graph, failed_expectations })
+    Ok(RunOutcome { summary, trace, reports, kernel, drivers, health, graph, failed_expectations, host_end })
 }
 
 fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wall_secs: f64) -> RunSummary {

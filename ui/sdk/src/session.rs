@@ -22,7 +22,8 @@ use trocar_kernel::runtime::sched;
 use trocar_kernel::runtime::{Clock, ControllerReport, PausableClock, TickStats};
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::{GroupSpec, RuntimeClass};
-use trocar_network::session::HostPause;
+use trocar_network::control::ControlError;
+use trocar_network::session::HostCourse;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
@@ -52,8 +53,8 @@ pub struct Session {
     /// What moves the hands' datagrams.
     network: Vec<RunningPart>,
     last_word: Option<LastWord>,
-    /// At a station: whether its host has paused the session, and whether this one is paused for that.
-    host_pause: Option<HostPause>,
+    /// At a station: whether its host's session pauses or is over, and whether this one is paused for that.
+    host_course: Option<HostCourse>,
     is_paused_by_host: bool,
     next_guest: u16,
     pub(crate) fences_raised: bool,
@@ -145,10 +146,10 @@ impl Session {
         for part in assembly.network {
             network.extend(part.start(clock.clone()).map_err(RunError::Network)?);
         }
-        let (last_word, host_pause) = (assembly.last_word, assembly.host_pause);
+        let (last_word, host_course) = (assembly.last_word, assembly.host_course);
         let live = LiveSession::start_on(assembly.spec, clock)?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
-        (session.network, session.last_word, session.host_pause) = (network, last_word, host_pause);
+        (session.network, session.last_word, session.host_course) = (network, last_word, host_course);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
             let Running::Live(live, _) = &session.running else { break };
@@ -172,7 +173,7 @@ impl Session {
             actors,
             network: Vec::new(),
             last_word: None,
-            host_pause: None,
+            host_course: None,
             is_paused_by_host: false,
             next_guest,
             fences_raised: false,
@@ -249,8 +250,9 @@ impl Session {
         }
     }
 
-    /// Runs the session until `until`: computes in virtual time, waits in real time. Returns false when it has ended,
-    /// and at once while it is paused; that of a station whose host has paused the session, after some milliseconds.
+    /// Runs the session until `until`: computes in virtual time, waits in real time. Returns false when it has ended, or is
+    /// to end as that of its host has ([`Session::host_end`]), and at once while it is paused; that of a station whose host
+    /// has paused the session, after some milliseconds.
     pub fn run_until(&mut self, until: SimTime) -> bool {
         self.follow_host();
         if self.is_paused_by_host {
@@ -258,10 +260,11 @@ impl Session {
             self.follow_host();
         }
         match &mut self.running {
-            Running::Lockstep(session) => session.step_until(until),
+            Running::Lockstep(session) => session.step_until(until) && self.host_end().is_none(),
             Running::Live(session, _) => {
-                let look_every = self.host_pause.as_ref().map(|_| HOST_LOOK_EVERY);
-                let is_over = |now| now >= until || self.host_pause.as_ref().is_some_and(HostPause::is_on);
+                let look_every = self.host_course.as_ref().map(|_| HOST_LOOK_EVERY);
+                let has_turned = |course: &HostCourse| course.is_paused() || course.end().is_some();
+                let is_over = |now| now >= until || self.host_course.as_ref().is_some_and(has_turned);
                 // The wait returns at once when the session ends.
                 while !is_over(session.elapsed()) && !session.is_paused() {
                     let rest = until - session.elapsed();
@@ -269,9 +272,14 @@ impl Session {
                         break;
                     }
                 }
-                !session.has_ended()
+                !session.has_ended() && self.host_end().is_none()
             }
         }
+    }
+
+    /// At a station, why the host's session is over for it, once it is: the station's own is then to end as well.
+    pub fn host_end(&self) -> Option<&ControlError> {
+        self.host_course.as_ref()?.end()
     }
 
     /// The latest snapshot.

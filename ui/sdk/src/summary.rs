@@ -17,6 +17,8 @@ pub const SCHEMA: u32 = 1;
 
 /// What is told of a run that its own program ended before its time.
 pub const BY_THE_PROGRAM: &str = "the program";
+/// The same at a station whose host has ended the session.
+pub const BY_THE_HOST: &str = "the host";
 
 /// Exit codes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -149,8 +151,8 @@ pub struct RunSummary {
     pub report: Option<String>,
     /// Files of pictures and films.
     pub pictures: Vec<String>,
-    /// Who ended the run before its time: `SIGHUP`, `SIGINT`, `SIGTERM`, `a person at the window`, or `the program` that
-    /// runs the session; null when it ended by itself or by `--seconds`.
+    /// Who ended the run before its time: `SIGHUP`, `SIGINT`, `SIGTERM`, `a person at the window`, `the program` that
+    /// runs the session, or, at a station, `the host`; null when it ended by itself or by `--seconds`.
     pub cut_off_by: Option<String>,
     /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
     /// taken away on the way; bodies that went beyond what their method is right for; meshes that were mended; results
@@ -238,7 +240,9 @@ impl RunSummary {
     /// The exit code of the process, where `expectations_failed` says whether a fault plan's `[expect]` failed. The
     /// caller handles an `error` of the program itself.
     pub fn exit(&self, expectations_failed: bool) -> Exit {
-        let finished = self.task.completed || (self.task.cut_off && self.cut_off_by.is_none());
+        // An exercise of several stations is the host's to judge.
+        let is_its_end = self.cut_off_by.as_deref().is_none_or(|by| by == BY_THE_HOST);
+        let finished = self.task.completed || (self.task.cut_off && is_its_end);
         if finished && !expectations_failed { Exit::Ok } else { Exit::Failed }
     }
 }
@@ -513,6 +517,8 @@ mod tests {
         assert_eq!(summary.exit(false), Exit::Ok);
         summary.cut_off_by = Some("a person at the window".to_owned());
         assert_eq!(summary.exit(false), Exit::Failed, "a person did not let it come to its end");
+        summary.cut_off_by = Some(BY_THE_HOST.to_owned());
+        assert_eq!(summary.exit(false), Exit::Ok, "the host judges the exercise");
         summary.cut_off_by = None;
         summary.task = TaskSummary { completed: true, ..TaskSummary::default() };
         assert_eq!(summary.exit(false), Exit::Ok);

@@ -338,6 +338,11 @@ impl ControlError {
         }
     }
 
+    /// Whether a program that begins anew cannot mend it either. What is left is a fault of one of the two programs.
+    pub fn is_final(&self) -> bool {
+        !matches!(self.exit_class(), ExitClass::Protocol | ExitClass::Internal)
+    }
+
     /// What the other side is told of it; `None` where there is nobody to tell, or nothing to say.
     pub(super) fn farewell(&self) -> Option<Goodbye> {
         match self {

@@ -15,9 +15,9 @@ mod admissions;
 mod carried_tests;
 mod carrier;
 mod host_controller;
+mod host_course;
 mod host_machine;
 mod host_members;
-mod host_pause;
 mod instrument_follower;
 mod machine_slot;
 #[cfg(test)]
@@ -29,9 +29,9 @@ mod station_machine;
 
 pub use admissions::{Admissions, BookAdmissions, SteppedClock, UnixClock, examine, no_station};
 pub use host_controller::HostController;
+pub use host_course::HostCourse;
 pub use host_machine::{HostMachine, HostSetup, Incident};
 pub use host_members::{AcceptedNote, HostHandControl};
-pub use host_pause::HostPause;
 pub use instrument_follower::InstrumentFollower;
 pub use machine_slot::{HeldMachine, MachineSlot};
 pub use own_rows::own_rows;

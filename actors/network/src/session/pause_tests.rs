@@ -82,7 +82,7 @@ impl Bench {
                 // There was no other pause, so that this is how long it has lasted.
                 self.host.machine.rest(self.host_behind, &self.host.scene);
             }
-            if self.station.machine.host_pause().is_on() {
+            if self.station.machine.host_course().is_paused() {
                 self.rest_station();
             } else {
                 self.step_station(None);
@@ -122,7 +122,7 @@ fn a_pause_of_the_host_keeps_its_stations_in_and_nothing_jumps_afterwards() {
         bench.pass();
         bench.step_host();
         // The station stands still until it has heard that the session goes on.
-        if bench.station.machine.host_pause().is_on() {
+        if bench.station.machine.host_course().is_paused() {
             bench.rest_station();
         } else {
             bench.step_station(None);
@@ -148,11 +148,11 @@ fn a_host_that_dies_within_a_pause_holds_no_station_for_ever() {
     bench.run_until(5_000, Bench::is_running);
     bench.run(500);
     bench.pause_host(2_000, true);
-    assert!(bench.station.machine.host_pause().is_on());
+    assert!(bench.station.machine.host_course().is_paused());
     bench.pause_host(4_000, false);
-    assert!(bench.station.machine.host_pause().is_on(), "a path may be bad for a while");
+    assert!(bench.station.machine.host_course().is_paused(), "a path may be bad for a while");
     bench.pause_host(2_500, false);
-    assert!(!bench.station.machine.host_pause().is_on());
+    assert!(!bench.station.machine.host_course().is_paused());
     assert!(!bench.is_running());
     assert!(bench.station.news.iter().any(|news| matches!(news, StationNews::Away(_))));
 }
@@ -163,5 +163,5 @@ fn who_joins_within_a_pause_gets_in_and_stands_still_as_well() {
     bench.run(20);
     bench.pause_host(4_000, true);
     assert!(bench.is_running(), "{:?}", bench.station.machine.error());
-    assert!(bench.station.machine.host_pause().is_on());
+    assert!(bench.station.machine.host_course().is_paused());
 }

@@ -5,7 +5,7 @@ use trocar_scene::{
 };
 
 use super::machine_slot::HeldMachine;
-use super::station_machine::{StationMachine, StationNews};
+use super::station_machine::{StationError, StationMachine, StationNews};
 use crate::annotation::{DeskOwner, MentorDesk};
 use crate::control::{ClientState, RequestKind};
 
@@ -87,7 +87,11 @@ impl<A: Copy + PartialEq + Send + 'static> Controller for StationController<A> {
             self.row_at = tick.time + ROW_EVERY;
             out.put(tick.me, row);
         }
-        stepped.map_err(|error| ControllerError::Failed(error.to_string()))
+        match stepped {
+            // Whoever runs the session ends it; to make the machine again would not help.
+            Err(StationError::Over(error)) if error.is_final() => Ok(()),
+            other => other.map_err(|error| ControllerError::Failed(error.to_string())),
+        }
     }
 
     fn rest(&mut self, passed: SimTime, _: &Snapshot) {

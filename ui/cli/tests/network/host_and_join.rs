@@ -1,8 +1,8 @@
 //! `trocar host`, `join` and `watch` from outside: programs on one machine, over real sockets.
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 use trocar::network::ticket::Ticket;
 use trocar_kernel::recorder::Recording;
@@ -65,6 +65,48 @@ fn a_second_program_joins_with_its_own_hand_and_a_third_looks_on() {
     let ended = host.end();
     assert_eq!(ended.status.code(), Some(130), "{}", stderr(&ended));
     assert!(controllers(&ended).contains(&"network".to_owned()));
+}
+
+/// A station that stays, once it is in the session.
+fn stays(folder: &Path, ticket: &str) -> Child {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_trocar"))
+        .args(["watch", "--ticket-file", "-", "--headless", "--seconds", "60"])
+        .current_dir(folder)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    writeln!(child.stdin.take().expect("piped"), "{ticket}").expect("it reads");
+    let mut lines = BufReader::new(child.stderr.take().expect("piped"));
+    let (mut line, mut told) = (String::new(), String::new());
+    while !line.starts_with("in the session") {
+        line.clear();
+        assert!(lines.read_line(&mut line).expect("text") > 0, "the station ended: {told}");
+        told.push_str(&line);
+    }
+    child.stderr = Some(lines.into_inner());
+    child
+}
+
+#[test]
+fn a_station_ends_with_its_host_or_as_it_is_sent_away_and_says_which() {
+    let folder = here();
+    let host = Host::start(folder.path(), &["watch=Bo", "watch=Cy"]);
+    let [bo, cy] = [0, 1].map(|k| stays(folder.path(), &host.tickets[k]));
+    let revoke = trocar(folder.path(), &["host", "revoke", "Cy", "--tickets", "host.tickets"]);
+    assert_eq!(revoke.status.code(), Some(0), "{}", stderr(&revoke));
+    let cy = cy.wait_with_output().expect("an end");
+    assert_eq!(cy.status.code(), Some(77), "{}", stderr(&cy));
+    let text = String::from_utf8_lossy(&cy.stdout).into_owned();
+    assert!(text.contains("the host withdrew the ticket"), "{text}");
+    host.end();
+    let bo = bo.wait_with_output().expect("an end");
+    let text = String::from_utf8_lossy(&bo.stdout).into_owned();
+    assert_eq!(bo.status.code(), Some(0), "{text}{}", stderr(&bo));
+    assert!(text.contains("the host ended the session"), "{text}");
+    // Neither was made again in vain.
+    assert!(!stderr(&bo).contains("restart") && !stderr(&cy).contains("restart"), "{}", stderr(&bo));
 }
 
 #[test]

@@ -410,7 +410,7 @@ pub(crate) fn hosted(
             };
             let (actor, last_word) = blueprint(first, is_protected, again);
             let part = NetworkPart::Live { socket, link };
-            Ok(Some(TakingPart { actor, part, last_word, host_pause: None, fault_sinks }))
+            Ok(Some(TakingPart { actor, part, last_word, host_course: None, fault_sinks }))
         }
         Network::LockstepHost(host) => {
             let setup = setup(scenario, &settings, sharing, (seed, scene), hands.infos, false)?;
@@ -431,7 +431,7 @@ pub(crate) fn hosted(
                 make(scene).map_err(|error: ControllerError| NetworkError::System(error.to_string()))?;
             let (actor, last_word) = blueprint(first, true, make);
             let part = NetworkPart::Lockstep(Box::new(peer));
-            Ok(Some(TakingPart { actor, part, last_word, host_pause: None, fault_sinks }))
+            Ok(Some(TakingPart { actor, part, last_word, host_course: None, fault_sinks }))
         }
     }
 }

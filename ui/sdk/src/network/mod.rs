@@ -33,7 +33,7 @@ use trocar_network::control::{Architecture, ControlError, ExitClass};
 use trocar_network::faulty::{FaultyHands, FaultyHostStreams, FaultyStationStream, LinkBoard};
 use trocar_network::hands_link::HandsLink;
 use trocar_network::live::sockets::SocketError;
-use trocar_network::session::HostPause;
+use trocar_network::session::HostCourse;
 use trocar_network::streams::{HostStreams, StationStream};
 use trocar_network::ticket::StoreError;
 use trocar_scene::SimTime;
@@ -74,8 +74,8 @@ pub(crate) struct TakingPart {
     pub part: NetworkPart,
     /// What is said at the end.
     pub last_word: LastWord,
-    /// At a station, whether its host has paused the session.
-    pub host_pause: Option<HostPause>,
+    /// At a station, whether the session of its host pauses, or is over.
+    pub host_course: Option<HostCourse>,
     /// Targets for faults.
     pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
 }

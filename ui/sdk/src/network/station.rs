@@ -462,11 +462,11 @@ pub(crate) fn stationed(
                 let door = move || pairs.door().map(|door| Box::new(door) as Box<dyn PairDoor<SocketAddr>>);
                 Box::new(door) as DoorFactory<SocketAddr>
             });
-            let host_pause = Some(joined.machine.host_pause().clone());
+            let host_course = Some(joined.machine.host_course().clone());
             let (actor, last_word, link) = blueprint(joined, faults.clone(), door)?;
             let link = faults.hands(Box::new(HandsStation::new(hands.0, link)));
             let part = NetworkPart::Live { socket, link };
-            Ok(TakingPart { actor, part, last_word, host_pause, fault_sinks })
+            Ok(TakingPart { actor, part, last_word, host_course, fault_sinks })
         }
         Some(Parts::Lockstep { joined, wire, doors }) => {
             let pairs = PairWires::default();
@@ -476,14 +476,14 @@ pub(crate) fn stationed(
                 let door = move || Ok(Box::new(doors.open(own.clone())) as Box<dyn PairDoor<usize>>);
                 Box::new(door) as DoorFactory<usize>
             });
-            let host_pause = Some(joined.machine.host_pause().clone());
+            let host_course = Some(joined.machine.host_course().clone());
             let (actor, last_word, link) = blueprint(joined, faults.clone(), door)?;
             let link: Box<dyn HandsLink<usize>> = faults.hands(Box::new(HandsStation::new(hands.0, link)));
             let wires = Wires::default();
             wires.add(wire);
             let peer = HandsPeer::new(HANDS_PEER, link, wires, End::Station).with_pairs(pairs);
             let part = NetworkPart::Lockstep(Box::new(peer));
-            Ok(TakingPart { actor, part, last_word, host_pause, fault_sinks })
+            Ok(TakingPart { actor, part, last_word, host_course, fault_sinks })
         }
         None => Err(NetworkError::System("the station's session has ended; join again".to_owned())),
     }
@@ -501,7 +501,7 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(
         Some(door) => machine.with_pairs(door().map_err(NetworkError::System)?),
         None => machine,
     };
-    let (parts, host_pause) = (machine.parts(), machine.host_pause().clone());
+    let (parts, host_course) = (machine.parts(), machine.host_course().clone());
     let slot = MachineSlot::new(*machine);
     let ended = slot.clone();
     // A machine that its actor still has, or that was lost, says nothing more.
@@ -511,7 +511,7 @@ fn blueprint<A: Copy + PartialEq + Send + 'static>(
         let parts = parts.clone().ok_or_else(lost)?;
         let stream = faults.station_stream(redial().map_err(ControllerError::Failed)?);
         let machine = StationMachine::again(setup.clone(), stream, controller.clone(), parts, scene, now);
-        let machine = machine.telling(host_pause.clone());
+        let machine = machine.telling(host_course.clone());
         Ok::<_, ControllerError>(match &door {
             Some(door) => *Box::new(machine).with_pairs(door().map_err(ControllerError::Failed)?),
             None => machine,

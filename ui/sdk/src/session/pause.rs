@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use trocar_devices::SessionTime;
 use trocar_kernel::runtime::PausableClock;
-use trocar_network::session::HostPause;
+use trocar_network::session::HostCourse;
 use trocar_scene::SimTime;
 
 use super::{Running, Session};
@@ -57,7 +57,7 @@ impl Session {
 
     /// Pauses and resumes a station's session as its host does.
     pub(super) fn follow_host(&mut self) {
-        let Some(is_on) = self.host_pause.as_ref().map(HostPause::is_on) else { return };
+        let Some(is_on) = self.host_course.as_ref().map(HostCourse::is_paused) else { return };
         if is_on && self.pause() {
             self.is_paused_by_host = true;
         } else if !is_on && std::mem::take(&mut self.is_paused_by_host) {

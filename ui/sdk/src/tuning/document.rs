@@ -42,6 +42,8 @@ pub struct ScenarioText {
 
 /// Arrays of tables whose tables have a name.
 const NAMED: [&str; 2] = ["controller", "hand"];
+/// What a scenario has beside entities, as far as it can be set.
+pub(super) const BESIDE_ENTITIES: [&str; 5] = ["gravity", "controller", "hand", "task", "network"];
 
 impl ScenarioText {
     /// Parses a text.
@@ -78,7 +80,7 @@ impl ScenarioText {
     }
 
     /// Writes a value outside components: `gravity.2`, `controller.engine.rate_hz`, `hand.left.renderer.stiffness`,
-    /// `task.weights.cutoff_secs`. A `*` stands for any letters of a name.
+    /// `task.weights.cutoff_secs`, `network.reflector.round_trip_secs`. A `*` stands for any letters of a name.
     ///
     /// # Errors
     /// When there is no such key; the error lists the valid ones.
@@ -93,9 +95,9 @@ impl ScenarioText {
                 });
                 put_new(gravity, path, value).map_err(no_key)
             }
-            "task" => {
-                let task = self.document.entry("task").or_insert_with(toml_edit::table);
-                put_new(task, path, value).map_err(no_key)
+            table @ ("task" | "network") => {
+                let table = self.document.entry(table).or_insert_with(toml_edit::table);
+                put_new(table, path, value).map_err(no_key)
             }
             array if NAMED.contains(&array) => {
                 let array = array.to_owned();
@@ -116,10 +118,10 @@ impl ScenarioText {
                 let known = self.names(&array).join(", ");
                 Err(no_key(format!("{array}.NAME.KEY is expected; there are: {known}")))
             }
-            _ => Err(no_key(
-                "no entity is called like that, and beside entities there are: gravity, controller, hand, task"
-                    .to_owned(),
-            )),
+            _ => Err(no_key(format!(
+                "no entity is called like that, and beside entities there are: {}",
+                BESIDE_ENTITIES.join(", ")
+            ))),
         }
     }
 
@@ -274,6 +276,7 @@ rate_hz = 500
         text.set_key("controller.engine.*.params.floor_height", &json!(-0.5)).unwrap();
         text.set_key("gravity.2", &json!(-1)).unwrap();
         text.set_key("task.weights.cutoff_secs", &json!(120.5)).unwrap();
+        text.set_key("network.reflector.loss", &json!(0.25)).unwrap();
         let expected = TEXT
             .replace("mass = 0.005 }", "mass = 0.25, friction = 0.75 }")
             .replace("[0.0, 1.0, 2.0] # here", "[0.0, 7.5, 2.0] # here\nrotation = [0.0, 0.0, 0.0, 1.0]")
@@ -285,6 +288,7 @@ rate_hz = 500
         let value: toml::Value = toml::from_str(&changed).unwrap();
         assert_eq!(value["gravity"][2].as_float(), Some(-1.0));
         assert_eq!(value["task"]["weights"]["cutoff_secs"].as_float(), Some(120.5));
+        assert_eq!(value["network"]["reflector"]["loss"].as_float(), Some(0.25));
     }
 
     #[test]
@@ -298,7 +302,7 @@ rate_hz = 500
         for (key, says) in [
             ("controller.x.rate_hz", "there are: engine.main"),
             ("hand.left.device", "there are: "),
-            ("entity.ring.mass", "gravity, controller, hand, task"),
+            ("entity.ring.mass", "gravity, controller, hand, task, network"),
             ("gravity.7", "no '7'"),
             ("gravity", "ok"),
         ] {
@@ -317,7 +321,7 @@ rate_hz = 500
 
         #[test]
         fn any_key_leaves_a_document(
-            root in select(vec!["gravity", "task", "controller.engine.main", "controller.*", "hand", "entity", ""]),
+            root in select(vec!["gravity", "task", "network", "controller.engine.main", "controller.*", "hand", "entity", ""]),
             rest in prop_oneof!["[a-z0-9.*]{0,12}", "\\PC{0,12}"],
             value in select(vec![json!(1), json!(-0.5), json!(true), json!("a \"b\" \n"), json!(null)]),
         ) {

@@ -4,7 +4,7 @@
 //! part selects several entities. Three operations take fields:
 //!
 //! - [`tuned_scenario`] sets them before a session begins, and also values outside components: `gravity.2`,
-//!   `controller.engine.rate_hz`, `task.weights.cutoff_secs`.
+//!   `controller.engine.rate_hz`, `task.weights.cutoff_secs`, `network.reflector.loss`.
 //! - A [`Tuner`] changes them in a running scene and switches between sets of values ([`TuningSets`]), so that a person
 //!   can compare two of them by feel.
 //! - [`save`] writes the chosen values back into the scenario's text, in place: comments and order stay.
@@ -124,7 +124,7 @@ fn tuned_text(scene: &Snapshot, text: &str, values: &[(String, Value)]) -> Resul
             Err(error @ FieldError::NoEntity { .. }) => {
                 if let Err(other) = document.set_key(name, value) {
                     let root = name.split('.').next().unwrap_or_default();
-                    let meant = ["gravity", "controller", "hand", "task"].contains(&root);
+                    let meant = document::BESIDE_ENTITIES.contains(&root);
                     return Err(if meant { other.into() } else { TuneError::from(error).into() });
                 }
             }
