@@ -23,7 +23,8 @@ fn the_left_hand_at_a_station_and_the_right_one_at_the_host_transfer_the_pegs() 
     let mut pair = Pair::new("peg-transfer", &path, &["left"]);
     while pair.step() && pair.now < SimTime::from_millis(300_000) {}
     let task = pair.host.task();
-    assert!(task.completed, "{task:?} at {}", pair.now);
+    // A hand that stands and jumps with its samples shakes rings out of its jaws.
+    assert!(task.completed && task.errors.is_empty(), "{task:?} at {}", pair.now);
 }
 
 #[test]
@@ -189,6 +190,10 @@ fn a_host_that_is_killed_in_mid_air_goes_on_from_its_recording_and_the_exercise_
     let back = |pair: &mut Pair| {
         pair.host.snapshot().iter::<Station>().any(|(_, row)| row.here && row.hands == ["left"])
     };
+    // The scene of the recording has the station, which the new host has not let in yet.
+    while back(&mut pair) {
+        assert!(pair.step() && pair.now.since(killed_at) < SimTime::from_millis(100));
+    }
     while !back(&mut pair) {
         assert!(pair.step() && pair.now.since(killed_at) < SimTime::from_millis(5_000));
     }

@@ -11,7 +11,7 @@ use crate::control::{DIAGNOSES_MAX, SESSION_HANDS_MAX, STATIONS_MAX};
 use crate::datagram::{DATAGRAM_MAX, HANDS_MAX, Header};
 use crate::diagnosis::EchoEnd;
 use crate::hand_sample::{CLUTCHES, HandSample};
-use crate::remote_hand::StationEnd;
+use crate::remote_hand::{Arrival, StationEnd};
 use trocar_devices::Wrench;
 
 /// After so long without a datagram a station was silent.
@@ -213,11 +213,13 @@ impl<A: Copy + PartialEq> HandsHost<A> {
                         && let Some(hand) = hands.iter_mut().find(|hand| hand.number == sample.hand)
                     {
                         hand.end.control().take_again(*station);
+                        let measured_at = connection.measured_at(sample.hand, now);
                         match &mut hand.playout {
-                            Some(playout) => {
-                                playout.push(now, connection.measured_at(sample.hand, now), sample)
+                            Some(playout) => playout.push(now, measured_at, sample),
+                            None => {
+                                let arrival = Arrival { at: now, measured_at: Some(measured_at) };
+                                hand.end.post(*station, arrival, sample);
                             }
-                            None => hand.end.post(*station, now, sample),
                         }
                     }
                 }

@@ -4,6 +4,7 @@
 //!
 //! - what comes out is finite, and within the device's workspace, or where the hand was when the door took over from it;
 //! - it moves, turns, opens and closes no faster than [`DoorLimits`] allow: a jump becomes an approach;
+//! - it moves evenly, although samples come unevenly, as a [`ConstantAge`];
 //! - its velocity is that of the motion let through, whatever the sample claims;
 //! - forces are within the limits, and fade with the time since the newest datagram *arrived*, never with the path's
 //!   delay: 1 up to 50 ms, 0 from 100 ms;
@@ -14,12 +15,13 @@
 //! A sample that is refused counts as not having arrived: a station that sends only nonsense falls silent.
 //! A door reads no clock, allocates nothing and never blocks; same inputs, same bits.
 
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 use trocar_devices::{Capabilities, DeviceState, Dofs, HAS_PEDALS, Pedals, Workspace, Wrench};
 use trocar_scene::SimTime;
 
 use super::clutch::Clutch;
+use super::constant_age::ConstantAge;
 use super::grip::{GripMatch, PedalGate};
 use super::limits::{DoorLimits, LimitError};
 use super::motion::{Caps, MotionLimiter, STEP_MAX_SECS, shortened};
@@ -106,7 +108,7 @@ pub struct DoorStatistics {
 /// The door of one hand.
 #[derive(Clone, Debug)]
 pub struct Door {
-    hand: u8,
+    number: u8,
     limits: DoorLimits,
     // The device's workspace, and the same with the point at which the door took over.
     workspace: Workspace,
@@ -124,7 +126,10 @@ pub struct Door {
     clutch: Option<Clutch>,
     // How often the station has offered its hand anew, as it said last.
     offers: Option<u8>,
+    hand: ConstantAge,
     goal_in_device: Isometry3<f64>,
+    // What is left of the way to the goal when the newest sample came, as a slow stream's steps are spread.
+    way: Way,
     // Caps of speed while the motion stops.
     stopping: Caps,
     interval_secs: f64,
@@ -154,7 +159,7 @@ impl Door {
         }
         let torque_max = if capabilities.output_dofs == Dofs::Six { capabilities.max_torque } else { 0.0 };
         Ok(Self {
-            hand,
+            number: hand,
             limits,
             workspace,
             bounds: workspace,
@@ -168,7 +173,9 @@ impl Door {
             motion: None,
             clutch: None,
             offers: None,
+            hand: ConstantAge::default(),
             goal_in_device: Isometry3::identity(),
+            way: Way::NONE,
             stopping: Caps { linear_speed: 0.0, angular_speed: 0.0 },
             interval_secs: 0.0,
             left_secs: 0.0,
@@ -245,12 +252,18 @@ impl Door {
         self.stopping = Caps { linear_speed: 0.0, angular_speed: 0.0 };
     }
 
-    /// Takes a sample that arrived at `arrived_at`, at time `now`.
+    /// Takes a sample that has arrived, at time `now`.
     ///
     /// # Errors
     /// [`Refusal`] when it is of another hand, has a number that is none, or is not the newest.
-    pub fn admit(&mut self, now: SimTime, arrived_at: SimTime, sample: &HandSample) -> Result<(), Refusal> {
-        let hand = self.hand;
+    pub fn admit(
+        &mut self,
+        now: SimTime,
+        arrival: impl Into<Arrival>,
+        sample: &HandSample,
+    ) -> Result<(), Refusal> {
+        let Arrival { at: arrived_at, measured_at } = arrival.into();
+        let hand = self.number;
         if sample.hand != hand {
             self.statistics.refused_hand += 1;
             return Err(Refusal::UnknownHand { found: sample.hand, expected: hand });
@@ -284,7 +297,11 @@ impl Door {
             // The station has brought its hand to where the instrument is; it may have taken less time than a silence.
             self.release();
         }
-        self.aim(&hand_in_device, gap_secs);
+        let (linear, angular) = (sample.state.linear_velocity, sample.state.angular_velocity);
+        let Caps { linear_speed, angular_speed } = self.caps();
+        let (linear, angular) = (shortened(linear, linear_speed), shortened(angular, angular_speed));
+        self.hand.take(measured_at, hand_in_device, linear, angular);
+        self.aim(now, gap_secs);
         self.press(&sample.state);
         self.wrench = self.limited(&sample.wrench);
         Ok(())
@@ -297,18 +314,21 @@ impl Door {
         self.stepped_at = Some(self.stepped_at.map_or(now, |before| before.max(now)));
         let step_secs = step_secs.min(STEP_MAX_SECS);
         let live = self.clutch.is_some();
-        let (caps, share) = if live {
-            (self.caps(), self.share(step_secs))
+        let caps = if live {
+            let left = self.left(step_secs);
+            let goal = self.goal(now, step_secs).unwrap_or(self.goal_in_device);
+            self.goal_in_device = self.way.short_of(&goal, left);
+            self.caps()
         } else {
             let slower = |speed: f64, deceleration: f64| (speed - deceleration * step_secs).max(0.0);
             self.stopping = Caps {
                 linear_speed: slower(self.stopping.linear_speed, self.limits.linear_deceleration),
                 angular_speed: slower(self.stopping.angular_speed, self.limits.angular_deceleration),
             };
-            (self.stopping, 1.0)
+            self.stopping
         };
         if let Some(motion) = &mut self.motion {
-            let limited = motion.step(&self.goal_in_device, share, caps, step_secs);
+            let limited = motion.step(&self.goal_in_device, caps, step_secs);
             self.statistics.speed_limited += u64::from(live && limited);
             let change_max = self.limits.gripper_speed * step_secs;
             let limited = live && self.grip.step(self.fingers, change_max, self.limits.grip_match);
@@ -376,8 +396,17 @@ impl Door {
         Caps { linear_speed: self.limits.linear_speed, angular_speed: self.limits.angular_speed }
     }
 
-    /// Sets the goal, by way of the clutch; closes it first if it is open.
-    fn aim(&mut self, hand_in_device: &Isometry3<f64>, gap_secs: f64) {
+    /// Where the hand of the newest sample is to be now, by way of the clutch and within bounds; `None` while that is open.
+    fn goal(&mut self, now: SimTime, step_secs: f64) -> Option<Isometry3<f64>> {
+        let mut goal = self.clutch?.shown(&self.hand.step(now, step_secs));
+        let wanted = goal.translation.vector;
+        goal.translation.vector = wanted.sup(&self.bounds.min_in_device).inf(&self.bounds.max_in_device);
+        Some(goal)
+    }
+
+    /// Sets out for the place of the newest sample; closes the clutch first if it is open.
+    fn aim(&mut self, now: SimTime, gap_secs: f64) {
+        let hand_in_device = self.hand.step(now, 0.0);
         let clutch = match (self.clutch, &self.motion) {
             (Some(clutch), _) => {
                 let gap_secs = gap_secs.min(self.limits.spread_max_secs);
@@ -394,7 +423,7 @@ impl Door {
                 if self.mirroring {
                     Clutch::identity()
                 } else {
-                    Clutch::between(hand_in_device, motion.pose_in_device())
+                    Clutch::between(&hand_in_device, motion.pose_in_device())
                 }
             }
             (None, None) => {
@@ -405,11 +434,11 @@ impl Door {
         };
         self.clutch = Some(clutch);
         self.left_secs = self.interval_secs;
-        let mut goal = clutch.shown(hand_in_device);
-        let wanted = goal.translation.vector;
-        goal.translation.vector = wanted.sup(&self.bounds.min_in_device).inf(&self.bounds.max_in_device);
+        let wanted = clutch.shown(&hand_in_device).translation.vector;
+        let Some(goal) = self.goal(now, 0.0) else { return };
         // Without the rounding of the clutch, which would count a hand that waits at the wall.
         self.statistics.clamped_workspace += u64::from((goal.translation.vector - wanted).amax() > 1e-12);
+        self.way = self.motion.map_or(Way::NONE, |motion| Way::between(&goal, motion.pose_in_device()));
         self.goal_in_device = goal;
     }
 
@@ -436,15 +465,59 @@ impl Door {
         limited
     }
 
-    /// Share of the way to the goal for a step. A slow stream's steps are spread over the time until the next datagram
+    /// Share of the way that is left after a step. A slow stream's steps are spread over the time until the next datagram
     /// is due, so that a hand at 60 Hz does not hammer on what it touches; at 1 kHz nothing is delayed.
-    fn share(&mut self, step_secs: f64) -> f64 {
+    fn left(&mut self, step_secs: f64) -> f64 {
         if self.interval_secs <= SPREAD_FROM_STEPS * step_secs || self.left_secs <= step_secs {
-            return 1.0;
+            self.left_secs = 0.0;
+            return 0.0;
         }
-        let share = step_secs / self.left_secs;
         self.left_secs -= step_secs;
-        share
+        self.left_secs / self.interval_secs
+    }
+}
+
+/// When a sample arrived, and when it was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Arrival {
+    /// When it arrived, by this session's clock.
+    pub at: SimTime,
+    /// When it was measured, by this session's clock; `None` if the sample is to be shown as it comes.
+    pub measured_at: Option<SimTime>,
+}
+
+impl From<SimTime> for Arrival {
+    fn from(at: SimTime) -> Self {
+        Self { at, measured_at: None }
+    }
+}
+
+/// How far and how turned the shown pose is from its goal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Way {
+    shift: Vector3<f64>,
+    turn: Quaternion<f64>,
+}
+
+impl Way {
+    const NONE: Self = Self { shift: Vector3::new(0.0, 0.0, 0.0), turn: Quaternion::new(1.0, 0.0, 0.0, 0.0) };
+
+    fn between(goal: &Isometry3<f64>, shown: &Isometry3<f64>) -> Self {
+        let turn = shown.rotation.into_inner() * goal.rotation.into_inner().conjugate();
+        let turn = if turn.w < 0.0 { -turn } else { turn };
+        Self { shift: shown.translation.vector - goal.translation.vector, turn }
+    }
+
+    /// A pose that is short of the goal by this share of the way.
+    fn short_of(&self, goal: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
+        if share <= 0.0 {
+            return *goal;
+        }
+        let turn = Quaternion::new(1.0, 0.0, 0.0, 0.0) * (1.0 - share) + self.turn * share;
+        Isometry3::from_parts(
+            (goal.translation.vector + self.shift * share).into(),
+            UnitQuaternion::new_normalize(turn * goal.rotation.into_inner()),
+        )
     }
 }
 

@@ -11,10 +11,11 @@
 //!
 //! What a station sends is authenticated, and may be nonsense all the same. The [`Door`] refuses what is no number,
 //! clamps the rest to [`DoorLimits`], counts both, and decides what silence means: the pedal is released, the jaws hold,
-//! the motion stops. Whoever takes a hand, gives it back or returns to it does so through a [`Clutch`], so that nothing
+//! the motion stops. What comes unevenly is shown evenly ([`ConstantAge`]). Whoever takes a hand, gives it back or returns to it does so through a [`Clutch`], so that nothing
 //! jumps.
 
 mod clutch;
+mod constant_age;
 mod door;
 #[cfg(test)]
 mod door_tests;
@@ -27,7 +28,8 @@ mod remote_device_tests;
 mod station_end;
 
 pub use clutch::Clutch;
-pub use door::{Door, DoorStatistics, Refusal, Standing};
+pub use constant_age::{ConstantAge, REACH_SECS};
+pub use door::{Arrival, Door, DoorStatistics, Refusal, Standing};
 pub use grip::{GripMatch, PedalGate};
 pub use limits::{DoorLimits, LimitError};
 pub use motion::{Caps, MotionLimiter, STEP_MAX_SECS, VELOCITY_CUTOFF_HZ};

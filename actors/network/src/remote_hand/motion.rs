@@ -74,15 +74,14 @@ impl MotionLimiter {
         self.speed
     }
 
-    /// One step of `step_secs`, over `share` (0 to 1) of the way to the goal, or as far as the caps allow. True when a
-    /// cap acted.
-    pub fn step(&mut self, goal_in_device: &Isometry3<f64>, share: f64, caps: Caps, step_secs: f64) -> bool {
+    /// One step of `step_secs` to the goal, or as far as the caps allow. True when a cap acted.
+    pub fn step(&mut self, goal_in_device: &Isometry3<f64>, caps: Caps, step_secs: f64) -> bool {
         let step_secs = step_secs.min(STEP_MAX_SECS);
         if step_secs <= 0.0 {
             return false;
         }
-        let (moved, capped_motion) = self.translate(goal_in_device, share, caps.linear_speed * step_secs);
-        let (turned, capped_turn) = self.rotate(goal_in_device, share, caps.angular_speed * step_secs);
+        let (moved, capped_motion) = self.translate(goal_in_device, caps.linear_speed * step_secs);
+        let (turned, capped_turn) = self.rotate(goal_in_device, caps.angular_speed * step_secs);
         self.speed =
             Caps { linear_speed: moved.norm() / step_secs, angular_speed: turned.norm() / step_secs };
         let lag = 1.0 / (2.0 * std::f64::consts::PI * VELOCITY_CUTOFF_HZ);
@@ -92,25 +91,24 @@ impl MotionLimiter {
         capped_motion || capped_turn
     }
 
-    fn translate(&mut self, goal: &Isometry3<f64>, share: f64, most: f64) -> (Vector3<f64>, bool) {
+    fn translate(&mut self, goal: &Isometry3<f64>, most: f64) -> (Vector3<f64>, bool) {
         let before = self.pose_in_device.translation.vector;
         let goal = goal.translation.vector;
         let way = goal - before;
         let distance = way.norm();
-        let wanted = distance * share;
-        let after = if wanted <= most {
-            if share >= 1.0 { goal } else { before + way * share }
+        let after = if distance <= most {
+            goal
         } else {
             // Rounding must not carry it over the goal, which may lie on the workspace's wall.
             (before + way * (most / distance)).sup(&before.inf(&goal)).inf(&before.sup(&goal))
         };
         self.pose_in_device.translation.vector = after;
-        (after - before, wanted > most)
+        (after - before, distance > most)
     }
 
     /// Turns, and returns the turn as a rotation vector \[rad\]. The tangent of half the angle stands for the angle: no
     /// larger than the cap allows, and equal to it for the small angles of a step.
-    fn rotate(&mut self, goal: &Isometry3<f64>, share: f64, most: f64) -> (Vector3<f64>, bool) {
+    fn rotate(&mut self, goal: &Isometry3<f64>, most: f64) -> (Vector3<f64>, bool) {
         let before = self.pose_in_device.rotation;
         let left = goal.rotation.into_inner() * before.into_inner().conjugate();
         let (cosine, axis) = if left.w < 0.0 { (-left.w, -left.imag()) } else { (left.w, left.imag()) };
@@ -119,13 +117,13 @@ impl MotionLimiter {
             return (Vector3::zeros(), false);
         }
         // Infinite at half a turn, which the cap cuts.
-        let half_wanted = sine / cosine * share;
+        let half_wanted = sine / cosine;
         let half_most = 0.5 * most;
         let half = if half_wanted <= half_most { half_wanted } else { half_most };
         if half <= 0.0 {
             return (Vector3::zeros(), true);
         }
-        if share >= 1.0 && half_wanted <= half_most {
+        if half_wanted <= half_most {
             self.pose_in_device.rotation = goal.rotation;
         } else {
             let step = Quaternion::from_parts(1.0, axis * (half / sine));
@@ -161,7 +159,7 @@ mod tests {
     fn a_goal_within_reach_is_met_exactly() {
         let goal = pose([0.0005, 0.0, 0.0], [0.0, 0.0, 0.009]);
         let mut motion = MotionLimiter::at_rest(Isometry3::identity());
-        assert!(!motion.step(&goal, 1.0, CAPS, 1e-3));
+        assert!(!motion.step(&goal, CAPS, 1e-3));
         assert_eq!(*motion.pose_in_device(), goal);
         assert!((motion.speed().linear_speed - 0.5).abs() < 1e-12);
         assert!((motion.speed().angular_speed - 9.0).abs() < 1e-3);
@@ -173,7 +171,7 @@ mod tests {
         let mut motion = MotionLimiter::at_rest(Isometry3::identity());
         let mut before = *motion.pose_in_device();
         for step in 1..=400 {
-            let capped = motion.step(&goal, 1.0, CAPS, 1e-3);
+            let capped = motion.step(&goal, CAPS, 1e-3);
             let now = *motion.pose_in_device();
             assert!((now.translation.vector - before.translation.vector).norm() <= 1e-3 + 1e-12);
             assert!(now.rotation.angle_to(&before.rotation) <= 1e-2 + 1e-9);
@@ -194,7 +192,7 @@ mod tests {
         );
         let mut motion = MotionLimiter::at_rest(Isometry3::identity());
         for _ in 0..400 {
-            motion.step(&half, 1.0, CAPS, 1e-3);
+            motion.step(&half, CAPS, 1e-3);
             assert!(motion.angular_velocity().norm() <= 10.0 + 1e-12);
         }
         assert!(motion.pose_in_device().rotation.angle_to(&half.rotation) < 1e-7);
@@ -203,7 +201,7 @@ mod tests {
     #[test]
     fn a_late_step_gets_no_larger_jump() {
         let mut motion = MotionLimiter::at_rest(Isometry3::identity());
-        motion.step(&pose([1.0, 0.0, 0.0], [0.0; 3]), 1.0, CAPS, 3.0);
+        motion.step(&pose([1.0, 0.0, 0.0], [0.0; 3]), CAPS, 3.0);
         assert!((motion.pose_in_device().translation.vector.x - STEP_MAX_SECS).abs() < 1e-12);
     }
 

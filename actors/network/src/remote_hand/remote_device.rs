@@ -164,7 +164,7 @@ impl RemoteHand {
         {
             if post.station == station {
                 // The door counts what it refuses.
-                let _ = self.door.admit(now, post.arrived_at, &post.sample);
+                let _ = self.door.admit(now, post.arrival, &post.sample);
                 self.lag_ns = u64::from(post.sample.age_us) * 1_000;
             } else {
                 self.answer.refused_station += 1;

@@ -12,7 +12,7 @@ use triple_buffer::{Input, Output};
 use trocar_devices::{DeviceState, Pedals, Wrench};
 use trocar_scene::SimTime;
 
-use super::door::DoorStatistics;
+use super::door::{Arrival, DoorStatistics};
 use crate::hand_sample::HandSample;
 
 /// Who moves the hand at present.
@@ -73,7 +73,7 @@ impl HandAnswer {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Post {
     pub station: u16,
-    pub arrived_at: SimTime,
+    pub arrival: Arrival,
     pub sample: HandSample,
 }
 
@@ -218,10 +218,10 @@ impl fmt::Debug for StationEnd {
 }
 
 impl StationEnd {
-    /// Brings the newest sample of a station, which arrived at `arrived_at` by this session's clock. Samples of a
-    /// station that does not have the hand are counted by the hand and have no effect.
-    pub fn post(&mut self, station: u16, arrived_at: SimTime, sample: &HandSample) {
-        self.posts.write(Some(Post { station, arrived_at, sample: *sample }));
+    /// Brings the newest sample of a station, with the time of its arrival. Samples of a station that does not have the
+    /// hand are counted by the hand and have no effect.
+    pub fn post(&mut self, station: u16, arrival: impl Into<Arrival>, sample: &HandSample) {
+        self.posts.write(Some(Post { station, arrival: arrival.into(), sample: *sample }));
     }
 
     /// The newest answer of the hand.
