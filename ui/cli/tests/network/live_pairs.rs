@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use trocar::network::control::Architecture;
 use trocar_kernel::faults::{FaultKind, FaultPlan};
 use trocar_scene::SimTime;
 
@@ -37,6 +38,37 @@ fn a_pause_of_the_host_pauses_its_station_and_both_go_on_where_they_stood() {
     let at_host = pair.host.snapshot();
     let away = at_host.events().since(0).filter(|(_, event)| event.name == "station_away").count();
     assert_eq!(away, 0, "it was there all the time");
+    pair.station.finish();
+    assert_eq!(pair.host.finish().outcome.code, 0);
+}
+
+/// How many bodies of the station's were repaired so far.
+fn repairs(pair: &mut LivePair) -> usize {
+    pair.station.snapshot().events().since(0).filter(|(_, event)| event.name == "repaired").count()
+}
+
+#[test]
+fn a_pause_among_peers_pauses_both_scenes_and_they_agree_afterwards() {
+    let mut pair = LivePair::sharing(None, Some(Architecture::PeerToPeer));
+    pair.wait_until("Ana is there", |pair| pair.row().is_some_and(|row| row.here && row.link.rate > 50.0));
+    wait_until_together(&mut pair);
+    let before = repairs(&mut pair);
+    assert!(pair.host.pause());
+    pair.wait_until("the station is paused as well", |pair| pair.station.is_paused_by_host());
+    let stood = (pair.host.now(), pair.station.now());
+    // Longer than any silence that a connection survives.
+    pair.run(Duration::from_millis(6_500));
+    assert_eq!((pair.host.now(), pair.station.now()), stood, "time stands still at both");
+    assert!(pair.host.resume());
+    pair.wait_until("the station goes on", |pair| !pair.station.is_paused());
+    pair.run(Duration::from_millis(1_500));
+    wait_until_together(&mut pair);
+    pair.wait_until("the rings are at one place at both ends", |pair| pair.rings_apart() <= APART_MAX);
+    let row = pair.row().expect("it is there");
+    assert!(row.here && row.hands == ["left"], "{row:?}");
+    // A ring that is between two blades at that moment may slip at one peer only.
+    let repaired = repairs(&mut pair) - before;
+    assert!(repaired <= 1, "{repaired} bodies were repaired");
     pair.station.finish();
     assert_eq!(pair.host.finish().outcome.code, 0);
 }

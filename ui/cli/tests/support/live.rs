@@ -7,12 +7,13 @@ use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 use trocar::app::App;
+use trocar::network::control::Architecture;
 use trocar::network::ticket::Role;
 use trocar::network::{HostOptions, JoinOptions, Network, NetworkHost, join};
 use trocar::run::{self, RunOptions};
 use trocar::session::Session;
 use trocar_kernel::faults::FaultPlan;
-use trocar_scene::{DeviceState, Station};
+use trocar_scene::{DeviceState, Snapshot, Station};
 
 use super::here;
 
@@ -26,11 +27,17 @@ pub struct LivePair {
 impl LivePair {
     /// With this plan of faults at the host.
     pub fn start(faults: Option<FaultPlan>) -> Self {
+        Self::sharing(faults, None)
+    }
+
+    /// The same in an architecture, if it is not the scenario's own.
+    pub fn sharing(faults: Option<FaultPlan>, architecture: Option<Architecture>) -> Self {
         let tickets = here();
         let options = HostOptions {
             bind: Some(Ipv4Addr::LOCALHOST.into()),
             port: 0,
             book: tickets.path().join("host.tickets"),
+            architecture,
             ..HostOptions::default()
         };
         let network = Arc::new(NetworkHost::open(&options).expect("a host"));
@@ -71,6 +78,17 @@ impl LivePair {
             scene.get::<DeviceState>(hand).expect("its device").handle_in_device.translation
         };
         (at(&mut self.host) - at(&mut self.station)).norm()
+    }
+
+    /// How far the rings are from where the other end has them, the furthest \[m\].
+    pub fn rings_apart(&mut self) -> f64 {
+        let [host, station] = [&mut self.host, &mut self.station].map(Session::snapshot);
+        let at = |scene: &Snapshot, name: &str| {
+            scene.world_pose(scene.find(name).expect("a ring")).translation.vector
+        };
+        let apart =
+            (1..=6).map(|k| format!("ring.{k}")).map(|ring| (at(&host, &ring) - at(&station, &ring)).norm());
+        apart.fold(0.0, f64::max)
     }
 
     /// Goes on at both until it is so, at most 20 seconds.
