@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use nalgebra::Vector3;
 use trocar::app::App;
 use trocar::network::control::Architecture;
 use trocar::network::impairments::Impairments;
@@ -24,6 +25,8 @@ const SETTLED: SimTime = SimTime::from_millis(1_500);
 const SPAN_MS: usize = 8_000;
 /// Longest delay that is looked for \[ms\].
 const LAG_MAX: usize = 400;
+/// Speeds are over so long \[ms\]: rows of a scene come 60 times a second.
+const SPEED_MS: usize = 34;
 /// Bar on the time that a thin client computes, over that of its server.
 const THIN_BAR: f64 = 0.5;
 
@@ -91,19 +94,24 @@ impl Pair {
     }
 }
 
-/// Where a hand's device is along x, and where its instrument is; each from where it began.
-fn along_x(scene: &Snapshot, hand: &str, is_device: bool) -> f64 {
-    let Some(hand) = scene.find(&format!("hand.{hand}")) else { return 0.0 };
+/// Where a hand's device is, or where its instrument is \[m\].
+fn place(scene: &Snapshot, hand: &str, is_device: bool) -> Vector3<f64> {
+    let Some(hand) = scene.find(&format!("hand.{hand}")) else { return Vector3::zeros() };
     if is_device {
-        return scene.get::<DeviceState>(hand).map_or(0.0, |state| state.handle_in_device.translation.x);
+        let state = scene.get::<DeviceState>(hand);
+        return state.map_or_else(Vector3::zeros, |state| state.handle_in_device.translation);
     }
     let instrument = scene.get::<Hand>(hand).map(|hand| hand.instrument);
-    instrument.and_then(|tool| scene.get::<Pose>(tool)).map_or(0.0, |pose| pose.translation.x)
+    instrument.and_then(|tool| scene.get::<Pose>(tool)).map_or_else(Vector3::zeros, |pose| pose.translation)
 }
 
-/// By how many milliseconds what is shown follows what is there: where a line through both fits best, since a port turns and
-/// scales a motion.
-fn lag(there: &[f64], shown: &[f64]) -> f64 {
+/// By how many milliseconds what is shown follows what is there: where a line through the speeds of both fits best, since a
+/// port turns and scales a motion.
+fn lag(there: &[Vector3<f64>], shown: &[Vector3<f64>]) -> f64 {
+    let speeds = |places: &[Vector3<f64>]| -> Vec<f64> {
+        places.windows(SPEED_MS).map(|places| (places[SPEED_MS - 1] - places[0]).norm()).collect()
+    };
+    let (there, shown) = (speeds(there), speeds(shown));
     let fit = |lag: usize| {
         let pairs: Vec<(f64, f64)> = there.iter().copied().zip(shown[lag..].iter().copied()).collect();
         let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / pairs.len() as f64;
@@ -126,14 +134,14 @@ pub fn architectures() -> Rows {
             pair.step();
         }
         let before = pair.bytes();
-        let mut seen: [Vec<f64>; 4] = Default::default();
+        let mut seen: [Vec<Vector3<f64>>; 4] = Default::default();
         for _ in 0..SPAN_MS {
             pair.step();
             let (host, station) = (pair.host.snapshot(), pair.station.snapshot());
-            seen[0].push(along_x(&station, HANDS[0], true));
-            seen[1].push(along_x(&station, HANDS[0], false));
-            seen[2].push(along_x(&host, HANDS[1], true));
-            seen[3].push(along_x(&station, HANDS[1], false));
+            seen[0].push(place(&station, HANDS[0], true));
+            seen[1].push(place(&station, HANDS[0], false));
+            seen[2].push(place(&host, HANDS[1], true));
+            seen[3].push(place(&station, HANDS[1], false));
         }
         let after = pair.bytes();
         let per_sec = |end: usize| (after[end] - before[end]) as f64 / (SPAN_MS as f64 * 1e-3);
