@@ -22,7 +22,7 @@ pub fn verdict(summary: &RunSummary, bad: bool) -> Verdict {
     let task = &summary.task;
     if !task.is_exercise() {
         let title = if summary.error.is_some() { "failed" } else { "the session has ended" };
-        let frozen = frozen_bodies(summary).into_iter();
+        let frozen = frozen_bodies(summary).into_iter().chain(ended_by_host(summary));
         let lines = frozen.chain(summary.error.iter().map(|error| printable(error))).collect();
         return Verdict { title: title.to_owned(), lines, bad };
     }
@@ -39,8 +39,15 @@ pub fn verdict(summary: &RunSummary, bad: bool) -> Verdict {
     lines.extend(summary.too_slow().map(|slow| format!("disturbed: {slow}")));
     lines.extend(errors_of(task).iter().map(|error| printable(error)));
     lines.extend(frozen_bodies(summary));
+    lines.extend(ended_by_host(summary));
     lines.extend(summary.error.iter().map(|error| printable(error)));
     Verdict { title: how.to_owned(), lines, bad }
+}
+
+/// At a station, that its host has ended the session.
+fn ended_by_host(summary: &RunSummary) -> Option<String> {
+    let is_by_host = summary.cut_off_by.as_deref() == Some(BY_THE_HOST);
+    is_by_host.then(|| "the host ended the session".to_owned())
 }
 
 /// The bodies that stand still: their names in one line, and each with its reason.
@@ -107,10 +114,9 @@ pub fn text(summary: &RunSummary) -> String {
     } else {
         vec![format!("{scenario}: {:.1} s; there is no exercise in it", summary.sim_secs)]
     };
-    lines.extend(summary.cut_off_by.as_ref().map(|by| match by.as_str() {
-        BY_THE_HOST => "the host ended the session".to_owned(),
-        by => format!("{by} ended the run before its time"),
-    }));
+    let cut_off_by = summary.cut_off_by.as_ref().filter(|by| by.as_str() != BY_THE_HOST);
+    lines.extend(cut_off_by.map(|by| format!("{by} ended the run before its time")));
+    lines.extend(ended_by_host(summary));
     lines.extend(summary.too_slow().map(|slow| console::style(slow).yellow().to_string()));
     lines.push(String::new());
     lines.extend(rates(summary));

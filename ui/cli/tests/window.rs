@@ -1,7 +1,13 @@
 //! Windows on a real X server, with real keys and a real mouse.
 
+use std::sync::Arc;
+
+use crate::support::hosting::Host;
 use crate::support::screen::{Running, Screen};
 use serde_json::Value;
+use trocar::app::App;
+use trocar::run::Resumed;
+use trocar_scene::{Entity, MentorLabel, MentorStroke, PictureFreeze, Snapshot};
 use trocar_test_support::alone;
 
 /// A session without files, in a small world that lasts as long as one looks.
@@ -159,6 +165,61 @@ fn a_person_moves_a_hand_with_the_mouse_and_gives_it_back() {
     let (_, printed) = running.end();
     let summary: Value = serde_json::from_str(&printed).expect("one object");
     assert_eq!(summary["recording_complete"], true, "{printed}");
+}
+
+#[test]
+fn a_mentor_draws_writes_and_freezes_with_mouse_and_keys() {
+    let _alone = alone();
+    let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
+    let host = Host::start(folder.path(), &["mentor=Ana"]);
+    std::fs::write(folder.path().join("ticket"), &host.tickets[0]).expect("a file");
+    let join =
+        ["join", "--ticket-file", "ticket", "--window", "--quality", "plain", "--record", "mentor.mcap"];
+    let mut running = Running::start(&screen, folder.path(), &join);
+    running.until("time passes", |running| running.seconds() > 0.5);
+    // What the host has made of it, and all stations see.
+    let app = App::new();
+    let shown = || -> Option<Arc<Snapshot>> {
+        let recording = Resumed::read(app.registry(), &folder.path().join("mentor.mcap")).ok()?;
+        Some(recording.scene().clone())
+    };
+    let is_of_host = |entity: Entity| entity.station() == 0;
+    let window = screen.windows().remove(0);
+    let second = || std::thread::sleep(std::time::Duration::from_secs(1));
+    // As a person does: where it did not answer yet, once more.
+    screen.act("key F4");
+    running.until("a stroke is there", |_| {
+        second();
+        screen.act(&format!("mousemove --window {window} 560 470 sleep 0.3 mousedown 1"));
+        for _ in 0..10 {
+            screen.act("mousemove_relative 8 4 sleep 0.1");
+        }
+        screen.act("mouseup 1");
+        second();
+        let mut strokes = shown().into_iter().flat_map(|scene| {
+            let strokes =
+                scene.iter::<MentorStroke>().map(|(entity, stroke)| (entity, stroke.by.name.clone()));
+            strokes.collect::<Vec<_>>()
+        });
+        strokes.any(|(entity, by)| is_of_host(entity) && by == "Ana")
+    });
+    running.until("a label is there", |_| {
+        screen.act("key ctrl+l");
+        second();
+        screen.act("type --delay 60 here");
+        screen.act("key Return");
+        second();
+        shown().is_some_and(|scene| scene.iter::<MentorLabel>().any(|(_, label)| label.text.contains("here")))
+    });
+    running.until("the pictures stand", |_| {
+        screen.act("key ctrl+f");
+        second();
+        second();
+        shown().is_some_and(|scene| scene.iter::<PictureFreeze>().next().is_some())
+    });
+    screen.act("key ctrl+q");
+    running.end();
+    host.end();
 }
 
 #[test]

@@ -20,7 +20,9 @@ pub use crate::error::RunError;
 use crate::graph::ActorGraph;
 pub use crate::options::{FaultTargets, ResumeError, Resumed, RunOptions};
 use crate::session::{Finished, Session, doubts, forecast};
-use crate::summary::{BY_THE_HOST, BY_THE_PROGRAM, Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
+use crate::summary::{
+    BY_THE_HOST, BY_THE_PROGRAM, Exit, FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary,
+};
 use crate::trace::RunTrace;
 use crate::watch::contacts::ContactWatch;
 use crate::watch::frozen::FrozenWatch;

@@ -38,6 +38,15 @@ struct Inner {
     connections: u64,
     is_connected: bool,
     now: SimTime,
+    /// How far the session clock of each end is behind the wire's.
+    behind: [SimTime; 2],
+}
+
+impl Inner {
+    /// The wire's time when the session clock of this end shows `now`.
+    fn time(&self, at: End, now: SimTime) -> SimTime {
+        now + self.behind[at as usize]
+    }
 }
 
 #[derive(Default)]
@@ -74,7 +83,13 @@ impl Wire {
     /// A wire with these properties in both directions; the same seed gives the same luck.
     pub fn new(path: &Impairments, seed: u64) -> Self {
         let ways = [OneWay::new(path, seed), OneWay::new(path, seed.wrapping_add(1))];
-        let inner = Inner { ways, connections: 0, is_connected: false, now: SimTime::ZERO };
+        let inner = Inner {
+            ways,
+            connections: 0,
+            is_connected: false,
+            now: SimTime::ZERO,
+            behind: Default::default(),
+        };
         Self { inner: Arc::new(Mutex::new(inner)) }
     }
 
@@ -89,6 +104,12 @@ impl Wire {
             way.datagrams.apply(&order);
             way.stream.apply(&order);
         }
+    }
+
+    /// The session clock of this end is behind the wire's by so much from now on, as that of a host that was killed and goes
+    /// on from its recording.
+    pub fn set_behind(&self, end: End, behind: SimTime) {
+        self.lock().behind[end as usize] = behind;
     }
 
     /// Lets no datagram of this end pass, as a firewall does, or lets them pass again. The stream goes on.
@@ -137,7 +158,9 @@ impl Wire {
 
     /// Whether the other end has finished, and everything of it was taken.
     pub fn is_finished(&self, at: End, now: SimTime) -> bool {
-        self.lock().ways[1 - at as usize].stream.is_finished(now)
+        let mut inner = self.lock();
+        let now = inner.time(at, now);
+        inner.ways[1 - at as usize].stream.is_finished(now)
     }
 
     /// The number of the connection, if the stream is connected.
@@ -149,7 +172,7 @@ impl Wire {
     /// Sends a datagram from this end.
     pub fn send_datagram(&self, from: End, now: SimTime, bytes: &[u8]) {
         let mut inner = self.lock();
-        inner.now = inner.now.max(now);
+        inner.now = inner.now.max(inner.time(from, now));
         let now = inner.now;
         let way = &mut inner.ways[from as usize];
         if way.is_blocked {
@@ -163,6 +186,7 @@ impl Wire {
     /// The next datagram that has arrived at this end by `now`.
     pub fn receive_datagram(&self, at: End, now: SimTime) -> Option<Vec<u8>> {
         let mut inner = self.lock();
+        let now = inner.time(at, now);
         let way = &mut inner.ways[1 - at as usize];
         way.carry(now);
         way.arrived.pop_front()
@@ -174,7 +198,7 @@ impl Wire {
         if !inner.is_connected {
             return 0;
         }
-        inner.now = inner.now.max(now);
+        inner.now = inner.now.max(inner.time(from, now));
         let now = inner.now;
         let way = &mut inner.ways[from as usize];
         let sent = way.stream.send(now, bytes);
@@ -184,7 +208,9 @@ impl Wire {
 
     /// Appends the bytes of the stream that have arrived at this end by `now`.
     pub fn receive_stream(&self, at: End, now: SimTime, into: &mut Vec<u8>) {
-        self.lock().ways[1 - at as usize].stream.receive(now, into);
+        let mut inner = self.lock();
+        let now = inner.time(at, now);
+        inner.ways[1 - at as usize].stream.receive(now, into);
     }
 }
 

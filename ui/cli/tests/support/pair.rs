@@ -7,7 +7,7 @@ use tempfile::TempDir;
 use trocar::app::App;
 use trocar::network::control::Architecture;
 use trocar::network::impairments::Impairments;
-use trocar::network::lockstep::Wire;
+use trocar::network::lockstep::{End, Wire};
 use trocar::network::ticket::Role;
 use trocar::network::{JoinOptions, Joining, LockstepHost, Network};
 use trocar::run::{self, Resumed, RunOptions};
@@ -129,11 +129,14 @@ impl Pair {
         };
         self.host = run::start(&app, &self.scenario, &options).expect("it goes on");
         self.lag = self.now.since(self.host.now());
+        // Its session clock has lost that time; the path has not grown longer by it.
+        self.wire.set_behind(End::Host, self.lag);
     }
 
     /// The same, and the new one has caught up with the time when its station tries to come back.
     pub fn restart_host(&mut self) {
         self.kill_host();
+        self.wire.set_behind(End::Host, SimTime::ZERO);
         assert!(self.host.run_until(self.now), "it goes on");
         self.lag = SimTime::ZERO;
     }
