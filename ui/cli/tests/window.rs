@@ -173,8 +173,18 @@ fn a_mentor_draws_writes_and_freezes_with_mouse_and_keys() {
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let host = Host::start(folder.path(), &["mentor=Ana"]);
     std::fs::write(folder.path().join("ticket"), &host.tickets[0]).expect("a file");
-    let join =
-        ["join", "--ticket-file", "ticket", "--window", "--quality", "plain", "--record", "mentor.mcap"];
+    let join = [
+        "join",
+        "--name",
+        "Ana",
+        "--ticket-file",
+        "ticket",
+        "--window",
+        "--quality",
+        "plain",
+        "--record",
+        "mentor.mcap",
+    ];
     let mut running = Running::start(&screen, folder.path(), &join);
     running.until("time passes", |running| running.seconds() > 0.5);
     // What the host has made of it, and all stations see.
