@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use trocar::app::App;
+use trocar::network::control::Architecture;
 use trocar::network::impairments::Impairments;
 use trocar::run::{self, RunOptions};
 use trocar_scene::{DeviceState, Grasp, HapticStatus, SimTime, Snapshot, Station};
@@ -42,8 +43,8 @@ fn exercises_succeed_with_a_hand_at_a_station() {
     }
 }
 
-/// The largest energy that the hand got out of its device \[J\], the largest force \[N\] and the mean stiffness that it felt
-/// while it pressed on the liver at 1 Hz for a minute.
+/// The largest energy that the hand got out of its device \[J\], the largest force and the mean force on it \[N\] while it
+/// pressed on the liver at 1 Hz for a minute.
 fn pressed_liver(device: &str, path: Option<&Impairments>) -> (f64, f64, f64) {
     let text = include_str!("../../../scenarios/fem-liver.toml").replace("seconds = 6.0", "seconds = 300.0");
     let app = App::new();
@@ -69,19 +70,18 @@ fn pressed_liver(device: &str, path: Option<&Impairments>) -> (f64, f64, f64) {
             })
         }
     };
-    let (mut energy, mut stiffness, mut count, mut force_max) = (0.0_f64, 0.0, 0, 0.0);
+    let (mut energy, mut force, mut count, mut force_max) = (0.0_f64, 0.0, 0, 0.0);
     for millis in 0..66_000 {
         let scene = step();
         let hand = scene.find("hand.right").expect("a hand");
         let Some(status) = scene.get::<HapticStatus>(hand) else { continue };
         energy = energy.min(status.energy_min);
         force_max = status.force_max;
-        if millis > 10_000 && status.felt_stiffness > 0.0 {
-            stiffness += status.felt_stiffness;
-            count += 1;
-        }
+        let Some(device) = scene.get::<DeviceState>(hand).filter(|_| millis > 10_000) else { continue };
+        force += device.applied_force.norm();
+        count += 1;
     }
-    (energy, force_max, stiffness / f64::from(count.max(1)))
+    (energy, force_max, force / f64::from(count.max(1)))
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn touching_a_liver_over_a_network_gives_no_energy_and_feels_alike() {
     std::fs::write(&file, format!("t,x,y,z,qw,qx,qy,qz,gripper\n{rows}")).expect("a file");
     let device = format!("right=replay:{},force=on", file.display());
     let (_, _, here) = pressed_liver(&device, None);
-    assert!(here > 20.0, "{here} N/m");
+    assert!(here > 0.05, "{here} N");
     for round_trip in [0, 100, 300, 1_000] {
         for (loss, burst) in [(0.0, 1.0), (0.05, 1.0), (0.2, 1.0), (0.05, 40.0)] {
             let path =
@@ -109,7 +109,7 @@ fn touching_a_liver_over_a_network_gives_no_energy_and_feels_alike() {
             assert!(energy >= -1e-3, "{case}");
             assert!(
                 there / here >= if round_trip <= 100 { 0.5 } else { 0.01 },
-                "{case}: {there} N/m, not {here}"
+                "{case}: {there} N, not {here}"
             );
         }
     }
@@ -117,11 +117,11 @@ fn touching_a_liver_over_a_network_gives_no_energy_and_feels_alike() {
 
 /// The largest energy that the hand got out of its device \[J\], and the mean force on it while it holds the liver's edge
 /// retracted \[N\], in two rounds.
-fn pulled_liver(path: Option<&Impairments>) -> (f64, f64) {
+fn pulled_liver(path: Option<&Impairments>, seed: u64) -> (f64, f64) {
     let scenario = liver(3);
     let mut step: Box<dyn FnMut() -> Arc<Snapshot>> = match path {
         Some(path) => {
-            let mut pair = Pair::of(&scenario, path, &["right"], false);
+            let mut pair = Pair::lucky(&scenario, path, &["right"], false, Architecture::ClientServer, seed);
             Box::new(move || {
                 pair.step();
                 pair.station.snapshot()
@@ -157,13 +157,17 @@ fn pulled_liver(path: Option<&Impairments>) -> (f64, f64) {
 
 #[test]
 fn pulling_a_liver_over_a_network_gives_no_energy_and_is_felt() {
-    let (_, here) = pulled_liver(None);
+    let (_, here) = pulled_liver(None, 0);
     assert!(here > 0.1, "{here} N");
     for round_trip in [0, 100, 300, 1_000] {
         for (loss, burst) in [(0.0, 1.0), (0.2, 1.0), (0.05, 40.0)] {
             let path =
                 Impairments { loss, burst, ..Impairments::delay(SimTime::from_millis(round_trip / 2)) };
-            let (energy, there) = pulled_liver(Some(&path));
+            // A burst in which the jaws should close leaves them empty: three lucks tell what is felt.
+            let lucks = if burst > 1.0 { 7..10 } else { 7..8 };
+            let pulls: Vec<(f64, f64)> = lucks.map(|seed| pulled_liver(Some(&path), seed)).collect();
+            let energy = pulls.iter().map(|(energy, _)| *energy).fold(0.0, f64::min);
+            let there = pulls.iter().map(|(_, force)| force).sum::<f64>() / pulls.len() as f64;
             let case =
                 format!("{round_trip} ms, loss {loss}, burst {burst}: {energy} J, {there} N of {here} N");
             println!("{case}, felt {:.3}", there / here);

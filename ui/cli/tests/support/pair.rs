@@ -60,10 +60,22 @@ impl Pair {
         play: bool,
         architecture: Architecture,
     ) -> Self {
+        Self::lucky(scenario, path, hands, play, architecture, 7)
+    }
+
+    /// The same with another luck of the path.
+    pub fn lucky(
+        scenario: &Scenario,
+        path: &Impairments,
+        hands: &[&str],
+        play: bool,
+        architecture: Architecture,
+        seed: u64,
+    ) -> Self {
         let app = App::new();
         let network = Arc::new(LockstepHost::new().expect("a host").with_architecture(architecture));
         let ticket = network.ticket("Ana", Role::Operate).expect("a ticket");
-        let wire = Wire::new(path, 7);
+        let wire = Wire::new(path, seed);
         let number = network.wires().add(wire.clone());
         let recording = here();
         let options = RunOptions {
