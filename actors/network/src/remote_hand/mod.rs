@@ -11,8 +11,8 @@
 //!
 //! What a station sends is authenticated, and may be nonsense all the same. The [`Door`] refuses what is no number,
 //! clamps the rest to [`DoorLimits`], counts both, and decides what silence means: the pedal is released, the jaws hold,
-//! the motion stops. What comes unevenly is shown evenly ([`ConstantAge`]). Whoever takes a hand, gives it back or returns to it does so through a [`Clutch`], so that nothing
-//! jumps.
+//! the motion stops. What comes unevenly is shown evenly ([`ConstantAge`]). Whoever takes a hand, gives it back or returns
+//! to it does so through a [`Clutch`], so that nothing jumps.
 
 mod clutch;
 mod constant_age;

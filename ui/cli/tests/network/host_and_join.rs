@@ -11,10 +11,10 @@ use crate::support::hosting::Host;
 use crate::support::{here, object, stderr, trocar};
 
 /// A station that is given its ticket by stdin.
-fn station(folder: &Path, ticket: &str, arguments: &[&str]) -> Output {
+fn begun(folder: &Path, ticket: &str, arguments: &[&str]) -> Child {
     let mut child = Command::new(env!("CARGO_BIN_EXE_trocar"))
         .args(arguments)
-        .args(["--ticket-file", "-", "--headless", "--json"])
+        .args(["--ticket-file", "-", "--headless"])
         .current_dir(folder)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -24,7 +24,12 @@ fn station(folder: &Path, ticket: &str, arguments: &[&str]) -> Output {
     let written = writeln!(child.stdin.take().expect("piped"), "{ticket}");
     // A program that refuses its arguments reads nothing.
     let _ = written;
-    child.wait_with_output().expect("an end")
+    child
+}
+
+/// The same to its end.
+fn station(folder: &Path, ticket: &str, arguments: &[&str]) -> Output {
+    begun(folder, ticket, &[arguments, &["--json"]].concat()).wait_with_output().expect("an end")
 }
 
 fn controllers(output: &Output) -> Vec<String> {
@@ -69,15 +74,7 @@ fn a_second_program_joins_with_its_own_hand_and_a_third_looks_on() {
 
 /// A station that stays, once it is in the session.
 fn stays(folder: &Path, ticket: &str) -> Child {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_trocar"))
-        .args(["watch", "--ticket-file", "-", "--headless", "--seconds", "60"])
-        .current_dir(folder)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("the program starts");
-    writeln!(child.stdin.take().expect("piped"), "{ticket}").expect("it reads");
+    let mut child = begun(folder, ticket, &["watch", "--seconds", "60"]);
     let mut lines = BufReader::new(child.stderr.take().expect("piped"));
     let (mut line, mut told) = (String::new(), String::new());
     while !line.starts_with("in the session") {
